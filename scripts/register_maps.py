@@ -14,7 +14,7 @@ from busway.codes import Table
 from busway.config.files.behaviours import described
 from busway.config.files.simulation import SimulatedPointSection, SimulatedUnitSection
 from busway.config.profiles import DEVICES, ready_made
-from busway.points.rules import ranged
+from busway.points.point_rules import ranged
 from busway.values import format_address
 
 ROOT = Path(__file__).resolve().parents[1]

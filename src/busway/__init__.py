@@ -49,7 +49,7 @@ if TYPE_CHECKING:
         UnitSuspended,
         WriteOutcomeUnknown,
     )
-    from .observe.metrics.endpoint import start_metrics
+    from .observe.metrics.http_endpoint import start_metrics
     from .observe.trace import TRACE, TraceLevel
     from .options.endpoints import Endpoint, parse_endpoint
     from .options.server import ListenerParameters
@@ -141,7 +141,7 @@ _HOME = {
         "WriteOutcomeUnknown",
     ),
     "apps.gateway.gateway": ("Gateway",),
-    "observe.metrics.endpoint": ("start_metrics",),
+    "observe.metrics.http_endpoint": ("start_metrics",),
     "observe.trace": ("TRACE", "TraceLevel"),
     "pdu.diagnostics": (
         "GetCommEventCounter",

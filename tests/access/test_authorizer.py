@@ -18,12 +18,12 @@ from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import MaskWriteRegister, WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.server.failures import answer_later
 from busway.server.local import DeviceResponder
+from busway.server.responder_failures import answer_later
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.responder import LATER, SILENCE, ClientIdentity, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 
 READ = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 0, 2)
 READ_FAR = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 8, 2)

@@ -17,7 +17,7 @@ from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.responder import ClientIdentity, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 
 ZONES = Policy.of(
     Rule.of(name="small", addresses="holding:0-4", values=(0, 9)),

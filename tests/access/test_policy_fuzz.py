@@ -32,7 +32,7 @@ from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.pipeline import NO_FAST_PATH, FastPath
 from busway.session.responder import ClientIdentity, RequestContext
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 
 ITEMS = 40
 PEERS = (("10.0.0.7:5000", None), ("10.0.0.7:5001", "op"), ("[fe80::9]:5002", None), ("192.168.1.1:9", "guest"))

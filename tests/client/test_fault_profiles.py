@@ -32,7 +32,7 @@ def via(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Clie
 
 def _number_from(monkeypatch: pytest.MonkeyPatch, first: int) -> None:
     """Give the links of a test transaction identifiers after ``first``, where each link draws its own otherwise."""
-    monkeypatch.setattr("busway.client.conversation.random.getrandbits", lambda bits: first)
+    monkeypatch.setattr("busway.client.sessions.random.getrandbits", lambda bits: first)
 
 
 def _device() -> busway.Device:

@@ -7,7 +7,7 @@ import pytest
 
 from busway.client.serial_connector import SerialChannel, SerialStream
 from busway.errors import BadReply, NoReply
-from busway.framing.conversation import Role
+from busway.framing.frame_direction import Role
 from busway.framing.rtu import encode_rtu
 from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters

@@ -32,7 +32,7 @@ from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import RequestContext
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 from busway.transport.tcp import configure
 
 pytestmark = pytest.mark.clause("T4")
@@ -155,9 +155,12 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
         ("busway.session.responder", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.rules", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.addresses", {"busway.client", "busway.server", "socket", "asyncio"}),
-        ("busway.server.connection_slots", {"busway.client", "busway.server.connections", "busway.session", "asyncio"}),
-        ("busway.access.rates", {"busway.client", "busway.server.connections", "busway.session", "asyncio"}),
-        ("busway.server.local", {"busway.client", "busway.server.connections", "socket"}),
+        (
+            "busway.server.connection_slots",
+            {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"},
+        ),
+        ("busway.access.rates", {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"}),
+        ("busway.server.local", {"busway.client", "busway.server.connection_management", "socket"}),
         ("busway.transport.tcp", {"busway.client", "busway.server", "busway.session", "asyncio"}),
         ("busway.client.aio", {"busway.server"}),
         ("busway.server.server", {"busway.client"}),

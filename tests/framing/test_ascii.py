@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from busway.framing.ascii import CR, AsciiReceiver, AsciiState, encode_ascii
-from busway.framing.conversation import Role
 from busway.framing.echo import Echo
+from busway.framing.frame_direction import Role
 from busway.framing.received import Damage, Damaged, Direction, Received, SerialFrame
 from busway.framing.timing import SerialTiming
 

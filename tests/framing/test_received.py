@@ -3,7 +3,7 @@
 import pytest
 
 from busway.framing.ascii import AsciiReceiver, encode_ascii
-from busway.framing.conversation import Role
+from busway.framing.frame_direction import Role
 from busway.framing.mbap import MbapReceiver, encode_mbap
 from busway.framing.received import Found, Receiver, SerialFrame, SerialReceiver
 from busway.framing.rtu import RtuReceiver, encode_rtu

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from busway.framing.conversation import Role
 from busway.framing.crc import crc16
 from busway.framing.echo import Echo
+from busway.framing.frame_direction import Role
 from busway.framing.received import Damage, Damaged, Direction, Received, SerialFrame, SerialReceiver
 from busway.framing.rtu import DEFAULT_GAP_LIMIT, RtuReceiver, encode_rtu
 from busway.framing.timing import SerialTiming

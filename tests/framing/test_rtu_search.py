@@ -2,8 +2,8 @@
 
 import pytest
 
-from busway.framing.conversation import Due
 from busway.framing.crc import running_states
+from busway.framing.frame_direction import Due
 from busway.framing.lengths import lengths_of
 from busway.framing.rtu import encode_rtu
 from busway.framing.rtu_search import DEAD, WAITS, Place, find_any, find_reply

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from busway.framing.conversation import Role
 from busway.framing.echo import Echo
+from busway.framing.frame_direction import Role
 from busway.framing.received import Damage, Damaged, Direction, Received, SerialFrame
 from busway.framing.rtu import encode_rtu
 from busway.framing.rtu_strict import LineState, StrictRtuReceiver

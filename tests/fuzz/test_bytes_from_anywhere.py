@@ -24,7 +24,7 @@ from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 
 PDUS = st.one_of(
     st.binary(min_size=1, max_size=PDU_LIMIT),

@@ -12,7 +12,7 @@ from busway.framing.ascii import encode_ascii
 from busway.framing.received import Damage, Damaged, Direction, SerialFrame
 from busway.framing.rtu import encode_rtu
 from busway.observe.capture import LARGEST_SEGMENT, Capture
-from busway.observe.headers import Node, line_pdu, tcp_packet, udp_packet
+from busway.observe.capture_headers import Node, line_pdu, tcp_packet, udp_packet
 
 HERE, PEER = ("10.0.0.1", 40_000), ("10.0.0.5", 502)
 MASTER = Node(IPv4Address(0), 50_000)

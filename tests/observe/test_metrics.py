@@ -24,13 +24,13 @@ import busway
 from busway.errors import ConfigError, LinkDown
 from busway.observe.metrics import MetricsEndpoint, MetricsObserver, PeerClass, RequestTally, start_metrics
 from busway.observe.metrics.observer import ClassifyByMark
-from busway.observe.metrics.requests import Unanswered
+from busway.observe.metrics.request_tally import Unanswered
 from busway.server.local import DeviceResponder
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 
 FREE = "127.0.0.1:0"
 FREE_TCP = "tcp://127.0.0.1:0"
@@ -405,7 +405,7 @@ async def test_a_server_that_is_not_metered_is_left_as_it_is(device: busway.Devi
 async def test_an_event_loop_that_is_stuck_is_told_and_not_waited_for(
     device: busway.Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("busway.observe.metrics.endpoint.ASK_SECONDS", 0.05)
+    monkeypatch.setattr("busway.observe.metrics.http_endpoint.ASK_SECONDS", 0.05)
     async with start_metrics(busway.serve(FREE_TCP, units={1: device}), FREE) as endpoint:
         # Scraped from the very thread that would have to tell.
         text, _ = get(endpoint.url)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from busway.observe.metrics.requests import BUCKETS, MAX_SERIES, PeerClass, RequestTally, Unanswered
+from busway.observe.metrics.request_tally import BUCKETS, MAX_SERIES, PeerClass, RequestTally, Unanswered
 
 
 def labels(tally: RequestTally) -> dict[tuple[str, str, str, str], int]:

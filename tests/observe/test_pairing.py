@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from busway.framing.conversation import Role
+from busway.framing.frame_direction import Role
 from busway.framing.received import Damage, Damaged, Direction, SerialFrame
 from busway.framing.rtu import RtuReceiver, encode_rtu
 from busway.framing.timing import SerialTiming

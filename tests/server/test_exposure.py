@@ -6,8 +6,8 @@ import pytest
 
 import busway
 from busway.access.rules import Policy
+from busway.server.bound_sockets import is_everywhere, is_loopback
 from busway.server.exposure import warn_of_exposure
-from busway.server.naming import is_everywhere, is_loopback
 
 
 @pytest.fixture

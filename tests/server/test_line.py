@@ -11,7 +11,7 @@ from busway.options.ports import SerialSettings
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
-from busway.server.diagnosis import StatusIndicator
+from busway.server.status_indicators import StatusIndicator
 from busway.server.tcp import settle
 from busway.session.responder import Outcome, RequestContext, ServedUnit
 from busway.testing.line import PacedLine

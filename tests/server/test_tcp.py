@@ -15,7 +15,7 @@ from handles import settled_handles
 from waiting import until
 
 import busway
-from busway.server.diagnosis import StatusIndicator
+from busway.server.status_indicators import StatusIndicator
 from busway.transport import accepting
 from busway.transport.epoll.watcher import EpollSet
 

@@ -18,7 +18,7 @@ from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 
 
 class ReadPressure(Request):  # ten lines, from here …

@@ -13,7 +13,7 @@ from busway.framing.mbap import MbapFrame, encode_mbap
 from busway.pdu.message import Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.session.call import Call, plan_of, route_of
+from busway.session.call import Call, encoded_request, plan_of
 
 
 def call_of(requests: int) -> Call:
@@ -226,12 +226,12 @@ def test_an_exception_ends_its_own_request_of_a_batch_only() -> None:
 
 def test_what_was_made_for_a_request_is_kept_for_each_unit() -> None:
     request = read(7)
-    first, second = route_of(request, 1), route_of(request, 2)
+    first, second = encoded_request(request, 1), encoded_request(request, 2)
     assert (first.tail[4], second.tail[4]) == (1, 2)
-    assert route_of(request, 1) is first
-    assert route_of(request, 2) is second
-    assert route_of(request, 3) is not first
-    assert [route_of(request, unit).unit for unit in (1, 2, 3)] == [1, 2, 3]
+    assert encoded_request(request, 1) is first
+    assert encoded_request(request, 2) is second
+    assert encoded_request(request, 3) is not first
+    assert [encoded_request(request, unit).unit for unit in (1, 2, 3)] == [1, 2, 3]
 
 
 def test_the_plan_of_the_same_requests_is_made_once_and_that_of_others_anew() -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from busway.errors import ConfigError
 from busway.framing.ascii import AsciiReceiver, encode_ascii
-from busway.framing.conversation import Role
+from busway.framing.frame_direction import Role
 from busway.framing.rtu import RtuReceiver, encode_rtu
 from busway.framing.rtu_strict import StrictRtuReceiver
 from busway.framing.timing import SerialTiming

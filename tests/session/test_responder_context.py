@@ -7,7 +7,7 @@ from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import LATER, Outcome, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 
 
 class _Promises:

@@ -31,7 +31,7 @@ from busway.session.responder import (
     ServedUnit,
 )
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 
 READ = bytes.fromhex("03 0000 0001")
 ANSWER = ReadHoldingRegisters.Reply(b"\x00\x07")

@@ -10,9 +10,9 @@ from busway.errors import NoReply, UnitSuspended
 from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters
 from busway.pdu.read_items import ReadHoldingRegisters
-from busway.session.breaker import Breakers, BreakerState
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
+from busway.session.unit_breaker import Breakers, BreakerState
 
 DELAY = 0.0007
 """Seconds that a unit takes to answer."""

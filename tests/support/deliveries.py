@@ -8,7 +8,7 @@ from collected import at, meter_read
 
 from busway.apps.collector.sinks.delivery import Delivery, DeliveryOptions
 from busway.apps.collector.sinks.interface import Sink, SinkDown, SinkRefused
-from busway.apps.collector.store.commits import CommittedSample
+from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.collector.store.writer import StoreWriter
 
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from busway.errors import BadReply, ExceptionReply, ModbusError, NoReply, UnitSuspended, WriteOutcomeUnknown
-from busway.framing.conversation import Role
+from busway.framing.frame_direction import Role
 from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters, SerialClientParameters

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from busway.framing.conversation import Role
+from busway.framing.frame_direction import Role
 from busway.framing.received import SerialFrame
 from busway.framing.timing import SerialTiming
 from busway.session.line_framing import line_framing

@@ -13,8 +13,8 @@ from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from busway.framing.conversation import Role
 from busway.framing.echo import Echo
+from busway.framing.frame_direction import Role
 from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters

@@ -8,7 +8,7 @@ from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 from busway.testing import MemoryPair, Passage, golden_adu, known_device
 
 

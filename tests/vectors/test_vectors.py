@@ -9,8 +9,8 @@ import pytest
 
 from busway import Device
 from busway.framing.ascii import AsciiReceiver, encode_ascii
-from busway.framing.conversation import Role
 from busway.framing.crc import crc_bytes
+from busway.framing.frame_direction import Role
 from busway.framing.lrc import lrc
 from busway.framing.mbap import FrameKind, MbapReceiver, encode_mbap
 from busway.framing.received import SerialFrame
@@ -25,7 +25,7 @@ from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 
 VECTORS: list[dict[str, Any]] = json.loads((Path(__file__).parent / "vectors.json").read_text("utf-8"))
 ASKED = [vector for vector in VECTORS if "expect" in vector and vector.get("map") == "S"]

@@ -1,8 +1,8 @@
 """One line of the audit log: a request and its outcome as JSON.
 
 Knows requests and their outcome; writes nothing. Lines are formatted by hand from prepared parts, because a plant may
-write thousands of times a second. For writes on the fast path (`busway.access.fast_path`) all but time, address and
-items is prepared.
+write thousands of times a second. For writes on the fast path (`busway.access.fast_path_rights`) all but time, address
+and items is prepared.
 
 ===============  =====================================================================================
 key              value
@@ -32,7 +32,7 @@ from collections.abc import Callable, Sequence
 from json.encoder import encode_basestring_ascii as quoted
 from typing import Any, Final
 
-from ..pdu.direct import Requester
+from ..pdu.fast_answers import Requester
 from ..pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
 from ..pdu.functions import AnyRequest
 from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest

@@ -1,6 +1,7 @@
 """Records writes and denied requests in the audit log.
 
-Knows the outcome of requests; decides nothing. Writes on the fast path record themselves (`busway.access.fast_path`).
+Knows the outcome of requests; decides nothing. Writes on the fast path record themselves
+(`busway.access.fast_path_rights`).
 """
 
 from collections.abc import Sequence

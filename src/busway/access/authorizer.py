@@ -6,7 +6,7 @@ Knows requests, clients and the policy; answers nothing and stands beside the re
    rule about items chooses it. A permitted request above the rate of its rule is answered 06, because the client may
    try again.
 2. The rules that apply to a client are compiled once for all clients with equal rights (`busway.access.rights`). They
-   decide on the generic path, and what they permit is bound to the fast path (`busway.access.fast_path`).
+   decide on the generic path, and what they permit is bound to the fast path (`busway.access.fast_path_rights`).
 3. A policy can be replaced at any time: ``generation`` changes, and sessions ask again before their next request.
    No connection is dropped.
 4. While the audit log refuses writes (``on_failure="refuse"``), a write is answered 04 and not executed.
@@ -22,14 +22,14 @@ from typing import Final
 
 from ..codes import ExceptionCode
 from ..options.networks import host_of_peer
-from ..pdu.direct import Answer
+from ..pdu.fast_answers import Answer
 from ..pdu.functions import AnyRequest
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Request
 from ..session.responder import ClientIdentity, Judged, Refusal, Replaced, RequestContext, ServedUnit
 from ..values.printable import printable
 from .audit_log import AuditLog
-from .fast_path import bind
+from .fast_path_rights import bind
 from .question import Asker, Question
 from .rates import Rates
 from .repeats import Repeats, so_often

@@ -4,7 +4,7 @@ Knows rules and the facts of one request (`busway.access.question`); knows no cl
 
 1. For every kind of access to a unit (function, space, read or write) the rules are compiled into *zones*: ranges of
    items that cover all addresses, each with the one rule that decides there. The generic path finds the zones of a
-   request, the fast path is made of the zones that permit (`busway.access.fast_path`).
+   request, the fast path is made of the zones that permit (`busway.access.fast_path_rights`).
 2. For every item that a request touches, the first rule that fits decides; where none fits, the default does. The
    request is permitted if all of its items are. A range that straddles rules is judged part by part: where 100…109
    are denied, a read of 95…104 is denied.

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from threading import Event
 
     from ..observe.capture import LineCapture
-    from ..observe.listening import Listening
     from ..observe.pairing import Heard, LineStatistics
+    from ..observe.sniffing import Listening
     from ..pdu.describe import Description
 
 EXAMPLES = """\b
@@ -58,8 +58,8 @@ def sniff(
     as_json: bool = JSON,
 ) -> int:
     """Listen to a line, never send."""
-    from ..observe.listening import Listening, line_to_hear
     from ..observe.pairing import Pairing
+    from ..observe.sniffing import Listening, line_to_hear
 
     line = line_to_hear(url)
     window = seconds(reply_window, "--reply-window", low=0.001, high=60)

@@ -19,7 +19,7 @@ from .output import print_aligned, print_json, say
 from .signals import stop_flag
 
 if TYPE_CHECKING:
-    from ..apps.control.asking import Running
+    from ..apps.control.client import Running
     from .status_view import StatusSection
 
 EXAMPLES = """\b
@@ -54,7 +54,7 @@ def status(
 def _ask(where: str | None) -> list[dict[str, Any]]:
     """What the programs tell: one that is named, or all there are. Raises `LinkDown` where there is none."""
     from ..apps.control.addresses import control_directories
-    from ..apps.control.asking import ask, find_one, find_running
+    from ..apps.control.client import ask, find_one, find_running
 
     directories = control_directories()
     if where is not None:
@@ -69,7 +69,7 @@ def _ask(where: str | None) -> list[dict[str, Any]]:
 
 def _tellers(running: "list[Running]") -> Iterator[dict[str, Any]]:
     """What several programs tell; one that does not answer is said, and does not hide the others."""
-    from ..apps.control.asking import ask
+    from ..apps.control.client import ask
 
     for one in running:
         try:

@@ -15,7 +15,7 @@ from typing import Final
 
 from ..apps.gateway.settings import GatewayPlan
 from ..options.endpoints import Endpoint, parse_endpoint
-from ..server.naming import is_loopback
+from ..server.bound_sockets import is_loopback
 
 _LOWEST_FREE_PORT: Final = 1024
 _STOP_MARGIN: Final = 5

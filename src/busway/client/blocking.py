@@ -23,7 +23,7 @@ from ..pdu.read_items import (
     ReadInputRegisters,
     read_request,
 )
-from ..pdu.wide import wide
+from ..pdu.wide_registers import wide
 from ..pdu.write_items import (
     MaskWriteRegister,
     ReadWriteMultipleRegisters,

@@ -26,18 +26,18 @@ from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.call import Call
 from ..session.client import TcpClientSession
-from ..session.connection import ConnectionLife
+from ..session.connection_life import ConnectionLife
 from ..session.reconnect import ConnectionEvent, ConnectionState
 from ..session.serial_client import SerialClientSession
 from ..transport.buffers import RECEIVE_SIZE
 from ..transport.tcp import link_down, network_reason
 from .blocking_connection import BlockingConnection
 from .connector import Connector
-from .conversation import ClientSession, reconnect_for
-from .kept_doubts import KEPT
+from .kept_late_replies import KEPT
 from .polling import ExactPoll, Poll
 from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope
+from .sessions import ClientSession, reconnect_for
 from .settings import LinkSettings
 
 if TYPE_CHECKING:

@@ -7,10 +7,10 @@ from weakref import WeakKeyDictionary
 from ..options.client import LinkSelection, TransactionScope
 from .blocking_link import BlockingLinkDriver
 from .checks import check_same
-from .choice import check_room, chosen
+from .connection_choice import check_room, chosen
 from .connector import connector_for
-from .conversation import conversation_for
 from .scope import ClientScope, same_scope
+from .sessions import client_session_for
 from .settings import LinkSettings
 
 
@@ -68,7 +68,7 @@ class BlockingPool:
         scope = None
         if settings.parameters.scope is TransactionScope.CLIENT:
             scope = self._scope = same_scope(self._scope, settings.parameters.max_transactions)
-        session = conversation_for(settings, None if scope is None else scope.places)
+        session = client_session_for(settings, None if scope is None else scope.places)
         connector = connector_for(settings, session, user="busway.connect")
         link = BlockingLinkDriver(connector, session, settings, shared=shared, scope=scope)
         if scope is not None:

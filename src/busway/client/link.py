@@ -24,16 +24,16 @@ from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.call import Call
 from ..session.client import TcpClientSession
-from ..session.connection import ConnectionLife
+from ..session.connection_life import ConnectionLife
 from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from ..session.serial_client import SerialClientSession
 from ..transport.buffers import receive_buffer
 from ..transport.tcp import discard_on_close, link_down, network_reason, takes_bytes
 from .connector import Connector
-from .conversation import ClientSession, reconnect_for
-from .kept_doubts import KEPT
+from .kept_late_replies import KEPT
 from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope
+from .sessions import ClientSession, reconnect_for
 from .settings import LinkSettings
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from ..pdu.read_items import (
     ReadInputRegisters,
     ReadRegisters,
 )
-from ..pdu.wide import MAX_DATA, NARROW, wide
+from ..pdu.wide_registers import MAX_DATA, NARROW, wide
 from ..pdu.write_items import (
     MaskWriteRegister,
     WriteMultipleCoils,

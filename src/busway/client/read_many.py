@@ -12,7 +12,7 @@ from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, TABLE_SIZE, Table
 from ..errors import InvalidRequest
 from ..pdu.message import Request
 from ..pdu.read_items import ReadBits, ReadRegisters
-from ..pdu.wide import NARROW
+from ..pdu.wide_registers import NARROW
 from ..values import Address, ValueType, value_type
 from .operations import READ, Operation, place_of
 

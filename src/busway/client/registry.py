@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Final, Protocol
 from weakref import WeakSet
 
 from ..errors import ConfigError, LinkDown
-from ..session.connection import ConnectionLife
+from ..session.connection_life import ConnectionLife
 from ..session.serial_client import SerialClientSession
-from ..transport.dialled import counted_by
-from .conversation import ClientSession
+from ..transport.opened_connections import counted_by
+from .sessions import ClientSession
 
 if TYPE_CHECKING:
     import asyncio  # for annotations only: blocking programs do not load it

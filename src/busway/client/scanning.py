@@ -23,7 +23,7 @@ from ..pdu.compiler import as_integer
 from ..pdu.read_items import ReadHoldingRegisters
 from ..session.adaptive_timeout import AdaptiveTimeout, floor_for
 from .blocking import BlockingLink, connect
-from .conversation import timing_of
+from .sessions import timing_of
 from .settings import link_settings
 
 LISTEN_SECONDS: Final = 2.0
@@ -117,7 +117,7 @@ def refuse_busy_line(
     """
     if endpoint.framing == "mbap" or endpoint.carrier not in ("serial", "tcp"):
         return
-    from ..observe.listening import Listening, line_to_hear
+    from ..observe.sniffing import Listening, line_to_hear
 
     with Listening(line_to_hear(_for_listening(endpoint))) as listening:
         begun()

@@ -13,7 +13,7 @@ from typing import Final
 from ..access.addresses import AddressList
 from ..access.rules import Action, Policy, Rule
 from ..options.endpoints import SCHEMES, parse_endpoint
-from ..server.naming import is_loopback
+from ..server.bound_sockets import is_loopback
 
 UNASKED: Final = "beyond-loopback"
 """The name of the rule that makes a listener without a policy read-only."""

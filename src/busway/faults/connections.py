@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 
 from ..server.connection_tap import TappedConnection
 from .clock import Clock, LoopClock, Timer
-from .conversation import FaultyConversation
 from .fault import Carrier, Contact, Faults
+from .faulty_conversation import FaultyConversation
 
 _CONNECTED = frozenset({"tcp", "tls"})
 

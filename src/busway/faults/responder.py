@@ -27,8 +27,8 @@ from ..session.responder import (
     ServedUnit,
 )
 from .connections import FaultyConnection, FaultyTap
-from .conversation import Struck
 from .fault import Exchange, Faults
+from .faulty_conversation import Struck
 
 
 class FaultyResponder:

@@ -18,8 +18,8 @@ from typing import Final
 from ..codes import ASCII_ADU_LIMIT
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.message import UNKNOWN_LENGTH
-from .conversation import REPLY_WINDOW, Conversation, Due, Role
 from .echo import Echo, EchoFilter
+from .frame_direction import REPLY_WINDOW, Conversation, Due, Role
 from .lengths import AROUND_PDU, lengths_of
 from .lrc import lrc
 from .received import Damage, Damaged, Direction, Received, SerialFrame

@@ -31,9 +31,9 @@ from ..codes import RTU_ADU_LIMIT
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
 from .bursts import NEVER, Bursts
-from .conversation import REPLY_WINDOW, Conversation, Due, Role
 from .crc import crc_bytes, running_states, span_check
 from .echo import Echo, EchoFilter
+from .frame_direction import REPLY_WINDOW, Conversation, Due, Role
 from .lengths import AROUND_PDU, SHORTEST, lengths_of
 from .lost import LostBytes
 from .received import Damage, Direction, Received, SerialFrame

@@ -10,8 +10,8 @@ from typing import Final
 
 from ..codes import RTU_ADU_LIMIT
 from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
-from .conversation import Due
 from .crc import span_check
+from .frame_direction import Due
 from .lengths import AROUND_PDU, SHORTEST, FrameLengths, shape_of
 
 DEAD: Final = 0

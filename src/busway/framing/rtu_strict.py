@@ -16,9 +16,9 @@ from typing import Final
 from ..codes import RTU_ADU_LIMIT
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.message import UNKNOWN_LENGTH
-from .conversation import REPLY_WINDOW, Conversation, Due, Role
 from .crc import crc16
 from .echo import Echo, EchoFilter
+from .frame_direction import REPLY_WINDOW, Conversation, Due, Role
 from .lengths import SHORTEST, lengths_of
 from .lost import LostBytes
 from .received import Damage, Direction, Received, SerialFrame

@@ -26,7 +26,7 @@ from typing import BinaryIO, Final
 from ..codes import BROADCAST_UNIT
 from ..framing.received import Damaged, Direction, Received
 from ..framing.rtu import encode_rtu
-from .headers import Node, line_pdu, tcp_packet, udp_packet
+from .capture_headers import Node, line_pdu, tcp_packet, udp_packet
 from .pcapng import SECTION_HEADER, Flow, LinkType, PcapngWriter
 from .socket_addresses import SocketAddresses
 from .trace import TRACE

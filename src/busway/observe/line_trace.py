@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final, Protocol
 
-from ..framing.conversation import Role
+from ..framing.frame_direction import Role
 from ..framing.received import Damaged, Direction, Received, SerialFrame
 from ..framing.timing import SerialTiming
 from ..pdu.functions import STANDARD, FunctionTable

@@ -17,7 +17,7 @@ from enum import Enum
 from typing import Final
 
 from ..codes import BROADCAST_UNIT
-from ..framing.conversation import REPLY_WINDOW
+from ..framing.frame_direction import REPLY_WINDOW
 from ..framing.received import Damage, Damaged, Direction, Received, SerialFrame
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu

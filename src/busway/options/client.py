@@ -6,7 +6,7 @@ from enum import Enum
 from typing import Annotated, ClassVar
 
 from ..errors import ConfigError
-from ..pdu.wide import NARROW, WIDEST
+from ..pdu.wide_registers import NARROW, WIDEST
 from .declaration import ByFraming, Mark, Name, On, Range, Strict, check
 
 CLIENT_DEADLINE = 2.5

@@ -20,7 +20,7 @@ from .fields import Field, RestField, RestLength, repeated, rest, u8, u16
 from .malformed import MalformedPdu
 
 if TYPE_CHECKING:
-    from .direct import Answer, DirectModel, ReadPlan
+    from .fast_answers import Answer, DirectModel, ReadPlan
     from .model import Context, DataModel
 
 UNKNOWN_LENGTH = -1
@@ -211,7 +211,7 @@ class Request(Message):
 
     @classmethod
     def direct(cls, model: "DirectModel") -> "Answer | None":
-        """The fast path of this function on a device, or None where there is none (see `busway.pdu.direct`)."""
+        """The fast path of this function on a device, or None where there is none (see `busway.pdu.fast_answers`)."""
         return None
 
     if TYPE_CHECKING:  # slots that are filled later; declared so, they are no fields of the message
@@ -234,7 +234,7 @@ class Request(Message):
 
     @classmethod
     def plan(cls, model: "DirectModel", unit: int, pdu: bytes) -> "ReadPlan | None":
-        """The plan of one request that will be asked again (`busway.pdu.direct.ReadPlan`), or None."""
+        """The plan of one request that will be asked again (`busway.pdu.fast_answers.ReadPlan`), or None."""
         return None
 
     def apply(self, model: "DataModel", context: "Context") -> Message:

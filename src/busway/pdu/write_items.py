@@ -16,7 +16,7 @@ from ..codes import (
 from ..errors import InvalidRequest
 from .bits import as_state, as_states, listed, pack_bits
 from .compiler import as_integer
-from .direct import Answer, DirectModel, write_coil, write_coils, write_register, write_registers
+from .fast_answers import Answer, DirectModel, write_coil, write_coils, write_register, write_registers
 from .fields import RestLength, rest, rest_length, u16
 from .message import Message, ReplyMessage, Request, Touch
 from .model import Context, DataModel

@@ -7,7 +7,7 @@
 `derived`       totals of counters, computed points
 `quality`       good, uncertain, bad, and the reasons
 `expression`    expressions over points, in files
-`rules`         how units are read; what is written, reported, alarmed
+`point_rules`   how units are read; what is written, reported, alarmed
 ==============  =======================================================================
 """
 
@@ -15,8 +15,8 @@ from .conversion import Conversion, Linear
 from .decoder import DecodedRead, ReadDecoder, decode_point
 from .derived import Accumulator, Derivation
 from .point import Point
+from .point_rules import AlarmRule, ItemRange, ReadRules, ReportRule, WriteRule
 from .quality import Quality, Reading, Reason
-from .rules import AlarmRule, ItemRange, ReadRules, ReportRule, WriteRule
 
 __all__ = [
     "Accumulator",

@@ -14,7 +14,7 @@ from ..values import Address, ValueType
 from ..values.orders import Wire
 from ..values.refusal import shown
 from .conversion import Conversion, value_of
-from .rules import AlarmRule, ReportRule, WriteRule
+from .point_rules import AlarmRule, ReportRule, WriteRule
 
 _WHOLE: Final = ("int", "uint", "bcd", "field")
 _PLAIN: Final = Conversion()

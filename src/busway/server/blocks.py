@@ -98,7 +98,7 @@ class RegisterRun:
                 self.data[2 * position : 2 * (position + count)] = data
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
-        """As `busway.pdu.direct.ExchangingBlock.exchange`."""
+        """As `busway.pdu.fast_answers.ExchangingBlock.exchange`."""
         start = 2 * position
         with self._lock:
             items = self.data
@@ -149,7 +149,7 @@ class BitRun:
             splice_bits(self.data, position, count, data)
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
-        """As `busway.pdu.direct.ExchangingBlock.exchange`."""
+        """As `busway.pdu.fast_answers.ExchangingBlock.exchange`."""
         with self._lock:
             old = slice_bits(self.data, position, count)
             splice_bits(self.data, position, count, data)

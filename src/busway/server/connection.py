@@ -19,11 +19,11 @@ from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..transport.buffers import receive_buffer, receive_window
 from ..transport.tcp import peer_has_ended
+from .connection_management import ConnectionManagement
 from .connection_slots import Pool
-from .connections import ConnectionManagement
-from .failures import answer_later
-from .framed import Session
 from .peers import host_of, peer_name
+from .responder_failures import answer_later
+from .rtu_over_tcp import Session
 from .status import ServedConnectionState
 
 _USUAL_REQUEST: Final = 12

@@ -20,7 +20,7 @@ from weakref import WeakMethod
 
 from ..codes import TABLE_SIZE, ExceptionCode, Table
 from ..errors import ConfigError
-from ..pdu.direct import Block
+from ..pdu.fast_answers import Block
 from ..pdu.model import Context, Refusal
 from ..pdu.write_items import pack_registers
 from ..values import Address, ValueType

@@ -9,7 +9,7 @@ Knows bound URLs and whether requests are authorized; changes nothing.
 import logging
 from collections.abc import Sequence
 
-from .naming import is_everywhere, is_loopback
+from .bound_sockets import is_everywhere, is_loopback
 
 _log = logging.getLogger("busway.server")
 

@@ -31,10 +31,10 @@ from ..transport.serial.overruns import Overruns
 from ..transport.serial.reopen import open_when_there
 from .connection_tap import ConnectionTap, TappedConnection, stay
 from .counters import ServerCounters
-from .diagnosis import Diagnosis
-from .failures import answer_later, report_failures
 from .listener_settings import ListenerSettings
+from .responder_failures import answer_later, report_failures
 from .status import ListenerStatus
+from .status_indicators import Diagnosis
 
 _log = logging.getLogger("busway.server")
 

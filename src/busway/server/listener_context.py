@@ -20,17 +20,17 @@ from ..session.diagnostics import LineDiagnostics
 from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity
 from ..session.server import TcpServerSession
-from ..session.slots import TransactionSlots
+from ..session.transaction_slots import TransactionSlots
 from ..transport.interfaces import interfaces_with
 from .connection_slots import Pool
 from .connection_tap import ConnectionTap, TappedConnection, stay
 from .counters import ServerCounters
-from .diagnosis import Diagnosis
-from .failures import report_failures
-from .framed import FramedSession, Session
 from .listener_settings import ListenerSettings
 from .peers import peer_name
+from .responder_failures import report_failures
+from .rtu_over_tcp import FramedSession, Session
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
+from .status_indicators import Diagnosis
 
 if TYPE_CHECKING:
     from .status import SecurityStatus

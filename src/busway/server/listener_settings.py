@@ -8,8 +8,8 @@ from collections.abc import Container
 from dataclasses import dataclass
 
 from ..access.addresses import HostAuthorizer
-from ..framing.conversation import Role
 from ..framing.echo import Echo
+from ..framing.frame_direction import Role
 from ..framing.timing import SerialTiming
 from ..options.declaration import declared
 from ..options.endpoints import Endpoint, parse_endpoint

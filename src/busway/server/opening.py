@@ -15,12 +15,12 @@ from ..options.server import ListenerParameters, ServerParameters
 from ..options.sockets import SocketParameters
 from ..session.pipeline import RequestPipeline
 from ..session.responder import Responder, SerialUnits
-from ..session.slots import TransactionSlots
+from ..session.transaction_slots import TransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import network_reason
+from .connection_management import ConnectionManagement, ManagedConnection
 from .connection_slots import PoolLimits, Pools
 from .connection_tap import ConnectionTap
-from .connections import ConnectionManagement, ManagedConnection
 from .counters import ServerCounters
 from .line import SerialListener
 from .listener_context import ListenerContext

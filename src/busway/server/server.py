@@ -21,10 +21,10 @@ from ..options.sockets import SocketParameters
 from ..pdu.functions import FunctionTable
 from ..session.pipeline import Authorizer, RequestObserver, RequestPipeline
 from ..session.responder import Responder
-from ..transport.dialled import dialled_connections
+from ..transport.opened_connections import dialled_connections
 from ..transport.tcp import network_reason
+from .connection_management import ConnectionManagement
 from .connection_tap import ConnectionTap
-from .connections import ConnectionManagement
 from .counters import ServerCounters
 from .exposure import warn_of_exposure
 from .line import SerialListener

@@ -18,7 +18,7 @@ from .listener import Listener
 from .local import DeviceResponder
 from .loops import run as run_on_new_loop
 from .server import Server, ServerStatus
-from .strict import with_server_preset
+from .server_options import with_server_preset
 
 if TYPE_CHECKING:
     from ..access.audit_log import AuditLog

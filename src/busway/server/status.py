@@ -8,7 +8,7 @@ from ..session.diagnostics import Counters
 from ..transport.interfaces import Interface
 from .connection_slots import Pool
 from .counters import ServerCounters
-from .diagnosis import StatusIndicators
+from .status_indicators import StatusIndicators
 
 
 class ServedConnectionState(Enum):

@@ -14,10 +14,10 @@ from ..options.sockets import SocketParameters
 from ..transport.accepting import Acceptor, accept_from
 from ..transport.epoll.watcher import EpollSet
 from ..transport.tcp import network_reason, set_buffers
+from .bound_sockets import bound_name, listening_sockets
 from .connection import ServerConnection
-from .connections import ConnectionManagement
+from .connection_management import ConnectionManagement
 from .listener_settings import ListenerSettings
-from .naming import bound_name, listening_sockets
 
 TURNS_TO_SETTLE: Final = 4
 """Turns of the loop until a connection that is being accepted stands, and until one that was closed has gone."""
@@ -83,7 +83,7 @@ class TcpListener:
         management = self.management
         if self._settings.tls is None:
             return lambda: ServerConnection(management)
-        from .secure import handshake_acceptor
+        from .tls_acceptor import handshake_acceptor
 
         return handshake_acceptor(management, self._settings.tls)
 

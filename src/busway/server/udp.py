@@ -24,13 +24,13 @@ from ..observe.socket_addresses import SocketAddresses
 from ..observe.trace import TRACE
 from ..options.sockets import SocketParameters
 from ..transport.tcp import set_buffers
+from .bound_sockets import bound_name, listening_sockets
 from .connection_slots import Pool, PoolLimits, Pools
 from .counters import ServerCounters
-from .failures import answer_later
-from .framed import Session
 from .listener_context import ListenerContext, add_living
-from .naming import bound_name, listening_sockets
 from .peers import host_of, peer_name
+from .responder_failures import answer_later
+from .rtu_over_tcp import Session
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
 

@@ -65,7 +65,7 @@ class Call:
         submitted: when the call was made, in the clock of ``now``.
         owner: an object that the driver stores here to find its caller again.
         attempts: attempts begun, by position; only positions that were tried more than once appear.
-        markers: marker requests (`busway.session.doubt`) that its unit did not answer while this call waited.
+        markers: marker requests (`busway.session.late_replies`) that its unit did not answer while this call waited.
         repeated: by position, further attempts of a read that are no retries: the reply before may have been its own.
         places: how many places of the queue it takes: one for an application's call, whatever its requests; one for
             each request if a gateway makes the call for a client.
@@ -218,7 +218,7 @@ class EncodedRequest:
         self.plan: BatchPlan | None = None
 
 
-def route_of(request: Request, unit: int) -> EncodedRequest:
+def encoded_request(request: Request, unit: int) -> EncodedRequest:
     """The route of a request to a unit; made at the first use and kept with the request."""
     try:
         route: EncodedRequest = request.memo
@@ -290,7 +290,7 @@ class BatchPlan:
     )
 
     def __init__(self, first: EncodedRequest, following: tuple[Request, ...]) -> None:
-        routes = [first, *[route_of(request, first.unit) for request in following]]
+        routes = [first, *[encoded_request(request, first.unit) for request in following]]
         self.following: tuple[Request, ...] = following
         self.fits: bool = all(route.head for route in routes)
         self.heads: tuple[bytes, ...] = tuple(route.head for route in routes)
@@ -329,7 +329,7 @@ def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.St
 
 def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
     """The batch plan of ``count`` of ``requests`` from ``first`` on, to a unit; kept with the first of them."""
-    route = route_of(requests[first], unit)
+    route = encoded_request(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])
     plan = route.plan
     if plan is None or plan.following != following:  # as a rule the very same objects, so this is no work
@@ -385,7 +385,7 @@ class PipelinedBatch:
             awaited = self.places.pop()
             awaited.call = call
             awaited.position = self.first + index
-            awaited.route = route_of(call.requests[awaited.position], call.unit)
+            awaited.route = encoded_request(call.requests[awaited.position], call.unit)
             awaited.sent = self.sent
             awaited.expires = self.expires
             yield self.transactions[index], awaited

@@ -15,7 +15,7 @@ times are ``now`` in seconds, and the driver of a session calls `TcpClientSessio
 6. A connection that brings only timeouts or late replies is closed, and opened again at the next request.
 7. A cancelled request keeps its slot until its reply comes or its time is over: the device is still working on it.
 8. With breakers, a unit that does not answer is suspended for a while, and its requests fail with `UnitSuspended`:
-   otherwise every request to it would delay the other units of the connection (`breaker`).
+   otherwise every request to it would delay the other units of the connection (`unit_breaker`).
 9. Reads of one call are sent as a pipelined batch, and their replies are taken together when all come in order. Any
    other event splits all batches first (`_split_batches`), so the other rules only deal with single requests.
 """
@@ -32,10 +32,10 @@ from ..options.client import ClientParameters, MismatchPolicy
 from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
-from .breaker import Breakers, BreakerState
-from .call import HEAD_SIZE, Call, PipelinedBatch, Places, RequestInFlight, places, plan_of, route_of
+from .call import HEAD_SIZE, Call, PipelinedBatch, Places, RequestInFlight, encoded_request, places, plan_of
 from .queue import BURST
 from .retries import CallTracker, ClientCounters
+from .unit_breaker import Breakers, BreakerState
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
@@ -335,7 +335,7 @@ class TcpClientSession:
     def _launch(self, call: Call, position: int, now: float) -> bytes:
         """Put one request in flight, on a free slot, and return its ADU."""
         pending, expired = self._pending, self._expired
-        route = route_of(call.requests[position], call.unit)
+        route = encoded_request(call.requests[position], call.unit)
         transaction = self._transaction + _STEP & 0xFFFF
         while transaction in pending or transaction in expired:
             transaction = transaction + _STEP & 0xFFFF

@@ -11,8 +11,8 @@ from collections.abc import Container
 
 from ..errors import ConfigError
 from ..framing.ascii import AsciiReceiver, encode_ascii
-from ..framing.conversation import Role
 from ..framing.echo import Echo
+from ..framing.frame_direction import Role
 from ..framing.received import SerialReceiver
 from ..framing.rtu import RtuReceiver, encode_rtu
 from ..framing.rtu_strict import StrictRtuReceiver

@@ -18,11 +18,11 @@ from functools import partial
 from typing import Final, Protocol
 
 from ..codes import ExceptionCode, FunctionCode
-from ..pdu.direct import Answer, ReadPlan
+from ..pdu.fast_answers import Answer, ReadPlan
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message, Request
-from .forwarding import ForwardPlan, ForwardPlans, ReadForwarder, is_read
+from .forwarded_reads import ForwardPlan, ForwardPlans, ReadForwarder, is_read
 from .responder import (
     LATER,
     SILENCE,
@@ -203,8 +203,8 @@ class FastPath:
 
     Attributes:
         reads: how reads of registers are answered, by the ten bytes after the transaction: a poller repeats them.
-        functions: by the two bytes of unit and function, what computes the reply PDU (`busway.pdu.direct`); None where
-            all requests take the generic path.
+        functions: by the two bytes of unit and function, what computes the reply PDU (`busway.pdu.fast_answers`); None
+            where all requests take the generic path.
         forwards: reads that a gateway forwards, by the same ten bytes.
     """
 

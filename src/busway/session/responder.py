@@ -14,7 +14,7 @@ from enum import Enum
 from typing import Final, Protocol
 
 from ..codes import LAST_SERIAL_UNIT
-from ..pdu.direct import DirectModel
+from ..pdu.fast_answers import DirectModel
 from ..pdu.functions import AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message

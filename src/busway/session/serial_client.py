@@ -7,12 +7,12 @@ RTU and ASCII differ only in the framing that is passed in.
 2. A reply of another unit keeps the timer running. A damaged frame counts, and may be repeated like a timeout.
 3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``, and nothing to
    the same unit before that much time has passed since the timeout. Frames that come until then are late and dropped.
-4. A unit that owes a reply is in doubt (`doubt`): a request whose reply could be confused with the owed one is sent
-   only after a marker, a harmless request of the session. A late reply goes to its own call or is dropped.
+4. A unit that owes a reply is in doubt (`late_replies`): a request whose reply could be confused with the owed one is
+   sent only after a marker, a harmless request of the session. A late reply goes to its own call or is dropped.
    Other units are served meanwhile.
 5. Nothing is sent before t3.5 after the last byte on the line, ``request_gap`` after a reply and ``unit_switch_gap``
    before a request to another unit. A unit with a gap of its own is left alone for it; others are served meanwhile.
-6. Dead units cost the line no more than a probe (`breaker`); their requests fail with `UnitSuspended`.
+6. Dead units cost the line no more than a probe (`unit_breaker`); their requests fail with `UnitSuspended`.
 7. A request that was cancelled, or whose deadline is over, stays in flight until its reply comes or its time is over.
 8. A frame that began before the request had left and t3.5 had passed is no reply to it.
 """
@@ -40,14 +40,14 @@ from ..pdu.diagnostics import RestartCommunications
 from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
-from .breaker import Breakers
 from .call import Call
-from .doubt import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt, may_answer
+from .late_replies import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt, may_answer
 from .line_framing import LineFraming
 from .retries import CallTracker, ClientCounters, function_of
+from .unit_breaker import Breakers
 
 OWED_FOR: Final = 2.0
-"""Multiple of the timeout after which a reply has come even from a unit that breaks the order (`doubt` rule 5)."""
+"""Multiple of the timeout after which even a unit that breaks the order has replied (rule 5 of `late_replies`)."""
 _NOTES_AT_MOST: Final = 16
 _PACE_FORGETS = 0.9
 """Decay of a unit's usual delay, which is its slowest lately: each faster reply takes a tenth off."""
@@ -143,7 +143,7 @@ class SerialClientSession:
         Args:
             parameters: timeout, retries, gaps, queue.
             framing: the framing, in the role of a master.
-            jitter: returns a number 0…1, for the pauses of `breaker`.
+            jitter: returns a number 0…1, for the pauses of `unit_breaker`.
             serial: turnaround, gaps and drain.
             breaker: when units are suspended.
             endpoint: URL of the link, for errors.
@@ -522,7 +522,7 @@ class SerialClientSession:
         return frame.began < awaited.sent + framing.send_gap - framing.timing.character / 10
 
     def _of_awaited_unit(self, awaited: _RequestInFlight, frame: SerialFrame, now: float) -> None:
-        """Handle a frame of the unit that was asked: the reply to the request in flight, or an owed one (`doubt`)."""
+        """Handle a frame of the unit that was asked: the awaited reply, or one that it owes (`late_replies`)."""
         doubt = self.doubts.of(awaited.unit)
         if not doubt.owed and not doubt.older:  # the usual case
             if frame.pdu[0] & 0x7F == awaited.request.wire[0]:

@@ -26,10 +26,10 @@ from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, Stre
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostics import LineDiagnostics
-from .forwarding import READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
+from .forwarded_reads import READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
 from .pipeline import MOST_READS, NO_FAST_PATH, RequestPipeline, ResponderFailure
 from .responder import LATER, ClientIdentity, Deferral, RequestContext
-from .slots import TransactionSlots
+from .transaction_slots import TransactionSlots
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ..faults.clients import CLIENT_FAULT_PROFILES, SLOW_LORIS, ClientFaultProfile, misbehaving_client
     from ..faults.clock import Clock, FakeClock, LoopClock
-    from ..faults.conversation import FaultyConversation
     from ..faults.fault import SILENCE, AppliedFault, Contact, Emission, Exchange, Fault, Faults, Schedule, Selection
+    from ..faults.faulty_conversation import FaultyConversation
     from ..faults.profile import Carrier, FaultProfile, FaultyTable, Parameter, Says
     from ..faults.profiles import FAULT_PROFILES
     from .certificates import CertificateFiles, CertificateStore
@@ -24,7 +24,7 @@ _HOME = {
     "certificates": ("CertificateFiles", "CertificateStore"),
     ".faults.clients": ("CLIENT_FAULT_PROFILES", "SLOW_LORIS", "ClientFaultProfile", "misbehaving_client"),
     ".faults.clock": ("Clock", "FakeClock", "LoopClock"),
-    ".faults.conversation": ("FaultyConversation",),
+    ".faults.faulty_conversation": ("FaultyConversation",),
     "device": ("known_device",),
     ".faults.fault": (
         "SILENCE",

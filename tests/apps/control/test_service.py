@@ -18,7 +18,7 @@ from waiting import until
 
 import busway
 from busway.apps.control import Control, Running, UnixAddress, ask, find_running, open_control
-from busway.apps.control.asking import find_one
+from busway.apps.control.client import find_one
 from busway.errors import ConfigError, LinkDown, NoReply
 from busway.observe.http import HttpRequest, HttpResponse
 

@@ -25,11 +25,11 @@ from busway.pdu.read_items import ReadRegisters
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.forwarding import ReadForwarder
+from busway.session.forwarded_reads import ReadForwarder
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, Outcome, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 
 SIZE = 500
 """Registers of the device; each holds its address."""

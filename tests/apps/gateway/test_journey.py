@@ -15,7 +15,7 @@ from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.settings import simple_plan
 from busway.client.link import AsyncLinkDriver
 from busway.observe.metrics.observer import MetricsObserver
-from busway.observe.metrics.requests import RequestTally
+from busway.observe.metrics.request_tally import RequestTally
 from busway.server.connection import ServerConnection
 from busway.session.client import TcpClientSession
 

@@ -29,7 +29,7 @@ from ...config.report import ConfigurationReport
 from ...errors import ConfigError, InvalidRequest
 from ...framing.timing import Parity, SerialTiming
 from ...points.point import Point
-from ...points.rules import ItemRange, ReadRules
+from ...points.point_rules import ItemRange, ReadRules
 from ..server.configuration import Configuration, put_together
 from .admission import LinkLoad, admit
 from .cost import ReadCost, baud_cost, line_cost, network_cost

@@ -23,7 +23,7 @@ from operator import itemgetter
 from typing import Any, Final, NamedTuple, Protocol, TypeAlias
 
 from ...codes import Table
-from ...points.rules import ItemRange, ReadRules
+from ...points.point_rules import ItemRange, ReadRules
 from .cost import ReadCost
 
 __all__ = [

@@ -1,7 +1,7 @@
 """Control of a running server or gateway from outside: its status, over a socket that only its user can reach.
 
-`addresses` says where such sockets are, `binding` makes them, `service` answers, `asking` is the client; `plain` turns
-a status into JSON.
+`addresses` says where such sockets are, `control_socket` makes them, `service` answers, `client` asks; `json_status`
+turns a status into JSON.
 
 1. A Unix domain socket of mode 0600 in a directory of mode 0700; where there is none, or by choice, HTTP on loopback
    with a token in a file of mode 0600. It cannot be offered to other hosts.
@@ -16,7 +16,7 @@ from .addresses import (
     control_directory,
     parse_control_address,
 )
-from .asking import Running, ask, find_one, find_running
+from .client import Running, ask, find_one, find_running
 from .service import Control, Reloadable, Resettable, Subject, open_control
 
 __all__ = [

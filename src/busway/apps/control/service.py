@@ -28,8 +28,8 @@ from ...errors import ConfigError, LinkDown, ModbusError
 from ...observe.http import HttpError, HttpLimits, HttpRequest, HttpResponse, HttpService
 from ...version import __version__
 from .addresses import ControlAddress, UnixAddress, control_directory, is_loopback, parse_control_address
-from .binding import Bound, bind_default, bind_loopback, bind_unix, same_user
-from .plain import plain
+from .control_socket import Bound, bind_default, bind_loopback, bind_unix, same_user
+from .json_status import plain
 
 _log = logging.getLogger("busway.apps.control")
 

@@ -29,7 +29,7 @@ from ...options.sockets import SocketParameters
 from ...options.tls import TlsParameters
 from ...server.listener import Listener
 from ...server.listener_settings import listener_settings
-from ...server.strict import with_server_preset
+from ...server.server_options import with_server_preset
 from ..server.configuration import Configuration, put_together
 from .file_routes import PlacedListener, PlacedRoute, placed_routes, unit_gaps
 from .gateway import Gateway

@@ -28,8 +28,8 @@ from ...options.endpoints import parse_endpoint
 from ...options.gateway import GatewayParameters
 from ...options.server import ListenerParameters
 from ...pdu.functions import FunctionTable
+from ...server.bound_sockets import is_loopback
 from ...server.local import DeviceResponder
-from ...server.naming import is_loopback
 from ...server.server import Server
 from ...session.pipeline import RequestObserver
 from ...session.responder import Responder

@@ -5,7 +5,7 @@ Knows sections and plans; judges nothing.
 
 from collections.abc import Iterator, Sequence
 
-from ...client.conversation import timing_of
+from ...client.sessions import timing_of
 from ...codes import BROADCAST_UNIT, exception_meaning
 from ..server.overview import Row, overview
 from .configuration import GatewayConfiguration

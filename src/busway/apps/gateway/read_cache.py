@@ -18,7 +18,7 @@ from typing import Generic, TypeVar
 
 from ...codes import BROADCAST_UNIT, TCP_DEVICE_UNIT, Table
 from ...pdu.bits import slice_bits
-from ...pdu.wide import NARROW
+from ...pdu.wide_registers import NARROW
 
 Shared = TypeVar("Shared")
 Key = bytes

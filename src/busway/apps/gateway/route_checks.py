@@ -13,14 +13,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ...access.rules import Policy
-from ...client.conversation import timing_of
+from ...client.sessions import timing_of
 from ...codes import LAST_SERIAL_UNIT
 from ...config.files.gateway import GatewayFile
 from ...config.files.lines import Path as Place
 from ...config.report import ConfigurationReport
 from ...options.endpoints import Endpoint
 from ...pdu.functions import STANDARD
-from ...server.naming import is_loopback
+from ...server.bound_sockets import is_loopback
 from .file_routes import PlacedListener, PlacedRoute, upstream_units
 from .policy_gaps import policy_gaps
 from .routes import SERIAL_UNITS, AddressRange, Route, RouteAction, taken_before, units_text

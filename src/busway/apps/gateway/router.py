@@ -21,8 +21,8 @@ from ...pdu.functions import AnyRequest, FunctionTable
 from ...pdu.general import ExceptionResponse, MalformedRequest
 from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
-from ...pdu.wide import MAX_DATA, NARROW
-from ...session.forwarding import ForwardPlan
+from ...pdu.wide_registers import MAX_DATA, NARROW
+from ...session.forwarded_reads import ForwardPlan
 from ...session.responder import LATER, SILENCE, Deferral, Outcome, RequestContext, Responder, ServedUnit
 from .forwarding import Batch, Forwarder, ForwardTarget
 from .routes import ListenerRoutes, Route, RouteAction, Straddles

@@ -14,7 +14,7 @@ from ...pdu.bits import slice_bits
 from ...pdu.general import OpaqueRequest
 from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
-from ...pdu.wide import NARROW, wide
+from ...pdu.wide_registers import NARROW, wide
 from ...pdu.write_items import WriteMultipleCoils, WriteMultipleRegisters
 from .routes import Route
 

@@ -6,8 +6,8 @@ Knows links; knows no request and no client beyond its name.
    arrive in the order in which they were asked. The order of clients is that of `busway.session.queue`.
 2. A serial port is opened with the upstream, and again whenever it is lost: its operator learns what is wrong before a
    client does. A server on a network is connected at the first request.
-3. Reconnecting is that of every link: `busway.session.reconnect` says when, `busway.session.connection` what becomes of
-   open requests.
+3. Reconnecting is that of every link: `busway.session.reconnect` says when, `busway.session.connection_life` what
+   becomes of open requests.
 """
 
 import asyncio
@@ -19,17 +19,17 @@ from dataclasses import dataclass
 from functools import partial
 
 from ...client.connector import connector_for
-from ...client.conversation import ClientSession, conversation_for
 from ...client.link import AsyncLinkDriver
+from ...client.sessions import ClientSession, client_session_for
 from ...client.settings import LinkSettings
 from ...codes import ExceptionCode
 from ...errors import ConfigError, LinkDown, ModbusError
 from ...options.gateway import UpstreamParameters
-from ...server.diagnosis import StatusIndicator, StatusIndicators
-from ...session.breaker import BreakerState
+from ...server.status_indicators import StatusIndicator, StatusIndicators
 from ...session.reconnect import ConnectionEvent
 from ...session.retries import ClientCounters
 from ...session.serial_client import SerialClientSession
+from ...session.unit_breaker import BreakerState
 from .exception_codes import code_for
 from .upstream_log import UpstreamLog
 
@@ -171,7 +171,7 @@ class Upstream:
         if self.links:
             return
         for _ in range(self._connections):
-            session = conversation_for(self.settings)
+            session = client_session_for(self.settings)
             session.serve_units_in_turn()
             connector = connector_for(self.settings, session, user=f"line {self.name} of a gateway")
             link = AsyncLinkDriver(connector, session, self.settings)

@@ -18,7 +18,7 @@ from starlette.exceptions import HTTPException
 from ...errors import ModbusError
 from ...values.refusal import shown
 from ...version import __version__
-from ..control.plain import plain
+from ..control.json_status import plain
 from .faults import add_fault_to, all_fault_profiles, all_faults, fault_named
 from .messages import (
     Connections,

@@ -46,7 +46,7 @@ from ...errors import ConfigError, InvalidRequest
 from ...points import AlarmRule, Conversion, Linear, Point, ReportRule, WriteRule
 from ...points.conversion import converter
 from ...points.expression import Expression, parse_expression
-from ...points.rules import ranged
+from ...points.point_rules import ranged
 from ...values import Address, ValueType, format_address, parse_address, value_type
 from ...values.refusal import shown
 from .lines import Path

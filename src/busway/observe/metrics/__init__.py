@@ -1,15 +1,15 @@
 """Metrics in the formats of Prometheus and OpenMetrics.
 
-`requests` counts, `observer` sees the requests, `collector` turns counts into metrics, `endpoint` serves them to a
-scraper. Only the last two need ``prometheus-client`` (the extra ``metrics``), loaded when used.
+`request_tally` counts, `observer` sees the requests, `metric_families` turns counts into metrics, `http_endpoint`
+serves them to a scraper. Only the last two need ``prometheus-client`` (the extra ``metrics``), loaded when used.
 
 1. Off costs nothing: there is no observer, and only counters that exist anyway are counted.
 2. A client cannot create more than a fixed number of time series, so requests cannot fill the memory.
    Addresses of peers are no labels.
 """
 
-from .endpoint import MetricsEndpoint, MetricsSource, start_metrics
+from .http_endpoint import MetricsEndpoint, MetricsSource, start_metrics
 from .observer import MetricsObserver
-from .requests import PeerClass, RequestTally
+from .request_tally import PeerClass, RequestTally
 
 __all__ = ["MetricsEndpoint", "MetricsObserver", "MetricsSource", "PeerClass", "RequestTally", "start_metrics"]

@@ -25,7 +25,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from ...version import __version__
-from .requests import BUCKETS, RequestTally
+from .request_tally import BUCKETS, RequestTally
 
 # What prometheus-client calls a family of metrics; each of its kinds is made and filled in another way.
 Family = Any

@@ -14,7 +14,7 @@ from ...pdu.functions import AnyRequest
 from ...pdu.general import ExceptionResponse
 from ...pdu.message import Message
 from ...session.responder import ClientIdentity, Deferral, RequestContext
-from .requests import Durations, PeerClass, RequestTally, Series, Unanswered
+from .request_tally import Durations, PeerClass, RequestTally, Series, Unanswered
 
 Classify = Callable[[ClientIdentity], PeerClass]
 

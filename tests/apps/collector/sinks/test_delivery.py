@@ -17,7 +17,7 @@ from busway.apps.collector.sinks.running import SinkThread
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 from busway.errors import ConfigError
-from busway.points.rules import ReportRule
+from busway.points.point_rules import ReportRule
 
 
 async def test_everything_that_is_committed_arrives_in_order(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from busway.apps.collector.sinks.files import FileSink
 from busway.apps.collector.sinks.influxdb import InfluxSink, line_of
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.sinks.prometheus import LastValues, PrometheusPage
-from busway.apps.collector.store.commits import CommittedSample
+from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.collector.store.writer import Commit
 from busway.errors import ConfigError
 

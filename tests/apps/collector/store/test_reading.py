@@ -10,7 +10,7 @@ from collected import NOON, PUMP, SECOND, at, filled, meter_read, read_of
 
 import busway
 from busway.apps.collector.samples import Gap, PointGroup, Reason, SampleBatch, StateInterval
-from busway.apps.collector.store.commits import CommitReader
+from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.manifest import StorePart
 from busway.apps.collector.store.reading import Store, pieces_of
 from busway.apps.collector.store.selection import moment, span

@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import Final
 
 from ....errors import ConfigError
-from ....points.rules import ReportRule
+from ....points.point_rules import ReportRule
 from ..samples import NANOSECONDS, reason_text
-from ..store.commits import CommitReader, CommittedSample
+from ..store.committed_samples import CommitReader, CommittedSample
 from ..store.manifest import Manifest
 from .interface import Sink, SinkDown, SinkRefused
 

@@ -11,7 +11,7 @@ from itertools import groupby
 from typing import Any
 
 from ..samples import Quality, reason_text
-from ..store.commits import CommittedSample
+from ..store.committed_samples import CommittedSample
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from typing import Final, Literal
 
 from ....errors import ConfigError
 from ..samples import NANOSECONDS, reason_text
-from ..store.commits import CommittedSample
+from ..store.committed_samples import CommittedSample
 from ..store.folder import UNFINISHED, sync_file, sync_folder
 from ..store.sealing import arrow
 from .documents import sample_document

@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
-from ..store.commits import CommittedSample
+from ..store.committed_samples import CommittedSample
 from .interface import SinkDown, SinkRefused
 
 _REFUSED: Final = (400, 413, 422)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from ....errors import ModbusError
-from ..store.commits import CommittedSample
+from ..store.committed_samples import CommittedSample
 
 
 class SinkDown(ModbusError):

@@ -20,7 +20,7 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
-from ..store.commits import CommittedSample
+from ..store.committed_samples import CommittedSample
 from .documents import documents, sample_document
 from .interface import SinkDown
 

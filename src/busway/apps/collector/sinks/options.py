@@ -18,7 +18,7 @@ from typing import Any, Final
 from urllib.parse import SplitResult, unquote, urlsplit
 
 from ....errors import ConfigError, InvalidRequest
-from ....points.rules import ReportRule
+from ....points.point_rules import ReportRule
 from ....safe_files import read_safely
 from ....values.refusal import shown
 from .delivery import DeliveryOptions

@@ -17,7 +17,7 @@ from typing import Any, Final
 from ....errors import ConfigError
 from ....extras import require
 from ..samples import Value
-from ..store.commits import CommittedSample
+from ..store.committed_samples import CommittedSample
 from .interface import SinkDown, SinkRefused
 
 _COLUMNS: Final = ("time", "device", "point", "value", "text", "reason", "half_width", "nanoseconds")

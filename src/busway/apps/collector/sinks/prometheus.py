@@ -101,7 +101,7 @@ class PrometheusPage:
     def _answer(self, request: HttpRequest) -> HttpResponse:
         from prometheus_client import CollectorRegistry
 
-        from ....observe.metrics.endpoint import render
+        from ....observe.metrics.http_endpoint import render
 
         registry = CollectorRegistry()
         registry.register(_Collected(self._families))

@@ -13,7 +13,7 @@
 `reading`       `Store`: rows and buckets of all parts as one
 `buckets`       minimum, maximum and mean per bucket
 `frames`        what a query gives; as Arrow, pandas or polars
-`commits`       rows in the order of their commits, for sinks
+`committed_samples` rows in the order of their commits, for sinks
 `upkeep`        check, backup, restore, while it runs
 ==============  =======================================================================
 """

@@ -9,7 +9,7 @@ import pytest
 from handles import open_handles
 
 import busway
-from busway.transport.listening import bound_sockets
+from busway.transport.listening_sockets import bound_sockets
 
 
 def addresses(host: str | None, port: int, kind: socket.SocketKind = socket.SOCK_STREAM) -> list[Any]:
@@ -54,7 +54,7 @@ def test_family_that_the_system_does_not_have_is_left_out(monkeypatch: pytest.Mo
         return real(family, *rest)
 
     wanted = addresses(None, 0)
-    monkeypatch.setattr("busway.transport.listening.socket.socket", without_ipv6)
+    monkeypatch.setattr("busway.transport.listening_sockets.socket.socket", without_ipv6)
     (made,) = bound_sockets(wanted)
     monkeypatch.undo()
     assert made.family == socket.AF_INET
@@ -81,7 +81,7 @@ async def test_interface_that_is_not_there_is_an_error_of_the_start() -> None:
 
 
 def test_system_without_the_means_to_bind_to_an_interface_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr("busway.transport.listening.socket.SO_BINDTODEVICE", raising=False)
+    monkeypatch.delattr("busway.transport.listening_sockets.socket.SO_BINDTODEVICE", raising=False)
     with pytest.raises(busway.ConfigError) as caught:
         bound_sockets(addresses("127.0.0.1", 0), interface="lo")
     assert caught.value.key == "interface"

@@ -16,11 +16,11 @@ from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.device import Device
 from busway.server.local import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
-from busway.session.forwarding import ForwardedReads, ForwardPlan, ForwardPlans, ReadForwarder
+from busway.session.forwarded_reads import ForwardedReads, ForwardPlan, ForwardPlans, ReadForwarder
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, Outcome, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession
-from busway.session.slots import TransactionSlots
+from busway.session.transaction_slots import TransactionSlots
 
 UNITS = 3
 NOT_HANDED_ON = 100

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from enum import Enum, IntEnum
 from ipaddress import ip_address
 
-from busway.apps.control.plain import plain
+from busway.apps.control.json_status import plain
 
 
 class Colour(Enum):

@@ -9,7 +9,7 @@ from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.device import Device
-from busway.session.breaker import Breakers, BreakerState
+from busway.session.unit_breaker import Breakers, BreakerState
 
 READ = ReadHoldingRegisters(0, 10)
 

@@ -10,7 +10,7 @@ from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
-from busway.session.connection import ConnectionLife
+from busway.session.connection_life import ConnectionLife
 from busway.session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 
 PAUSE = 8.0

@@ -25,7 +25,7 @@ from ..transport.tls.failures import FailureKind, TlsFailure
 from ..transport.tls.layer import TlsLayer, TlsState
 from ..transport.tls.roles import require_cryptography, role_of_certificate
 from .connection import ServerConnection
-from .connections import ConnectionManagement
+from .connection_management import ConnectionManagement
 from .peers import host_of, peer_name
 from .status import SecurityStatus
 

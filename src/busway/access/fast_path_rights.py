@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from typing import Final, cast
 
 from ..codes import Table
-from ..pdu.direct import Answer, Block, DirectModel, ExchangingBlock, Requester
+from ..pdu.fast_answers import Answer, Block, DirectModel, ExchangingBlock, Requester
 from ..pdu.fields import FixedField
 from ..pdu.message import Request, Touch
 from ..session.responder import ServedUnit
@@ -164,7 +164,7 @@ class _CheckedDevice:
         self._checked = checked
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """As `busway.pdu.direct.DirectModel.plain_block`."""
+        """As `busway.pdu.fast_answers.DirectModel.plain_block`."""
         block = self._device.plain_block(table, writes=writes)
         put = None if block is None else self._checked(block)
         return None if block is None or put is None else _CheckedBlock(block, put)

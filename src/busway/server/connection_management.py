@@ -24,11 +24,11 @@ from ..transport.tcp import configure, network_reason
 from .connection_slots import PoolMember, Pools
 from .counters import ServerCounters
 from .deadlines import Deadlines, Overdue, Timed
-from .diagnosis import Diagnosis
-from .framed import Session
 from .listener_context import ConnectedPeer, ListenerContext, add_living
 from .peers import host_of
+from .rtu_over_tcp import Session
 from .status import ConnectionStatus, ListenerStatus, SecurityStatus
+from .status_indicators import Diagnosis
 from .turns import Turns
 
 _log = logging.getLogger("busway.server")

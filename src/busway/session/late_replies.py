@@ -322,7 +322,8 @@ def _may_be_reply_to(part: Request, owed: OwedReply) -> bool:
 
 
 class Doubts:
-    """Owed replies of all units of one link; kept across connections, and after the link (`busway.client.kept_doubts`).
+    """Owed replies of all units of one link; kept across connections, and after the link
+    (`busway.client.kept_late_replies`).
 
     Attributes:
         units: the state of each unit that a request was sent to.

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol, Self
 
 from ..errors import ConfigError, LinkDown
-from ..framing.conversation import Role
+from ..framing.frame_direction import Role
 from ..framing.received import Damaged, Received
 from ..framing.timing import SerialTiming
 from ..options.endpoints import Endpoint, parse_endpoint

@@ -8,7 +8,7 @@ import ipaddress
 import socket
 from urllib.parse import urlsplit
 
-from ..transport.listening import bound_sockets
+from ..transport.listening_sockets import bound_sockets
 from .listener_settings import ListenerSettings
 
 

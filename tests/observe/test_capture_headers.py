@@ -5,7 +5,7 @@ from ipaddress import IPv4Address, IPv6Address
 
 import pytest
 
-from busway.observe.headers import Node, checksum, line_pdu, tcp_packet, udp_packet
+from busway.observe.capture_headers import Node, checksum, line_pdu, tcp_packet, udp_packet
 
 CLIENT = Node(IPv4Address("10.0.0.1"), 40_000)
 SERVER = Node(IPv4Address("10.0.0.5"), 502)

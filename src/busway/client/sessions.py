@@ -7,17 +7,17 @@ import random
 from typing import Protocol
 
 from ..errors import ModbusError
-from ..framing.conversation import Role
 from ..framing.echo import Echo
+from ..framing.frame_direction import Role
 from ..framing.timing import Parity, SerialTiming
 from ..options.ports import SerialSettings
-from ..session.breaker import Breakers
 from ..session.call import Call, Places
 from ..session.client import TcpClientSession
 from ..session.line_framing import line_framing
 from ..session.reconnect import Reconnect
 from ..session.retries import ClientCounters
 from ..session.serial_client import SerialClientSession
+from ..session.unit_breaker import Breakers
 from .settings import LinkSettings
 
 
@@ -90,7 +90,7 @@ class ClientSession(Protocol):
         """Handle timeouts and deadlines that have passed."""
 
 
-def conversation_for(
+def client_session_for(
     settings: LinkSettings, shared_places: Places | None = None
 ) -> TcpClientSession | SerialClientSession:
     """Create the session for an endpoint, without a connection. Raises `ConfigError`.

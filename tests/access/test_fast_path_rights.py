@@ -6,7 +6,7 @@ import struct
 import pytest
 
 from busway.access.audit_log import AuditLog
-from busway.access.fast_path import bind
+from busway.access.fast_path_rights import bind
 from busway.access.question import Question
 from busway.access.rights import Rights, decision_of
 from busway.access.rules import Action, Policy, Rule

@@ -11,7 +11,7 @@ import threading
 from collections import OrderedDict
 from typing import Final
 
-from ..session.doubt import Doubts
+from ..session.late_replies import Doubts
 
 KEPT_AT_MOST: Final = 1024
 """Most endpoints that are remembered; the one closed first is forgotten first."""

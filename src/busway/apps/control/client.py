@@ -24,7 +24,7 @@ from .addresses import (
     UnixAddress,
     parse_control_address,
 )
-from .binding import is_alive
+from .control_socket import is_alive
 
 ANSWER_LIMIT: Final = 64 * 1024 * 1024
 _CONNECT_SECONDS: Final = 1.0

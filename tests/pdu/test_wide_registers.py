@@ -5,7 +5,7 @@ import pytest
 from busway.errors import InvalidRequest
 from busway.pdu.malformed import MalformedPdu
 from busway.pdu.read_items import ReadHoldingRegisters, ReadInputRegisters
-from busway.pdu.wide import wide
+from busway.pdu.wide_registers import wide
 
 KINDS = [ReadHoldingRegisters, ReadInputRegisters]
 EIGHT = bytes.fromhex("08 00010002 00000003")  # byte count, two registers of four bytes

@@ -2,7 +2,7 @@
 
 import pytest
 
-from busway.server.diagnosis import Diagnosis, StatusIndicator
+from busway.server.status_indicators import Diagnosis, StatusIndicator
 
 
 @pytest.mark.clause("S19")

@@ -22,7 +22,7 @@ from ..pdu.message import Message, Request
 if TYPE_CHECKING:
     from .diagnostics import LineDiagnostics
     from .responder import ClientIdentity, RequestContext
-    from .slots import TransactionSlots
+    from .transaction_slots import TransactionSlots
 
 READ_SIZE = 12
 """Bytes of the ADU of a read (functions 01 to 04)."""

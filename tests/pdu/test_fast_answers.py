@@ -33,7 +33,7 @@ SHORT: tuple[Any, ...] = (
 
 @dataclass
 class PlainBlock:
-    """Items from ``first`` on, as `busway.pdu.direct.Block` wants them."""
+    """Items from ``first`` on, as `busway.pdu.fast_answers.Block` wants them."""
 
     first: int
     count: int

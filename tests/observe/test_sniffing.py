@@ -10,8 +10,8 @@ from busway.errors import ConfigError, LinkDown
 from busway.framing.ascii import encode_ascii
 from busway.framing.rtu import encode_rtu
 from busway.framing.timing import FIXED_T3_5, SerialTiming
-from busway.observe.listening import DatagramEar, Listening, line_to_hear
 from busway.observe.pairing import Heard, Kind
+from busway.observe.sniffing import DatagramEar, Listening, line_to_hear
 from busway.testing.line import PacedLine
 from busway.transport.serial import BlockingSerialPort
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from busway.framing.conversation import REPLY_WINDOW, Conversation, Due, Role
+from busway.framing.frame_direction import REPLY_WINDOW, Conversation, Due, Role
 from busway.framing.received import Direction
 
 REQUEST, REPLY, UNKNOWN = Direction.REQUEST, Direction.REPLY, Direction.UNKNOWN

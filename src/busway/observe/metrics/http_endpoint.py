@@ -20,7 +20,7 @@ from ...pdu.functions import FunctionTable
 from ...session.pipeline import RequestObserver
 from ..http import HttpError, HttpRequest, HttpResponse, HttpService, bind_tcp, bound_name, parse_host_port
 from .observer import Classify, ClassifyByMark, MetricsObserver, classify_by_listener
-from .requests import RequestTally
+from .request_tally import RequestTally
 
 if TYPE_CHECKING:
     from prometheus_client import CollectorRegistry
