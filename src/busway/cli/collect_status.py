@@ -43,7 +43,7 @@ async def _open_page_at(at: str, stack: AsyncExitStack, collector: "Collector") 
     except ImportError as error:
         raise missing_extra(error) or error from error
     page = await stack.enter_async_context(CollectorPage(collector, at))
-    say(f"page on {page.url}" + (f", its token in {page.token_path}" if page.token else ""))
+    say(f"page on {page.url} (tokens that permit more than to view: {page.token_path})")
 
 
 def print_status(collector: "Collector", *, as_json: bool) -> None:

@@ -1,8 +1,7 @@
-"""The API of the collector's page: committed values, history with gaps, links, devices, sinks; and who may ask."""
+"""The API of the collector's page: committed values, history with gaps, links, devices, sinks."""
 
 import re
 import time
-from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
@@ -11,8 +10,7 @@ from page_collector import WatchedCollector, watched_collector
 
 import busway
 from busway.apps.collector.store.frames import BucketTable
-from busway.apps.web.collector_page import TOKEN_FILE, CollectorPage, _trend, kept_token
-from busway.errors import ConfigError
+from busway.apps.web.collector_page import _trend
 
 
 @pytest.fixture(scope="module")
@@ -93,11 +91,6 @@ def test_the_page_and_all_that_it_names_are_served(plant: WatchedCollector) -> N
     assert {"/collector.js", "/history.js", "/dom.js", "/link.js", "/style.css", "/uplot/uPlot.esm.js"} <= seen
 
 
-def test_nothing_can_be_changed(plant: WatchedCollector) -> None:
-    paths = plant.ask("/openapi.json")[1]["paths"]
-    assert {method for methods in paths.values() for method in methods} == {"get"}
-
-
 def test_time_without_samples_is_a_gap_in_a_trend() -> None:
     second = 1_000_000_000
     table = BucketTable(
@@ -107,24 +100,3 @@ def test_time_without_samples_is_a_gap_in_a_trend() -> None:
     found = _trend(table, 11 * second, 11, 2.0)
     assert found.time == [0, 1, 5, 9, 10]
     assert found.mean == [1, 2, None, None, 4]
-
-
-def test_a_token_is_made_once_for_its_owner_alone(tmp_path: Path) -> None:
-    file = tmp_path / TOKEN_FILE
-    assert kept_token(file, "first-token-of-many") == "first-token-of-many"
-    assert file.stat().st_mode & 0o777 == 0o600
-    assert kept_token(file, "another-token-of-many") == "first-token-of-many"
-    file.write_text("")
-    with pytest.raises(ConfigError, match="is empty"):
-        kept_token(file, "another-token-of-many")
-
-
-def test_elsewhere_than_on_loopback_the_token_of_the_store_is_needed(tmp_path: Path) -> None:
-    with watched_collector(tmp_path, "0.0.0.0:0") as plant:
-        port = plant.page.url.rstrip("/").rpartition(":")[2]
-        plant.page.url = f"http://127.0.0.1:{port}/"
-        assert plant.ask("/api/values")[0] == 401
-        assert plant.ask("/api/values", token="wrong-token-of-someone")[0] == 401
-        token = (tmp_path / "data" / TOKEN_FILE).read_text().strip()
-        assert plant.ask("/api/values", token=token)[0] == 200
-        assert isinstance(plant.page, CollectorPage)

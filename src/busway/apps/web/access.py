@@ -1,6 +1,6 @@
-"""Access to the page: Host, Origin, token and size of every request, checked before the application sees it.
+"""Access to a page: Host, Origin, caller and size of every request, checked before the application sees it.
 
-Knows headers and sizes; knows no resource. It wraps the whole application, HTTP and WebSocket.
+Knows headers, roles and sizes; knows no resource. It wraps the whole application, HTTP and WebSocket.
 
 1. On loopback no token is needed, but the ``Host`` must be a loopback name: a foreign name that resolves to 127.0.0.1
    (DNS rebinding) is refused.
@@ -9,17 +9,29 @@ Knows headers and sizes; knows no resource. It wraps the whole application, HTTP
 3. Elsewhere each request to the API carries the token, in ``Authorization: Bearer …``; a WebSocket, for which a browser
    sets no such header, as its subprotocol ``bearer.…``. It is never part of a URL, which would end up in logs.
    The page itself holds no secret and needs no token.
-4. Tokens are compared in constant time.
+4. Tokens are kept as digests, and compared in constant time with every one that there is. They are never logged.
+5. A caller has a role: that of the token, or else that of the subject of the TLS client certificate, or else that of
+   callers without either. A wrong token is refused, and never taken for none.
+6. What changes something needs at least the role `Role.OPERATE`, also where a route forgets to say so; routes that need
+   more say it with `require`.
 """
 
+import functools
+import hashlib
 import hmac
-from collections.abc import Awaitable, Callable, MutableMapping
-from dataclasses import dataclass
+import logging
+import time
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from types import MappingProxyType
 from typing import Any, Final
 
 from starlette.exceptions import HTTPException
+from starlette.requests import HTTPConnection
 from starlette.responses import JSONResponse
 
+from ...access.repeats import Repeats, so_often
 from ..control.addresses import is_loopback
 
 Scope = MutableMapping[str, Any]  # Any: as ASGI has them
@@ -33,7 +45,65 @@ BODY_LIMIT: Final = 4 * 1024 * 1024
 BEARER_PROTOCOL: Final = "bearer."
 POLICY_VIOLATION: Final = 1008
 """Close code of a WebSocket that is refused (RFC 6455 §7.4.1)."""
-_CHANGING: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+CHANGING: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
+"""The methods of requests that change something."""
+CERTIFICATE_SUBJECT: Final = "certificate_subject"
+"""Key in the ``state`` of a connection: the subject of the client's certificate, which was verified (RFC 4514)."""
+_BODY_KINDS: Final = ("application/json", "application/toml")
+"""Types of bodies. A page of another origin can send neither without asking first."""
+_CALLER: Final = "busway.caller"
+_log = logging.getLogger("busway.apps.web")
+
+
+class Role(IntEnum):
+    """What a caller may do; each role may do what those before it may."""
+
+    VIEW = 1
+    """See values, history and states."""
+    OPERATE = 2
+    """Write values, acknowledge alarms, begin and end maintenance."""
+    CONFIGURE = 3
+    """Replace the configuration."""
+
+    @property
+    def label(self) -> str:
+        """The word for it in files, messages and sentences: ``operate``."""
+        return self.name.lower()
+
+
+ROLES: Final = MappingProxyType({role.label: role for role in Role})
+"""Roles by their words."""
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """The one that a request comes from.
+
+    Attributes:
+        name: name of the token, subject of the certificate, or ``loopback``; for records of what was changed.
+        role: what the caller may do.
+    """
+
+    name: str
+    role: Role
+
+
+@dataclass(frozen=True, slots=True)
+class AccessToken:
+    """A token, by its digest alone.
+
+    Attributes:
+        caller: whose it is, and what it permits.
+        digest: SHA-256 of the token.
+    """
+
+    caller: Caller
+    digest: bytes = field(repr=False)
+
+    @classmethod
+    def of(cls, token: str, name: str, role: Role) -> "AccessToken":
+        """That of a token in plain text."""
+        return cls(Caller(name, role), _digest(token))
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,16 +111,58 @@ class PageAccessRules:
     """Rules of one listener.
 
     Attributes:
-        token: required token; empty if none is needed.
+        tokens: gives all that are taken now.
+        subjects: role by the subject of a client certificate, as RFC 4514 writes it: ``CN=anna,O=plant``.
+        without_token: role of callers that show neither; None where they are refused.
         is_loopback: whether it can be reached from this host alone.
     """
 
-    token: str = ""
+    tokens: "Callable[[], Sequence[AccessToken]]" = tuple
+    subjects: Mapping[str, Role] = field(default_factory=dict)
+    without_token: Role | None = None
     is_loopback: bool = True
 
 
 class Refused(HTTPException):
     """A request that goes no further: a status and a sentence."""
+
+
+@dataclass(frozen=True, slots=True)
+class RequiredRole:
+    """Dependency of a route: refuses callers whose role is less, and gives the caller to the route.
+
+    Attributes:
+        role: the least role.
+    """
+
+    role: Role
+
+    async def __call__(self, connection: HTTPConnection) -> Caller:
+        """The caller. Raises `Refused`."""
+        return _permitted(caller_of(connection.scope), self.role)
+
+
+@functools.cache
+def require(role: Role) -> RequiredRole:
+    """Dependency of a FastAPI route that only callers of at least this role may use::
+
+    async def confirm(key: str, caller: Annotated[Caller, Depends(require(Role.OPERATE))]) -> Answer: ...
+    """
+    return RequiredRole(role)
+
+
+def caller_of(scope: Scope) -> Caller:
+    """The caller of a request that `PageAccess` has let in. Raises `Refused` for any other."""
+    found = scope.get(_CALLER)
+    if not isinstance(found, Caller):
+        raise Refused(401, "the caller is not known")
+    return found
+
+
+def _permitted(caller: Caller, least: Role) -> Caller:
+    if caller.role >= least:
+        return caller
+    raise Refused(403, f"this needs the role {least.label}, and {caller.name} may only {caller.role.label}")
 
 
 class PageAccess:
@@ -66,6 +178,7 @@ class PageAccess:
         self._inner = inner
         self._rules = rules
         self._is_open = is_open
+        self._wrong_tokens = Repeats()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one ASGI connection."""
@@ -88,17 +201,49 @@ class PageAccess:
         origin = _single(headers, "origin")
         if origin and origin.lower() not in (f"http://{host}".lower(), f"https://{host}".lower()):
             raise Refused(403, "pages of another origin are not answered")
-        changes = scope["type"] == "websocket" or scope.get("method") in _CHANGING
+        changes = scope["type"] == "websocket" or scope.get("method") in CHANGING
         if changes and _single(headers, "sec-fetch-site") not in ("", "same-origin", "none"):
             raise Refused(403, "pages of another origin change nothing here")
-        if self._rules.token and not self._is_open(scope["path"]):
-            given = _token(scope, headers)
-            if not hmac.compare_digest(given.encode(), self._rules.token.encode()):
-                raise Refused(401, "the token is missing or wrong")
-        if scope.get("method") in _CHANGING and _has_body(headers):
+        if not self._is_open(scope["path"]):
+            caller = self._caller(scope, headers)
+            if scope.get("method") in CHANGING:
+                _permitted(caller, Role.OPERATE)
+            scope[_CALLER] = caller
+        if scope.get("method") in CHANGING and _has_body(headers):
             kind = _single(headers, "content-type").partition(";")[0].strip().lower()
-            if kind != "application/json":
-                raise Refused(415, "the body must be application/json")
+            if kind not in _BODY_KINDS:
+                raise Refused(415, f"the body must be {' or '.join(_BODY_KINDS)}")
+
+    def _caller(self, scope: Scope, headers: dict[str, list[str]]) -> Caller:
+        """Rule 5."""
+        given, tokens = _token(scope, headers), self._rules.tokens()
+        if given is not None and tokens:
+            return self._holder(given, tokens, scope)
+        subject = scope.get("state", {}).get(CERTIFICATE_SUBJECT, "")
+        role = self._rules.subjects.get(subject) if subject else None
+        if role is not None:
+            return Caller(subject, role)
+        if self._rules.without_token is None:
+            raise Refused(401, "a token is needed")
+        return Caller("loopback", self._rules.without_token)
+
+    def _holder(self, given: str, tokens: Sequence[AccessToken], scope: Scope) -> Caller:
+        digest = _digest(given)
+        found: Caller | None = None
+        for token in tokens:  # all of them: the time says nothing about which one it was
+            if hmac.compare_digest(token.digest, digest):
+                found = token.caller
+        if found is None:
+            host = (scope.get("client") or ("",))[0]
+            repeated = self._wrong_tokens.again(host, time.monotonic())
+            if repeated is not None:
+                _log.warning("a wrong token was shown to the page from %s%s", host, so_often(repeated))
+            raise Refused(401, "the token is wrong")
+        return found
+
+
+def _digest(token: str) -> bytes:
+    return hashlib.sha256(token.encode("utf-8", "surrogatepass")).digest()
 
 
 def _headers(scope: Scope) -> dict[str, list[str]]:
@@ -120,12 +265,16 @@ def _names_loopback(host: str) -> bool:
     return name.lower() == "localhost" or is_loopback(name.strip("[]"))
 
 
-def _token(scope: Scope, headers: dict[str, list[str]]) -> str:
+def _token(scope: Scope, headers: dict[str, list[str]]) -> str | None:
+    """The token that is shown; None where there is none at all."""
     if scope["type"] == "websocket":
         for protocol in scope.get("subprotocols", ()):
             if protocol.startswith(BEARER_PROTOCOL):
                 return str(protocol.removeprefix(BEARER_PROTOCOL))
-    scheme, _, token = _single(headers, "authorization").partition(" ")
+    given = _single(headers, "authorization")
+    if not given:
+        return None
+    scheme, _, token = given.partition(" ")
     return token.strip() if scheme.lower() == "bearer" else ""
 
 

@@ -8,6 +8,13 @@ from pydantic import Field
 from .messages import Answer, Plain
 
 
+class CallerAnswer(Answer):
+    """The caller."""
+
+    name: str
+    role: str = Field(description="view, operate or configure; each includes those before it.")
+
+
 class CollectorAnswer(Answer):
     """A collector and its store."""
 

@@ -3,23 +3,19 @@
 Knows a running collector, its store and HTTP; asks no device.
 
 1. What is shown was committed: values come from commits, history from the store.
-2. Nothing here changes anything. A trend has at most `MOST_BUCKETS` buckets, and at most `MOST_QUERIES` are read at a
-   time.
-3. Elsewhere than on loopback a token is needed. It is made once, and kept in the folder of the store, in a file that
-   only its owner can read.
+2. A trend has at most `MOST_BUCKETS` buckets, and at most `MOST_QUERIES` are read at a time.
+3. Without a token callers of loopback may view, and others nothing; no caller writes without a role. The tokens are
+   made once, and kept in the folder of the store, in a file that only its owner can read.
 """
 
 import asyncio
-import os
 import time
 from pathlib import Path
 from typing import Annotated, Final
 
-from fastapi import FastAPI, Query
+from fastapi import Depends, FastAPI, Query
 from starlette.exceptions import HTTPException
 
-from ...errors import ConfigError
-from ...safe_files import read_safely
 from ..collector.admission import LinkLoad
 from ..collector.collector import Collector
 from ..collector.preview import CollectorPreview, preview
@@ -28,8 +24,9 @@ from ..collector.sinks.prometheus import LastValues
 from ..collector.store.frames import BucketTable
 from ..collector.store.reading import Store
 from ..collector.store.writer import Commit
-from .access import Application, PageAccessRules
+from .access import Application, Caller, PageAccessRules, Role, require
 from .collector_messages import (
+    CallerAnswer,
     CollectedDevices,
     CollectedPoint,
     CollectedPoints,
@@ -45,9 +42,8 @@ from .collector_messages import (
 )
 from .hosting import SHARED_FILES, HostedPage, guarded, page_application
 from .messages import Failure, plain_value
+from .page_tokens import TOKEN_FILE, KeptTokens
 
-TOKEN_FILE: Final = "page-token"
-"""The file in the store that keeps the token."""
 MOST_BUCKETS: Final = 2000
 MOST_QUERIES: Final = 2
 MOST_READS: Final = 2000
@@ -70,44 +66,33 @@ class CollectorPage(HostedPage):
     Args:
         collector: it has begun.
         at: host and port; port 0 takes a free one.
-        token: as for every page; None elsewhere than on loopback: that of the store, made at the first start.
+        token_path: the file of its tokens; None for the one in the store.
 
     Attributes:
-        token_path: the file that keeps the token of the store.
+        token_path: the file of its tokens.
 
     Raises:
-        ConfigError: the address is invalid, the token is too short, or that of the store cannot be read or made.
+        ConfigError: the address is invalid, or the tokens cannot be read or made.
     """
 
-    def __init__(self, collector: Collector, at: str, *, token: str | None = None) -> None:
-        super().__init__(at, token=token, key="page")
-        self.token_path: Path = Path(collector.configuration.store) / TOKEN_FILE
+    def __init__(self, collector: Collector, at: str, *, token_path: Path | None = None) -> None:
+        super().__init__(at, key="page")
+        self.token_path: Path = token_path or Path(collector.configuration.store) / TOKEN_FILE
         self.api: CollectorApi = CollectorApi(collector)
 
-    def _new_token(self) -> str:
-        return kept_token(self.token_path, super()._new_token())
+    def _rules(self, *, local: bool) -> PageAccessRules:
+        kept = KeptTokens(self.token_path)
+        return PageAccessRules(kept.current, without_token=Role.VIEW if local else None, is_loopback=local)
+
+    def resources(self) -> FastAPI:
+        """The API without its access rules."""
+        inner = page_application("busway collector", "Last values, history, links, devices and sinks of a collector.")
+        self.api.add_to(inner)
+        return inner
 
     def application(self, rules: PageAccessRules) -> Application:
         """The ASGI application, with these rules of access."""
-        inner = page_application("busway collector", "Last values, history, links, devices and sinks of a collector.")
-        self.api.add_to(inner)
-        return guarded(inner, _FILES, rules)
-
-
-def kept_token(path: Path, new: str) -> str:
-    """The token in a file; where there is none it is made of ``new``, for its owner alone. Raises `ConfigError`."""
-    try:
-        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    except FileExistsError:
-        found = read_safely(path, most=1000).decode("ascii", "replace").strip()
-        if not found:
-            raise ConfigError("is empty; remove it, and a new token is made", file=str(path)) from None
-        return found
-    except OSError as error:
-        raise ConfigError(f"cannot be made: {error.strerror}", file=str(path)) from error
-    with os.fdopen(handle, "w", encoding="ascii") as file:
-        file.write(new + "\n")
-    return new
+        return guarded(self.resources(), _FILES, rules)
 
 
 class CollectorApi:
@@ -129,6 +114,7 @@ class CollectorApi:
     def add_to(self, application: FastAPI) -> None:
         """Add the resources to an application."""
         add = application.add_api_route
+        add("/api/caller", self.get_caller, methods=["GET"], summary="The caller and its role")
         add("/api/collector", self.get_collector, methods=["GET"], summary="The collector and its store")
         add("/api/points", self.list_points, methods=["GET"], summary="The points that are collected")
         add("/api/values", self.list_values, methods=["GET"], summary="The last committed value of each point")
@@ -142,6 +128,10 @@ class CollectorApi:
             summary="The history of a point, in buckets",
             responses={404: {"model": Failure, "description": "There is no such point."}},
         )
+
+    async def get_caller(self, caller: Annotated[Caller, Depends(require(Role.VIEW))]) -> CallerAnswer:
+        """Who asks, and what it may do."""
+        return CallerAnswer(name=caller.name, role=caller.role.label)
 
     async def get_collector(self) -> CollectorAnswer:
         """Name, size and store of the collector."""

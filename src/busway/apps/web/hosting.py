@@ -12,7 +12,6 @@ import asyncio
 import contextlib
 import hashlib
 import logging
-import secrets
 import socket
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
@@ -32,10 +31,11 @@ from ...errors import ConfigError
 from ...observe.http import bind_tcp, bound_name, parse_host_port
 from ...options.endpoints import parse_endpoint
 from ..control.addresses import is_loopback
-from .access import Application, Message, PageAccess, PageAccessRules, Receive, Scope, Send
+from .access import AccessToken, Application, Message, PageAccess, PageAccessRules, Receive, Role, Scope, Send
 from .api import Api
 from .connections import SharedConnections, Throttle
 from .operations import failed, new_application, secure_document
+from .page_tokens import SHORTEST_TOKEN, is_token, new_token
 from .stream import Streams
 from .subject import PageSubject
 from .traffic import Traffic
@@ -46,9 +46,6 @@ _errors.addFilter(Throttle())
 
 DEFAULT_ADDRESS: Final = "127.0.0.1:8502"
 KEY: Final = "api"
-SHORTEST_TOKEN: Final = 16
-"""Characters of a token that is given."""
-_TOKEN_BYTES: Final = 24
 _WISH_LIMIT: Final = 256 * 1024
 """Bytes of a WebSocket message from a browser."""
 _KEEP_ALIVE: Final = 15
@@ -119,7 +116,7 @@ class HostedPage(ABC):
     """
 
     def __init__(self, at: str, *, token: str | None = None, key: str = KEY) -> None:
-        if token is not None and (len(token) < SHORTEST_TOKEN or not _is_token(token)):
+        if token is not None and not is_token(token):
             raise ConfigError(
                 f"a token has at least {SHORTEST_TOKEN} characters, letters, digits, - . _ and ~ alone", key="token"
             )
@@ -150,9 +147,13 @@ class HostedPage(ABC):
         """URL of the page for logs and terminals: with the token only if it was made here and stands nowhere else."""
         return self.url if self._given is not None else self.page_url
 
-    def _new_token(self) -> str:
-        """The token of a page that is not on loopback, where none was given."""
-        return secrets.token_urlsafe(_TOKEN_BYTES)
+    def _rules(self, *, local: bool) -> PageAccessRules:
+        """Who may ask, on loopback or elsewhere: a single token, of all roles; on loopback all without it."""
+        self.token = self._given if self._given is not None else "" if local else new_token()
+        if not self.token:
+            return PageAccessRules(without_token=Role.CONFIGURE, is_loopback=local)
+        tokens = (AccessToken.of(self.token, "token", Role.CONFIGURE),)
+        return PageAccessRules(lambda: tokens, is_loopback=local)
 
     async def start(self) -> None:
         """Listen. Raises `LinkDown` if the address cannot be bound, `ConfigError` if the page cannot begin."""
@@ -161,10 +162,10 @@ class HostedPage(ABC):
         bound = await asyncio.to_thread(bind_tcp, *self._address)
         try:
             local = is_loopback(bound.getsockname()[0])
-            self.token = self._given if self._given is not None else "" if local else self._new_token()
+            rules = self._rules(local=local)
             self.url = f"http://{_reachable_name(bound)}/"
             self._begin()
-            server = self._server = _Server(_configured(self.application(PageAccessRules(self.token, local))))
+            server = self._server = _Server(_configured(self.application(rules)))
             self._task = asyncio.create_task(server.serve([bound]))
             await server.answering.wait()
         except BaseException:
@@ -330,11 +331,6 @@ def _with_headers(inner: Application) -> Application:
 async def _failed(request: Request, error: Exception) -> Response:
     _errors.error("a request could not be answered", exc_info=error)
     return failed(HTTPStatus.INTERNAL_SERVER_ERROR, "it could not be answered; the log says why")
-
-
-def _is_token(text: str) -> bool:
-    """Whether a text can be a token in a header, in a subprotocol and behind ``#``."""
-    return text.isascii() and all(one.isalnum() or one in "-._~" for one in text)
 
 
 def _reachable_name(bound: socket.socket) -> str:

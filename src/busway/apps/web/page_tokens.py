@@ -1,0 +1,118 @@
+"""The file with the tokens of a page: made at the first start, for its owner alone, and read again when it changes.
+
+Knows the file and its lines; knows no request.
+
+::
+
+    # role token name
+    view      kSp3…
+    operate   9fQx…
+    operate   Zw0a…   anna
+
+1. A new file has one random token for each role. It is never written over: lines are added and removed by hand.
+2. A file that others can read is refused, and so is one with a line that cannot be; the sentence has the line's number
+   and never its token.
+3. While a page runs, a file that has become wrong is logged, and the tokens before stay.
+"""
+
+import logging
+import os
+import secrets
+import stat
+from pathlib import Path
+from typing import Final
+
+from ...errors import ConfigError
+from ...safe_files import read_safely
+from .access import ROLES, AccessToken, Role
+
+TOKEN_FILE: Final = "page-tokens"
+"""The file in the store."""
+SHORTEST_TOKEN: Final = 16
+"""Characters of a token that is given."""
+MOST_TOKENS: Final = 100
+_TOKEN_BYTES: Final = 24
+_LONGEST_FILE: Final = 64 * 1024
+_HEAD: Final = "# role token name: whoever shows a token may do what its role permits. Keep this file to yourself.\n"
+
+_log = logging.getLogger("busway.apps.web")
+
+
+def new_token() -> str:
+    """A random token: 32 characters."""
+    return secrets.token_urlsafe(_TOKEN_BYTES)
+
+
+def is_token(text: str) -> bool:
+    """Whether a text can be a token in a header, in a subprotocol and behind ``#``, and is long enough."""
+    return len(text) >= SHORTEST_TOKEN and text.isascii() and all(one.isalnum() or one in "-._~" for one in text)
+
+
+class KeptTokens:
+    """The tokens in a file.
+
+    Args:
+        path: the file; where there is none it is made, with a token for each role.
+
+    Raises:
+        ConfigError: it cannot be made or read, others can read it, or it holds something else.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        _make(path)
+        self._state = self._look()
+        self._tokens = read_tokens(path)
+
+    def current(self) -> tuple[AccessToken, ...]:
+        """The tokens of now; it never raises."""
+        state = self._look()
+        if state != self._state:
+            self._state = state
+            try:
+                self._tokens = read_tokens(self.path)
+            except ConfigError as error:
+                _log.error("the tokens of the page stay as they were: %s", error)
+        return self._tokens
+
+    def _look(self) -> tuple[int, int, int]:
+        try:
+            found = self.path.stat()
+        except OSError:
+            return 0, 0, 0
+        return found.st_mtime_ns, found.st_size, found.st_mode
+
+
+def read_tokens(path: Path) -> tuple[AccessToken, ...]:
+    """The tokens in a file. Raises `ConfigError`."""
+    text = read_safely(path, most=_LONGEST_FILE).decode("utf-8", "replace")
+    if os.name != "nt" and path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        raise ConfigError("holds tokens and can be read by others; chmod 600 it", file=str(path))
+    found = []
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split(maxsplit=2)
+        if not words or words[0].startswith("#"):
+            continue
+        if words[0] not in ROLES:
+            raise ConfigError(f"line {number}: a line begins with {', '.join(ROLES)} or #", file=str(path))
+        if len(words) == 1 or not is_token(words[1]):
+            sentence = f"a token has at least {SHORTEST_TOKEN} letters, digits, - . _ and ~"
+            raise ConfigError(f"line {number}: {sentence}", file=str(path))
+        role = ROLES[words[0]]
+        found.append(AccessToken.of(words[1], words[2].strip() if len(words) == 3 else role.label, role))
+    if len(found) > MOST_TOKENS:
+        raise ConfigError(f"has more than {MOST_TOKENS} tokens", file=str(path))
+    if not found:
+        raise ConfigError("has no token; remove it, and new ones are made", file=str(path))
+    return tuple(found)
+
+
+def _make(path: Path) -> None:
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except FileExistsError:
+        return
+    except OSError as error:
+        raise ConfigError(f"cannot be made: {error.strerror}", file=str(path)) from error
+    with os.fdopen(handle, "w", encoding="ascii") as file:
+        file.write(_HEAD + "".join(f"{role.label:<9} {new_token()}\n" for role in Role))
