@@ -92,7 +92,8 @@ def gateway(
     verbose: int = VERBOSE,
 ) -> int:
     """Forward client requests to serial lines or other servers."""
-    from ..apps.server.service import Overrides, Service
+    from ..apps.server.overrides import Overrides
+    from ..apps.server.service import Service
     from ..server.loops import run
 
     if what[0] == CHECK:

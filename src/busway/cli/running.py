@@ -85,7 +85,7 @@ def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: opti
 
 def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules | None]":
     """What gives the access rules: those of ``--policy``, or else those of the configuration."""
-    from ..apps.server.service import declared_rules
+    from ..apps.server.overrides import declared_rules
 
     if policy is None:
         return declared_rules

@@ -80,7 +80,8 @@ def serve(
     verbose: int = VERBOSE,
 ) -> int:
     """Be a device."""
-    from ..apps.server.service import Overrides, Service
+    from ..apps.server.overrides import Overrides
+    from ..apps.server.service import Service
     from ..server.loops import run
 
     overrides = Overrides(

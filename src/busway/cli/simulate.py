@@ -155,7 +155,8 @@ def simulate(
         "seed": None if seed is None else whole_number(seed, "--seed", 0, 2**31 - 1),
         "speed": _speed(speed),
     }
-    from ..apps.server.service import Overrides, Service
+    from ..apps.server.overrides import Overrides
+    from ..apps.server.service import Service
     from ..apps.simulator.fault_sections import put_on_by_words
     from ..apps.simulator.simulation import Simulation
     from ..server.loops import run

@@ -1,27 +1,129 @@
-"""Reading a configuration again while its server runs: what it declares now, and how that differs.
+"""Reload of a configuration while its server runs: reads the files again and applies what can change at once.
 
-Knows configurations; changes nothing that runs. `busway.apps.server.service` puts the result into force.
+Knows what differs between two configurations, and what can be replaced; knows no request.
+
+1. A mistake in a file that is read again changes nothing: everything stays as it was. The files are read and checked in
+   a thread, and applied in the event loop in one step, so that the server answers meanwhile.
+2. Policy and address lists are replaced at once, and connections of hosts that may no longer connect end; certificates
+   hold from the next connection on; the audit log is reopened. Other differences are named: they take effect at the
+   next start.
 """
 
+import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 from ...access.rules import AccessRules, Rule
-from ...config.certificates import try_certificates
-from .interfaces import DeclaredServer
+from ...config.certificates import tls_of, try_certificates
+from ...config.gc_pauses import collecting_paused, keep_uncollected, let_go
+from ...errors import ConfigError
+from .access_in_force import AccessInForce
+from .interfaces import DeclaredServer, RunningServer
+from .overrides import Overrides
+
+if TYPE_CHECKING:
+    from ...access.audit_log import AuditLog
 
 _REPLACEABLE_OF_LISTENERS = frozenset({"allow", "deny", "secure"})
+
+_MANY_RULES: Final = 10_000
+"""Above this number, one run of the garbage collector would be felt: 10 ms for the objects of these rules."""
+
+
+class Reload:
+    """Reloads the configuration of one running service.
+
+    Args:
+        read: reads the configuration.
+        overrides: command-line overrides of it.
+        started_with: the configuration that the service was started with.
+        access: the access rules in force, which a reload replaces.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[], DeclaredServer],
+        overrides: Overrides,
+        started_with: DeclaredServer,
+        access: AccessInForce,
+    ) -> None:
+        self._read = read
+        self._overrides = overrides
+        self._started_with = started_with
+        self._access = access
+
+    async def run(self, server: RunningServer, audit: "AuditLog | None") -> list[str]:
+        """Reload. Returns one sentence for each change.
+
+        Raises:
+            ConfigError, LinkDown: the files have a mistake, or something they name cannot be had; nothing has changed.
+        """
+        with collecting_paused():
+            found: list[ReloadedConfiguration] = []  # and not the thread's result, which would live a little longer
+            await asyncio.to_thread(lambda: found.append(self._read_again()))
+            reloaded = found.pop()
+            done = await self._apply(reloaded, server, audit)
+            left_over = reloaded.rule_lists()
+            del reloaded
+            await asyncio.to_thread(let_go, left_over)
+            self.exclude_rules_from_gc()
+        return done
+
+    def exclude_rules_from_gc(self) -> None:
+        """Exclude the rules from garbage collection if there are many: it would go through all of them each time."""
+        rules = self._access.rules
+        if rules is not None and len(rules.policy.rules) > _MANY_RULES:
+            keep_uncollected()
+
+    def _read_again(self) -> "ReloadedConfiguration":
+        new = self._read()
+        return read_again(self._started_with, new, self._access.rules, self._overrides.rules(new))
+
+    async def _apply(
+        self, reloaded: "ReloadedConfiguration", server: RunningServer, audit: "AuditLog | None"
+    ) -> list[str]:
+        """Apply a reloaded configuration to the running server. Returns one sentence for each change."""
+        new, rules, access = reloaded.configuration, reloaded.rules, self._access
+        followed = await new.apply_to(server, access.listeners(new), policy=access.cautious_policy(rules))
+        done = []
+        if audit is not None:
+            audit.reopen()
+            done.append("the audit log was opened anew")
+        done += followed
+        if reloaded.are_other_rules:
+            done.append("the policy was replaced")
+        if access.is_guarded and (followed or reloaded.are_other_rules):
+            access.replace_policy(server, rules)
+        if access.replace_lists(new, rules):
+            done.append("the address lists of listeners were replaced")
+        ended = server.end_unauthorized()
+        if ended:
+            done.append(f"connections of hosts that may no longer connect were ended: {ended}")
+        if any(tls_of(listener) is not None for listener in new.listeners):
+            done.append(_read_certificates_again(server))
+        if reloaded.later:
+            done.append(f"only the next start will see {', '.join(reloaded.later)}")
+        return done or ["nothing has changed"]
+
+
+def _read_certificates_again(server: RunningServer) -> str:
+    try:
+        server.reload_security()
+    except ConfigError as error:  # not of the new file, which was tried before: of what runs until the next start
+        return f"certificates stay as they were: {error}"
+    return "certificates hold from the next connection on"
 
 
 @dataclass(frozen=True, slots=True)
 class ReloadedConfiguration:
-    """What reading the files again gave.
+    """A configuration that was read again, and how it differs from what runs.
 
     Attributes:
-        configuration: what they declare.
-        rules: the rules on access.
-        are_other_rules: whether these are not those in force.
-        later: sections that have changed and hold from the next start.
+        configuration: what the files declare.
+        rules: their access rules.
+        are_other_rules: whether these differ from the rules in force.
+        later: changed sections that take effect at the next start.
         before: the rules in force.
     """
 
@@ -32,7 +134,7 @@ class ReloadedConfiguration:
     before: tuple[Rule, ...]
 
     def rule_lists(self) -> list[list[Any]]:
-        """What is of no use afterwards and may be large, for `let_go`."""
+        """The lists of rules, which may be large and are not needed after the reload, for `let_go`."""
         policy = self.configuration.file.policy
         read = () if self.rules is None else self.rules.policy.rules
         return [list(self.before), list(read), [] if policy is None else list(policy.rule)]
@@ -41,7 +143,9 @@ class ReloadedConfiguration:
 def read_again(
     old: DeclaredServer, new: DeclaredServer, rules_in_force: AccessRules | None, rules: AccessRules | None
 ) -> ReloadedConfiguration:
-    """Judge a configuration that was read again; takes long with many rules, so call it in a thread.
+    """Check a configuration that was read again and compare it with what runs.
+
+    With many rules that takes long, so call it in a thread.
 
     Args:
         old: the configuration that the server was started with.
@@ -61,7 +165,7 @@ def read_again(
 
 
 def _differences(old: DeclaredServer, new: DeclaredServer) -> list[str]:
-    """The sections in which two configurations differ, without what holds at once."""
+    """The sections in which two configurations differ, without those that take effect at once."""
     found = []
     for name in type(old.file).model_fields:
         before, after = getattr(old.file, name), getattr(new.file, name)

@@ -1,0 +1,95 @@
+"""The policy and the address lists that a running service applies, which a reload replaces.
+
+Knows rules, lists and listeners; knows no file, and does not know when it is read again.
+
+1. Without a policy, listeners that the network reaches are read-only, unless writes were allowed on the command line.
+2. A listener keeps its `ReloadableAllowList` for as long as the service lives; only the lists in it change.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from ...access.addresses import AddressList
+from ...access.rules import AccessRules, Policy
+from ...config.reloadable_access import NETWORK_SCHEMES, ReloadableAllowList, reaches_network, read_only_for
+from ...server.listener import Listener
+from .interfaces import DeclaredServer, RunningServer
+from .overrides import Overrides
+
+
+class AccessInForce:
+    """Access rules of one service, and their application to its server.
+
+    Args:
+        configuration: the one that the service starts with.
+        overrides: what the command line says instead of it.
+
+    Attributes:
+        rules: the access rules in force; None without a policy.
+        allow_list: the addresses that may connect to any listener.
+        is_guarded: whether the server gets a policy at all; set by `guard`.
+        read_only: URLs of the listeners that are read-only because there is no policy.
+    """
+
+    def __init__(self, configuration: DeclaredServer, overrides: Overrides) -> None:
+        self._overrides = overrides
+        self.rules: AccessRules | None = overrides.rules(configuration)
+        self.allow_list: ReloadableAllowList = ReloadableAllowList()
+        self.is_guarded: bool = False
+        self.read_only: tuple[str, ...] = ()
+        self._allow_lists: dict[str, ReloadableAllowList] = {}  # of single listeners, by URL
+
+    def guard(self, listeners: Sequence[Listener]) -> Policy | None:
+        """Start to apply the rules. Returns the policy to start the server with; None if it needs none."""
+        self.allow_list.lists = self._lists(self.rules)
+        self.is_guarded = (
+            self.rules is not None
+            or self._overrides.can_reload
+            or any(reaches_network(str(one.endpoint)) for one in listeners)
+        )
+        return self.cautious_policy(self.rules)
+
+    def cautious_policy(self, rules: AccessRules | None) -> Policy | None:
+        """The policy while it is unknown which listeners the network reaches: all that could be; None if unguarded."""
+        return self._policy(rules, NETWORK_SCHEMES) if self.is_guarded else None
+
+    def replace_policy(self, server: RunningServer, rules: AccessRules | None) -> None:
+        """Apply these rules to the running server, whose listeners are bound."""
+        self.rules = rules
+        exposed = [url for url in server.endpoints if reaches_network(url)]
+        self.read_only = () if rules is not None or self._overrides.allow_writes else tuple(exposed)
+        server.replace_policy(self._policy(rules, exposed))
+
+    def replace_lists(self, new: DeclaredServer, rules: AccessRules | None) -> bool:
+        """Replace the address lists. Returns whether a list of a single listener has changed."""
+        self.allow_list.lists = self._lists(rules)
+        changed = False
+        for one in new.listeners:
+            allow_list = self._allow_lists.get(str(one.endpoint))
+            if allow_list is not None and isinstance(one.access, AddressList) and allow_list.lists != (one.access,):
+                allow_list.lists = (one.access,)
+                changed = True
+        return changed
+
+    def listeners(self, configuration: DeclaredServer) -> list[Listener]:
+        """The listeners of a configuration, each with address lists that can be replaced."""
+        if self._overrides.listen:
+            return [Listener(url) for url in self._overrides.listen]
+        found = []
+        for one in configuration.listeners:
+            if isinstance(one.access, AddressList):
+                # The same object every time: a listener does not count as changed because its list has.
+                allow_list = self._allow_lists.setdefault(str(one.endpoint), ReloadableAllowList((one.access,)))
+                one = replace(one, access=allow_list)
+            found.append(one)
+        return found
+
+    def _policy(self, rules: AccessRules | None, exposed: Sequence[str]) -> Policy:
+        """The policy of the rules; without rules, one that makes the exposed listeners read-only."""
+        if rules is not None:
+            return rules.policy
+        return read_only_for(() if self._overrides.allow_writes else exposed)
+
+    def _lists(self, rules: AccessRules | None) -> tuple[AddressList, ...]:
+        own = () if self._overrides.addresses is None else (self._overrides.addresses,)
+        return own if rules is None else (*own, rules.addresses)
