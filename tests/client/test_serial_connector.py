@@ -7,7 +7,7 @@ import pytest
 
 from busway.client.serial_connector import SerialChannel, SerialStream
 from busway.errors import BadReply, NoReply
-from busway.framing.frame_direction import Role
+from busway.framing.frame_direction import LineRole
 from busway.framing.rtu import encode_rtu
 from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
@@ -58,7 +58,7 @@ def asking(now: float = 0.0) -> tuple[SerialClientSession, Call]:
     """A session whose request is on the line."""
     session = SerialClientSession(
         ClientParameters(retries=0),
-        framing=line_framing("rtu", Role.MASTER, SerialTiming.of_line()),
+        framing=line_framing("rtu", LineRole.MASTER, SerialTiming.of_line()),
         jitter=Random(1).random,
         endpoint="rtu:///dev/x",
     )

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from busway.framing.ascii import CR, AsciiReceiver, AsciiState, encode_ascii
 from busway.framing.echo import Echo
-from busway.framing.frame_direction import Role
+from busway.framing.frame_direction import LineRole
 from busway.framing.received import Damage, Damaged, Direction, Received, SerialFrame
 from busway.framing.timing import SerialTiming
 
@@ -21,7 +21,7 @@ READ = encode_ascii(0x11, bytes.fromhex("03 00 6B 00 03"))
 LONGEST = encode_ascii(1, bytes(253))
 
 
-def receiver(role: Role = Role.SERVER, **options: object) -> AsciiReceiver:
+def receiver(role: LineRole = LineRole.SERVER, **options: object) -> AsciiReceiver:
     return AsciiReceiver(role, LINE, **{"units": {0x11}, **options})  # type: ignore[arg-type]
 
 
@@ -171,7 +171,7 @@ def test_a_marked_error_discards_the_frame_in_progress(overrun: bool) -> None:
 
 
 def test_a_reply_is_told_from_a_request_by_its_length() -> None:
-    line = receiver(Role.OBSERVER)
+    line = receiver(LineRole.OBSERVER)
     reply = encode_ascii(0x11, bytes.fromhex("03 06 02 2B 00 00 00 64"))
     unknown = encode_ascii(0x11, bytes.fromhex("41 00"))
     found = line.receive(READ + reply + unknown, 1.0)
@@ -185,7 +185,7 @@ def test_a_reply_is_told_from_a_request_by_its_length() -> None:
 @pytest.mark.clause("S15")
 def test_the_echo_is_taken_out() -> None:
     write = encode_ascii(0x11, bytes.fromhex("06 00 01 00 02"))
-    line = receiver(Role.MASTER, echo=Echo.ON)
+    line = receiver(LineRole.MASTER, echo=Echo.ON)
     line.expect(0x11, 6, 5)
     line.sent(write, 1.0)
     assert line.receive(write, 1.0) == []

@@ -3,7 +3,7 @@
 import pytest
 
 from busway.framing.ascii import AsciiReceiver, encode_ascii
-from busway.framing.frame_direction import Role
+from busway.framing.frame_direction import LineRole
 from busway.framing.mbap import MbapReceiver, encode_mbap
 from busway.framing.received import Found, Receiver, SerialFrame, SerialReceiver
 from busway.framing.rtu import RtuReceiver, encode_rtu
@@ -25,9 +25,9 @@ def drive(receiver: Receiver[Found], data: bytes) -> list[Found]:
 @pytest.mark.parametrize(
     ("receiver", "frame"),
     [
-        (RtuReceiver(Role.SERVER, LINE, units={1}), encode_rtu(1, PDU)),
-        (StrictRtuReceiver(Role.SERVER, LINE, units={1}), encode_rtu(1, PDU)),
-        (AsciiReceiver(Role.SERVER, LINE, units={1}), encode_ascii(1, PDU)),
+        (RtuReceiver(LineRole.SERVER, LINE, units={1}), encode_rtu(1, PDU)),
+        (StrictRtuReceiver(LineRole.SERVER, LINE, units={1}), encode_rtu(1, PDU)),
+        (AsciiReceiver(LineRole.SERVER, LINE, units={1}), encode_ascii(1, PDU)),
     ],
 )
 def test_serial_receivers_stand_behind_one_protocol(receiver: SerialReceiver, frame: bytes) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from busway.framing.crc import crc16
 from busway.framing.echo import Echo
-from busway.framing.frame_direction import Role
+from busway.framing.frame_direction import LineRole
 from busway.framing.received import Damage, Damaged, Direction, Received, SerialFrame, SerialReceiver
 from busway.framing.rtu import DEFAULT_GAP_LIMIT, RtuReceiver, encode_rtu
 from busway.framing.timing import SerialTiming
@@ -77,17 +77,17 @@ class Line:
 
 
 def server(**options: object) -> Line:
-    return Line(RtuReceiver(Role.SERVER, LINE, **{"units": {1, 2}, **options}))  # type: ignore[arg-type]
+    return Line(RtuReceiver(LineRole.SERVER, LINE, **{"units": {1, 2}, **options}))  # type: ignore[arg-type]
 
 
 def master(unit: int = 1, function: int = 3, size: int = -1, **options: object) -> Line:
-    receiver = RtuReceiver(Role.MASTER, LINE, **options)  # type: ignore[arg-type]
+    receiver = RtuReceiver(LineRole.MASTER, LINE, **options)  # type: ignore[arg-type]
     receiver.expect(unit, function, size)
     return Line(receiver)
 
 
 def observer() -> Line:
-    return Line(RtuReceiver(Role.OBSERVER, LINE))
+    return Line(RtuReceiver(LineRole.OBSERVER, LINE))
 
 
 def broken(frame: bytes) -> bytes:
@@ -160,7 +160,7 @@ def test_a_function_of_the_user_is_framed_by_its_declaration() -> None:
         class Reply(ReplyMessage):
             data: bytes = rest(3, 3)
 
-    line = Line(RtuReceiver(Role.SERVER, LINE, functions=STANDARD.with_functions(Dose), units={1}))
+    line = Line(RtuReceiver(LineRole.SERVER, LINE, functions=STANDARD.with_functions(Dose), units={1}))
     assert len(line.bytes(encode_rtu(1, bytes.fromhex("41 00 07")))) == 1
 
 
@@ -192,7 +192,7 @@ def test_a_byte_count_that_contradicts_the_frame_leaves_the_chunk_between_two_si
 @pytest.mark.clause("S8")
 @given(st.binary(min_size=1, max_size=256).filter(lambda data: crc16(data) != 0))
 def test_silence_alone_never_makes_a_frame(data: bytes) -> None:
-    for role in Role:
+    for role in LineRole:
         line = Line(RtuReceiver(role, LINE, units={1, 2}))
         line.bytes(data)
         line.silence(1.0)
@@ -283,7 +283,7 @@ def test_fewer_bytes_than_a_frame_are_one_error() -> None:
 
 def test_a_gap_limit_below_t3_5_is_refused() -> None:
     with pytest.raises(ValueError, match=r"t3\.5"):
-        RtuReceiver(Role.SERVER, LINE, gap_limit=T3_5 / 2)
+        RtuReceiver(LineRole.SERVER, LINE, gap_limit=T3_5 / 2)
 
 
 @pytest.mark.clause("S8")
@@ -602,7 +602,7 @@ def test_an_observer_finds_frames_between_noise() -> None:
 
 @settings(deadline=None, max_examples=150)
 @given(
-    st.sampled_from(list(Role)),
+    st.sampled_from(list(LineRole)),
     st.lists(
         st.tuples(
             st.one_of(
@@ -615,7 +615,7 @@ def test_an_observer_finds_frames_between_noise() -> None:
         max_size=25,
     ),
 )
-def test_every_byte_is_given_exactly_once_in_order(role: Role, steps: list[tuple[bytes, float, str]]) -> None:
+def test_every_byte_is_given_exactly_once_in_order(role: LineRole, steps: list[tuple[bytes, float, str]]) -> None:
     line = Line(RtuReceiver(role, LINE, units={1, 2}))
     line.receiver.expect(1, 3, -1)
     fed = b""
@@ -638,7 +638,7 @@ def test_every_byte_is_given_exactly_once_in_order(role: Role, steps: list[tuple
         assert one.began <= one.ended + 1e-9
         if isinstance(one, SerialFrame):
             assert crc16(one.raw) == 0
-            assert not (one.recovered and role is Role.SERVER)
+            assert not (one.recovered and role is LineRole.SERVER)
 
 
 @pytest.mark.clause("S11")
@@ -683,11 +683,11 @@ PATTERNS = {
 
 
 @pytest.mark.clause("S8")
-@pytest.mark.parametrize("role", list(Role))
+@pytest.mark.parametrize("role", list(LineRole))
 @pytest.mark.parametrize("name", list(PATTERNS))
 @pytest.mark.real_time
 def test_a_megabyte_of_anything_costs_less_than_a_second(
-    name: str, role: Role, cpu_seconds: Callable[[Callable[[], None], float], float]
+    name: str, role: LineRole, cpu_seconds: Callable[[Callable[[], None], float], float]
 ) -> None:
     data = PATTERNS[name]
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from busway.framing.echo import Echo
-from busway.framing.frame_direction import Role
+from busway.framing.frame_direction import LineRole
 from busway.framing.received import Damage, Damaged, Direction, Received, SerialFrame
 from busway.framing.rtu import encode_rtu
 from busway.framing.rtu_strict import LineState, StrictRtuReceiver
@@ -19,7 +19,7 @@ class Line:
     """Characters one by one, with gaps, and what the receiver gives."""
 
     def __init__(self, **options: object) -> None:
-        self.receiver = StrictRtuReceiver(Role.SERVER, LINE, **{"units": {1}, **options})  # type: ignore[arg-type]
+        self.receiver = StrictRtuReceiver(LineRole.SERVER, LINE, **{"units": {1}, **options})  # type: ignore[arg-type]
         self.now = 10.0
         self.found: list[Received] = []
 
@@ -124,7 +124,7 @@ def test_more_bytes_than_a_frame_has_are_one_error() -> None:
 
 
 def test_flush_and_echo_work_as_in_the_lenient_receiver() -> None:
-    receiver = StrictRtuReceiver(Role.MASTER, LINE, echo=Echo.ON)
+    receiver = StrictRtuReceiver(LineRole.MASTER, LINE, echo=Echo.ON)
     receiver.expect(1, 3)
     receiver.sent(READ, 1.0)
     assert receiver.receive(READ, 1.0) == []
@@ -139,7 +139,7 @@ def test_flush_and_echo_work_as_in_the_lenient_receiver() -> None:
 
 @given(st.lists(st.tuples(st.binary(max_size=300), st.floats(0, 0.01)), max_size=10))
 def test_any_input_is_given_back_whole(steps: list[tuple[bytes, float]]) -> None:
-    receiver = StrictRtuReceiver(Role.SERVER, LINE)
+    receiver = StrictRtuReceiver(LineRole.SERVER, LINE)
     now, size, found = 1.0, 0, []
     for data, gap in steps:
         now += len(data) * LINE.character + gap

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from busway.framing.frame_direction import Role
+from busway.framing.frame_direction import LineRole
 from busway.framing.received import Damage, Damaged, Direction, SerialFrame
 from busway.framing.rtu import RtuReceiver, encode_rtu
 from busway.framing.timing import SerialTiming
@@ -177,7 +177,7 @@ def test_the_busy_time_and_the_bytes_are_summed() -> None:
 def heard_on(line: VirtualLine, until: float) -> Iterator[Heard]:
     """What an observer at port 2 of a virtual line understands, the line advanced in steps of a millisecond."""
     timing = SerialTiming.of_line(9600)
-    receiver = RtuReceiver(Role.OBSERVER, timing)
+    receiver = RtuReceiver(LineRole.OBSERVER, timing)
     pairing = Pairing()
     for step in range(int(until * 1000)):
         now = step / 1000

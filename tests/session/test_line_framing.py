@@ -4,7 +4,7 @@ import pytest
 
 from busway.errors import ConfigError
 from busway.framing.ascii import AsciiReceiver, encode_ascii
-from busway.framing.frame_direction import Role
+from busway.framing.frame_direction import LineRole
 from busway.framing.rtu import RtuReceiver, encode_rtu
 from busway.framing.rtu_strict import StrictRtuReceiver
 from busway.framing.timing import SerialTiming
@@ -17,7 +17,7 @@ PDU = bytes.fromhex("03 00 00 00 0a")
 
 
 def test_rtu_on_a_wire_sends_after_t3_5_and_over_a_network_at_once() -> None:
-    wire, network = line_framing("rtu", Role.MASTER, LINE), line_framing("rtu", Role.MASTER, NETWORK)
+    wire, network = line_framing("rtu", LineRole.MASTER, LINE), line_framing("rtu", LineRole.MASTER, NETWORK)
     assert isinstance(wire.receiver, RtuReceiver)
     assert wire.send_gap == LINE.t3_5
     assert not wire.is_network
@@ -28,7 +28,7 @@ def test_rtu_on_a_wire_sends_after_t3_5_and_over_a_network_at_once() -> None:
 
 @pytest.mark.clause("S12")
 def test_ascii_needs_no_silence_and_follows_its_delimiter() -> None:
-    framing = line_framing("ascii", Role.SERVER, LINE)
+    framing = line_framing("ascii", LineRole.SERVER, LINE)
     assert isinstance(framing.receiver, AsciiReceiver)
     assert framing.send_gap == 0.0
     assert framing.encode(1, PDU) == encode_ascii(1, PDU)
@@ -38,7 +38,7 @@ def test_ascii_needs_no_silence_and_follows_its_delimiter() -> None:
 
 
 def test_delimiter_of_rtu_has_no_effect() -> None:
-    framing = line_framing("rtu", Role.SERVER, LINE)
+    framing = line_framing("rtu", LineRole.SERVER, LINE)
     framing.delimit_by(ord("?"))
     assert framing.encode(1, PDU) == encode_rtu(1, PDU)
 
@@ -46,9 +46,9 @@ def test_delimiter_of_rtu_has_no_effect() -> None:
 @pytest.mark.clause("S10")
 def test_strict_timing_is_for_wires() -> None:
     strict = FramingParameters(strict_timing=True)
-    assert isinstance(line_framing("rtu", Role.MASTER, LINE, strict).receiver, StrictRtuReceiver)
+    assert isinstance(line_framing("rtu", LineRole.MASTER, LINE, strict).receiver, StrictRtuReceiver)
     with pytest.raises(ConfigError, match="serial ports"):
-        line_framing("rtu", Role.MASTER, NETWORK, strict)
+        line_framing("rtu", LineRole.MASTER, NETWORK, strict)
 
 
 @pytest.mark.parametrize(
@@ -70,4 +70,4 @@ def test_impossible_settings_are_refused(options: dict[str, float]) -> None:
 
 def test_gap_limit_below_t3_5_is_refused_where_the_line_is_known() -> None:
     with pytest.raises(ConfigError, match=r"t3\.5"):
-        line_framing("rtu", Role.MASTER, LINE, FramingParameters(gap_limit=0.001))
+        line_framing("rtu", LineRole.MASTER, LINE, FramingParameters(gap_limit=0.001))

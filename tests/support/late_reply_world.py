@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from busway.errors import BadReply, ExceptionReply, ModbusError, NoReply, UnitSuspended, WriteOutcomeUnknown
-from busway.framing.frame_direction import Role
+from busway.framing.frame_direction import LineRole
 from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters, SerialClientParameters
@@ -233,13 +233,13 @@ class World:
         self.parameters = parameters or ClientParameters(queue=1000)
         self.session = SerialClientSession(
             self.parameters,
-            framing=line_framing(framing, Role.MASTER, timing),
+            framing=line_framing(framing, LineRole.MASTER, timing),
             jitter=random.Random(seed).random,
             serial=serial,
             breaker=breaker,
             endpoint=f"{framing}://model",
         )
-        self.encode = line_framing(framing, Role.SERVER, timing).encode
+        self.encode = line_framing(framing, LineRole.SERVER, timing).encode
         self.gap = 2 * timing.t3_5 if path == "port" else 0.0
         self.connected = False
         self.live: list[Question] = []

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from busway.framing.frame_direction import Role
+from busway.framing.frame_direction import LineRole
 from busway.framing.received import SerialFrame
 from busway.framing.timing import SerialTiming
 from busway.session.line_framing import line_framing
@@ -43,7 +43,9 @@ class LateUnit:
         self.hiccups = hiccups
         self.asked_for_data = 0
         self.registers: dict[int, int] = {}
-        self._framing = line_framing(scheme.split("+")[0], Role.SERVER, SerialTiming.of_network(), units=range(1, 248))
+        self._framing = line_framing(
+            scheme.split("+")[0], LineRole.SERVER, SerialTiming.of_network(), units=range(1, 248)
+        )
         self._due: list[tuple[float, bytes]] = []
         self._free_at = 0.0
         self._stop = threading.Event()

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from busway.framing.echo import Echo
-from busway.framing.frame_direction import Role
+from busway.framing.frame_direction import LineRole
 from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters
@@ -87,7 +87,7 @@ class Bus:
         """A master at the next port."""
         session = SerialClientSession(
             parameters or ClientParameters(),
-            framing=line_framing(self.framing, Role.MASTER, self.timing, framing, echo=echo),
+            framing=line_framing(self.framing, LineRole.MASTER, self.timing, framing, echo=echo),
             jitter=jitter or random.Random(7).random,
             serial=serial,
             breaker=breaker,
@@ -110,7 +110,7 @@ class Bus:
         if responder is None:
             responder = DeviceResponder(units or {})
         serial_units = SerialUnits(responder)
-        chosen = line_framing(self.framing, Role.SERVER, self.timing, framing, units=serial_units, echo=echo)
+        chosen = line_framing(self.framing, LineRole.SERVER, self.timing, framing, units=serial_units, echo=echo)
         server = ServerEnd(self._port(), responder, serial_units, chosen)
         self.ends.append(server)
         return server
@@ -118,7 +118,7 @@ class Bus:
     def device(self, behaviour: Behaviour) -> DeviceEnd:
         """A scripted device at the next port."""
         device = DeviceEnd(
-            self._port(), line_framing(self.framing, Role.SERVER, self.timing, units=range(248)), behaviour
+            self._port(), line_framing(self.framing, LineRole.SERVER, self.timing, units=range(248)), behaviour
         )
         self.ends.append(device)
         return device

@@ -10,7 +10,7 @@ import pytest
 from busway import Device
 from busway.framing.ascii import AsciiReceiver, encode_ascii
 from busway.framing.crc import crc_bytes
-from busway.framing.frame_direction import Role
+from busway.framing.frame_direction import LineRole
 from busway.framing.lrc import lrc
 from busway.framing.mbap import FrameKind, MbapReceiver, encode_mbap
 from busway.framing.received import SerialFrame
@@ -61,7 +61,7 @@ def unpack(vector: dict[str, Any]) -> Unpacked:
         around = {"tid": frame.transaction, "pid": frame.protocol, "length": 1 + len(frame.pdu), "unit": frame.unit}
         return Unpacked(frame.pdu, around, encode_mbap(frame.transaction, frame.unit, frame.pdu))
     is_request = vector["direction"] == "request"
-    role = Role.SERVER if is_request else Role.MASTER
+    role = LineRole.SERVER if is_request else LineRole.MASTER
     unit = vector["decoded"]["unit"]
     receiver: RtuReceiver | AsciiReceiver
     if vector["framing"] == "rtu":

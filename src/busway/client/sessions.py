@@ -8,7 +8,7 @@ from typing import Protocol
 
 from ..errors import ModbusError
 from ..framing.echo import Echo
-from ..framing.frame_direction import Role
+from ..framing.frame_direction import LineRole
 from ..framing.timing import Parity, SerialTiming
 from ..options.ports import SerialSettings
 from ..session.call import Call, Places
@@ -113,7 +113,7 @@ def client_session_for(
     port = line.port
     framing = line_framing(
         settings.endpoint.framing,
-        Role.MASTER,
+        LineRole.MASTER,
         timing_of(port),
         line.framing,
         echo=Echo.OFF if port is None else Echo(port.echo.value),

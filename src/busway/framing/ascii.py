@@ -19,7 +19,7 @@ from ..codes import ASCII_ADU_LIMIT
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.message import UNKNOWN_LENGTH
 from .echo import Echo, EchoFilter
-from .frame_direction import REPLY_WINDOW, Conversation, Due, Role
+from .frame_direction import REPLY_WINDOW, Conversation, Due, LineRole
 from .lengths import AROUND_PDU, lengths_of
 from .lrc import lrc
 from .received import Damage, Damaged, Direction, Received, SerialFrame
@@ -85,7 +85,7 @@ class AsciiReceiver:
 
     def __init__(
         self,
-        role: Role,
+        role: LineRole,
         timing: SerialTiming,
         *,
         functions: FunctionTable = STANDARD,
@@ -163,7 +163,7 @@ class AsciiReceiver:
     def sent(self, raw: bytes, ends: float) -> None:
         """Note that our frame is on the line until ``ends``; its echo is removed."""
         self._sent_until = ends
-        self.echo.sent(raw, ends, may_be_reply=self.conversation.role is Role.MASTER)
+        self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
         """Handle a parity or framing error, or lost characters: the frame in progress is discarded (S14).

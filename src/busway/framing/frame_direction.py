@@ -28,8 +28,8 @@ _REQUEST_FIRST = (Direction.REQUEST, Direction.REPLY)
 _REPLY_FIRST = (Direction.REPLY, Direction.REQUEST)
 
 
-class Role(Enum):
-    """Role of the receiver's owner on the line."""
+class LineRole(Enum):
+    """LineRole of the receiver's owner on the line."""
 
     MASTER = "master"
     SERVER = "server"
@@ -63,8 +63,8 @@ class Conversation:
 
     __slots__ = ("due", "reply_window", "role", "units")
 
-    def __init__(self, role: Role, units: Container[int] = (), reply_window: float = REPLY_WINDOW) -> None:
-        self.role: Role = role
+    def __init__(self, role: LineRole, units: Container[int] = (), reply_window: float = REPLY_WINDOW) -> None:
+        self.role: LineRole = role
         self.units: Container[int] = units
         self.due: Due | None = None
         self.reply_window: float = reply_window
@@ -73,7 +73,7 @@ class Conversation:
         """The directions that a frame beginning with these two bytes may have, the likeliest first."""
         if code & 0x80:
             return _REPLY_ONLY
-        if self.role is Role.MASTER:
+        if self.role is LineRole.MASTER:
             due = self.due
             # No unit answers a broadcast; a zero ahead of a reply must not pass for an address.
             return _REPLY_FIRST if unit != BROADCAST_UNIT or (due and due.unit == unit) else _REQUEST_ONLY
@@ -86,17 +86,17 @@ class Conversation:
         """The direction of a whole frame whose length fits no rule."""
         if code & 0x80 or (self.due is not None and self.due.answers(unit, code, now)):
             return Direction.REPLY
-        if self.role is Role.SERVER and (unit == BROADCAST_UNIT or self.is_own(unit)):
+        if self.role is LineRole.SERVER and (unit == BROADCAST_UNIT or self.is_own(unit)):
             return Direction.REQUEST
         return Direction.UNKNOWN
 
     def is_own(self, unit: int) -> bool:
         """Whether a server answers for this unit itself."""
-        return self.role is Role.SERVER and unit in self.units
+        return self.role is LineRole.SERVER and unit in self.units
 
     def follow(self, unit: int, code: int, direction: Direction, now: float) -> None:
         """Note a frame that ended at ``now``."""
-        if self.role is Role.MASTER:
+        if self.role is LineRole.MASTER:
             return
         if direction is Direction.REPLY or unit == BROADCAST_UNIT or self.is_own(unit):
             self.due = None

@@ -33,7 +33,7 @@ from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
 from .bursts import NEVER, Bursts
 from .crc import crc_bytes, running_states, span_check
 from .echo import Echo, EchoFilter
-from .frame_direction import REPLY_WINDOW, Conversation, Due, Role
+from .frame_direction import REPLY_WINDOW, Conversation, Due, LineRole
 from .lengths import AROUND_PDU, SHORTEST, lengths_of
 from .lost import LostBytes
 from .received import Damage, Direction, Received, SerialFrame
@@ -88,7 +88,7 @@ class RtuReceiver:
 
     def __init__(
         self,
-        role: Role,
+        role: LineRole,
         timing: SerialTiming,
         *,
         functions: FunctionTable = STANDARD,
@@ -123,7 +123,7 @@ class RtuReceiver:
         self.timing: SerialTiming = timing
         self.gap_limit: float = limit
         self._lengths = lengths_of(functions)
-        self._patient = gap_limit is None and role is Role.MASTER
+        self._patient = gap_limit is None and role is LineRole.MASTER
         self._buffer = bytearray()
         self._states = [0]  # the running CRC ahead of each byte of the buffer, and behind the last one
         self._at = 0  # where the undecided chunk begins
@@ -188,7 +188,7 @@ class RtuReceiver:
         """These bytes of ours are on the line until ``ends``: to be taken out if they echo; t3.5 counts from there."""
         self._sent_until = ends
         code = raw[1] if len(raw) > 1 else 0
-        may_be_reply = self.conversation.role is Role.MASTER and self._answers_itself(code)
+        may_be_reply = self.conversation.role is LineRole.MASTER and self._answers_itself(code)
         self.echo.sent(raw, ends, may_be_reply=may_be_reply)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
@@ -283,7 +283,7 @@ class RtuReceiver:
 
     def _follow(self, found: list[Received]) -> None:
         """Take every frame that can be taken at once, and give up a chunk that has become too long."""
-        server = self.conversation.role is Role.SERVER
+        server = self.conversation.role is LineRole.SERVER
         while self._at < len(self._buffer):
             end, direction = self._look(self._at)
             if end > 0 and (self._in_step or not server):
@@ -326,7 +326,7 @@ class RtuReceiver:
 
     def _give_up_beginning(self, found: list[Received]) -> None:
         """The chunk is longer than a frame: no frame begins where it begins."""
-        if self.conversation.role is Role.SERVER:
+        if self.conversation.role is LineRole.SERVER:
             later = next((place for place in self._silences if place > self._at), None)
             self._lose(len(self._buffer) if later is None else later)
             self._in_step = False
@@ -366,7 +366,7 @@ class RtuReceiver:
         pieces = self._divide(at)
         if not pieces:
             return False
-        recovered = at > self._at and self.conversation.role is not Role.SERVER
+        recovered = at > self._at and self.conversation.role is not LineRole.SERVER
         self._lose(at)
         for end, direction in pieces:
             self._give(end, direction, found, recovered=recovered)
@@ -424,7 +424,7 @@ class RtuReceiver:
 
     def _take_inner(self, found: list[Received], *, at_limit: bool) -> bool:
         """Take a frame that begins inside the chunk: after a silence for a server, anywhere for the others."""
-        if self.conversation.role is Role.SERVER:
+        if self.conversation.role is LineRole.SERVER:
             return any(self._take_divided(place, found) for place in self._silences if place > self._at)
         end, direction = self._search(at_limit=at_limit)
         if end <= 0:
@@ -447,7 +447,7 @@ class RtuReceiver:
         buffer. ``at_limit``: what is unfinished is rejected too.
         """
         start = max(self._scan, self._at + 1)
-        if self.conversation.role is Role.MASTER:
+        if self.conversation.role is LineRole.MASTER:
             self._scan, end = find_reply(
                 self._buffer, self._states, start, self._lengths, self.conversation.due, at_limit=at_limit
             )
@@ -482,7 +482,7 @@ class RtuReceiver:
 
     def _fall_out_of_step(self) -> None:
         self._in_step = False
-        self._skipping = self.conversation.role is Role.SERVER
+        self._skipping = self.conversation.role is LineRole.SERVER
 
     def _report_lost(self, found: list[Received]) -> None:
         if self._lost.size or self._lost.is_marked:

@@ -18,7 +18,7 @@ from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.message import UNKNOWN_LENGTH
 from .crc import crc16
 from .echo import Echo, EchoFilter
-from .frame_direction import REPLY_WINDOW, Conversation, Due, Role
+from .frame_direction import REPLY_WINDOW, Conversation, Due, LineRole
 from .lengths import SHORTEST, lengths_of
 from .lost import LostBytes
 from .received import Damage, Direction, Received, SerialFrame
@@ -72,7 +72,7 @@ class StrictRtuReceiver:
 
     def __init__(
         self,
-        role: Role,
+        role: LineRole,
         timing: SerialTiming,
         *,
         functions: FunctionTable = STANDARD,
@@ -145,7 +145,7 @@ class StrictRtuReceiver:
         if self.state is LineState.IDLE:
             self._move(LineEvent.CALL)
         self._last = ends
-        self.echo.sent(raw, ends, may_be_reply=self.conversation.role is Role.MASTER)
+        self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
         """The port marks a parity or framing error, or lost characters: the frame is not OK."""

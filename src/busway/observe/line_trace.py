@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final, Protocol
 
-from ..framing.frame_direction import Role
+from ..framing.frame_direction import LineRole
 from ..framing.received import Damaged, Direction, Received, SerialFrame
 from ..framing.timing import SerialTiming
 from ..pdu.functions import STANDARD, FunctionTable
@@ -108,7 +108,9 @@ class LineTrace:
         self._capture = None if TRACE.capture is None else TRACE.capture.line(name)
         self._name = name
         self._functions = functions
-        self._receiver = line_framing(framing, Role.OBSERVER, SerialTiming.of_network(), functions=functions).receiver
+        self._receiver = line_framing(
+            framing, LineRole.OBSERVER, SerialTiming.of_network(), functions=functions
+        ).receiver
         self._sends = Direction.REPLY if is_server else Direction.REQUEST
         self._clock = clock
         self._lock = threading.RLock()

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol, Self
 
 from ..errors import ConfigError, LinkDown
-from ..framing.frame_direction import Role
+from ..framing.frame_direction import LineRole
 from ..framing.received import Damaged, Received
 from ..framing.timing import SerialTiming
 from ..options.endpoints import Endpoint, parse_endpoint
@@ -239,7 +239,7 @@ class Listening:
         self._clock = clock
         self._receiver = line_framing(
             line.endpoint.framing,
-            Role.OBSERVER,
+            LineRole.OBSERVER,
             line.timing,
             line.framing,
             strip_parity=line.port is not None and line.port.data_bits == 8,

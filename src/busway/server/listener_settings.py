@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from ..access.addresses import HostAuthorizer
 from ..framing.echo import Echo
-from ..framing.frame_direction import Role
+from ..framing.frame_direction import LineRole
 from ..framing.timing import SerialTiming
 from ..options.declaration import declared
 from ..options.endpoints import Endpoint, parse_endpoint
@@ -56,7 +56,7 @@ class ListenerSettings:
         timing = SerialTiming.of_network() if port is None else port.timing
         return line_framing(
             self.endpoint.framing,
-            Role.SERVER,
+            LineRole.SERVER,
             timing,
             self.framing,
             functions=functions,

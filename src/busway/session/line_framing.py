@@ -12,7 +12,7 @@ from collections.abc import Container
 from ..errors import ConfigError
 from ..framing.ascii import AsciiReceiver, encode_ascii
 from ..framing.echo import Echo
-from ..framing.frame_direction import Role
+from ..framing.frame_direction import LineRole
 from ..framing.received import SerialReceiver
 from ..framing.rtu import RtuReceiver, encode_rtu
 from ..framing.rtu_strict import StrictRtuReceiver
@@ -57,7 +57,7 @@ class LineFraming:
 
 def line_framing(
     framing: str,
-    role: Role,
+    role: LineRole,
     timing: SerialTiming,
     parameters: FramingParameters | None = None,
     *,
