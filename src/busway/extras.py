@@ -20,6 +20,7 @@ EXTRA_OF: Final = {
     "uvicorn": "web",
     "websockets": "web",
     "pyarrow": "store",
+    "adbc_driver_sqlite": "store",
     "aiomqtt": "mqtt",
     "asyncpg": "postgresql",
     "httpx": "influxdb",

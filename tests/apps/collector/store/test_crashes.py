@@ -27,7 +27,7 @@ STEPS = (
     ("handed-on", 4),
     ("segment-closed", 1),
     ("seal-written", 2),
-    ("seal-synced", 2),
+    ("seal-begun", 2),
     ("seal-renamed", 2),
     ("seal-folder-synced", 2),
     ("seal-listed", 2),

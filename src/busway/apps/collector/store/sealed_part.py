@@ -1,0 +1,175 @@
+"""A sealed part: the rows of a segment as a Parquet file. Run as a program of its own, it writes those of one segment.
+
+    python -m busway.apps.collector.store.sealed_part   < a request in JSON   > what was written, in JSON
+
+Knows rows and columns; knows nothing of the manifest.
+
+1. Samples from before the ten minutes of the segment are late. They become parts of their own, one for each ten
+   minutes, so that a part covers the time that its neighbours do not; what has the same key is merged when it is read.
+2. The driver of Arrow for SQLite fetches rows as columns, in half the time that rows take as objects of Python. It
+   takes the type of a column from its first row: the query puts one before the others, which is left out afterwards.
+3. The content of each file is durable when the program ends. It has a name that nobody lists: whoever asked renames it.
+"""
+
+import json
+import os
+import sqlite3
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any, Final
+
+from .folder import UNFINISHED, size_of, sync_file
+from .sealing import SLOT, arrow
+from .segment import open_for_reading
+
+_NOT_LATE: Final = 60 * 1_000_000_000
+"""Nanoseconds before the begin of a segment that its samples may have: a slow transaction, a slow commit."""
+_CHUNK: Final = 65_536
+"""Rows that are fetched at once."""
+_ROW_GROUP: Final = 64 * 1024
+"""Rows that are read at least where one point is asked for."""
+_NICENESS: Final = 5
+"""By how much polling goes before sealing."""
+_KINDS: Final = {
+    "real": ("real", "0.5"),
+    "integer": ("integer", "0"),
+    "text": ("text", "'-'"),
+    "large": ("blob", "x'00'"),
+}
+"""Columns of values: what SQLite calls their type, and a value of it."""
+_NAMES: Final = ["point", "time", *_KINDS, "reason", "half_width", "commit_number"]
+
+PointTexts = Sequence[tuple[int, str, str, str | None]]
+"""The id of each point, its device, its name, its unit of measure."""
+
+
+def write_parts(segment: Path, points: PointTexts, parent: int) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Write the rows of a closed segment: each file, and its name, bounds, rows and bytes.
+
+    Ends without the rest where the process ``parent`` has ended: then nobody will list what is written.
+    """
+    with closing(open_for_reading(segment)) as database:
+        ranges = list(_ranges(database, segment.stem))
+        kinds = {kind for (kind,) in database.execute("SELECT DISTINCT typeof(value) FROM samples")}
+    for name, low, high in ranges:
+        table = _named(_table(segment, kinds, low, high), points)
+        target = segment.with_name(f"{name}.{os.getpid()}{UNFINISHED}")
+        try:
+            _write(table, target)
+        except BaseException:
+            target.unlink(missing_ok=True)
+            raise
+        if os.getppid() != parent:
+            target.unlink(missing_ok=True)
+            return
+        yield target, {"file": name, "bytes": size_of(target), **_facts(table)}
+
+
+def _write(table: Any, target: Path) -> None:
+    arrow("parquet").write_table(
+        table,
+        target,
+        compression="zstd",
+        row_group_size=_ROW_GROUP,
+        use_dictionary=["device", "name", "text"],
+        column_encoding={
+            "time": "DELTA_BINARY_PACKED",
+            "commit_number": "DELTA_BINARY_PACKED",
+            "point": "DELTA_BINARY_PACKED",
+        },
+    )
+    sync_file(target)
+
+
+def _facts(table: Any) -> dict[str, int]:
+    bounds = arrow("compute").min_max(table["time"].cast("int64")).as_py()
+    numbers = arrow("compute").min_max(table["commit_number"]).as_py()
+    return {
+        "low": bounds["min"],
+        "high": bounds["max"],
+        "first_commit": numbers["min"],
+        "last_commit": numbers["max"],
+        "rows": table.num_rows,
+    }
+
+
+def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int, int]]:
+    """The names of the files and the times they cover: late rows by their ten minutes, then the rest."""
+    begin = first_time_of(database)
+    if begin is None:
+        return
+    late = "SELECT DISTINCT time / ? FROM samples WHERE time < ? ORDER BY 1"
+    for (slot,) in database.execute(late, (SLOT, begin)).fetchall():
+        yield f"{stem}-late-{slot}.parquet", slot * SLOT, min((slot + 1) * SLOT, begin)
+    if database.execute("SELECT 1 FROM samples WHERE time >= ? LIMIT 1", (begin,)).fetchone() is not None:
+        yield f"{stem}.parquet", begin, 2**63 - 1
+
+
+def first_time_of(database: sqlite3.Connection) -> int | None:
+    """The time from which on samples of a segment are not late; None if it has none."""
+    row = database.execute("SELECT min(at) FROM commits").fetchone()
+    if row[0] is None or database.execute("SELECT 1 FROM samples LIMIT 1").fetchone() is None:
+        return None
+    begin: int = row[0] // SLOT * SLOT - _NOT_LATE
+    return begin
+
+
+def _table(segment: Path, kinds: set[str], low: int, high: int) -> Any:
+    """The rows from ``low`` up to ``high``, sorted by point and time."""
+    pa = arrow()
+    from adbc_driver_sqlite import dbapi  # with its own SQLite: not beside an open connection of Python's
+
+    with dbapi.connect(os.fspath(segment)) as database, database.cursor() as cursor:
+        cursor.adbc_statement.set_options(**{"adbc.sqlite.query.batch_rows": str(_CHUNK)})
+        cursor.execute(_query(kinds), (low, high))
+        rows = cursor.fetch_arrow_table().slice(1)
+    types = [pa.int32(), pa.int64(), pa.float64(), pa.int64(), pa.string(), pa.uint64(), pa.int16(), pa.int64()]
+    if rows["large"].null_count < rows.num_rows:
+        whole = [None if one is None else int.from_bytes(one, "big") for one in rows["large"].to_pylist()]
+        large = pa.chunked_array([pa.array(whole, pa.uint64())])
+    else:
+        large = pa.chunked_array([pa.nulls(rows.num_rows, pa.uint64())])
+    rows = rows.set_column(_NAMES.index("large"), "large", large)
+    rows = rows.cast(pa.schema(list(zip(_NAMES, [*types, pa.int64()], strict=True))))
+    return rows.sort_by([("point", "ascending"), ("time", "ascending")])
+
+
+def _query(kinds: set[str]) -> str:
+    """Rows with a column for each type of value, NULL where another holds."""
+    samples, values = [], []
+    for name, (kind, sample) in _KINDS.items():
+        samples.append(f"{sample} AS {name}")
+        if kind not in kinds:
+            values.append("NULL")
+        else:
+            values.append("value" if kinds <= {kind, "null"} else f"CASE typeof(value) WHEN '{kind}' THEN value END")
+    return (
+        f"SELECT 0 AS point, 0 AS time, {', '.join(samples)}, 0 AS reason, 0 AS half_width, 0 AS commit_number "
+        f"UNION ALL SELECT point, time, {', '.join(values)}, reason, half_width, commit_number FROM samples "
+        "WHERE time >= ? AND time < ?"
+    )
+
+
+def _named(table: Any, points: PointTexts) -> Any:
+    """The table with times as such and the names of its points, for those who read the file with another program."""
+    pa = arrow()
+    known = pa.array([id for id, *_ in points], pa.int32())
+    indices = arrow("compute").index_in(table["point"].combine_chunks(), value_set=known)
+    table = table.set_column(1, "time", table["time"].cast(pa.timestamp("ns", "UTC")))
+    for column, texts in (("device", [point[1] for point in points]), ("name", [point[2] for point in points])):
+        table = table.append_column(column, pa.DictionaryArray.from_arrays(indices, pa.array(texts, pa.string())))
+    return table.replace_schema_metadata({"busway.points": json.dumps({point[0]: point[1:] for point in points})})
+
+
+def main() -> None:
+    """Write the files of the segment that standard input names, and say on standard output what was written."""
+    asked = json.load(sys.stdin)
+    os.nice(_NICENESS)
+    written = write_parts(Path(asked["segment"]), asked["points"], asked["parent"])
+    json.dump([(os.fspath(target), facts) for target, facts in written], sys.stdout)
+
+
+if __name__ == "__main__":
+    main()

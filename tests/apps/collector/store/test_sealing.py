@@ -1,0 +1,72 @@
+"""Sealing in a process of its own: when that process fails or nobody waits for it, the segment stays and counts."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from collected import METER, NOON, at, filled, meter_read, read_of
+
+from busway.apps.collector.samples import PointGroup
+from busway.apps.collector.store.folder import SEGMENTS
+from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.sealing import SealingFailed
+from busway.apps.collector.store.upkeep import check_store_files
+from busway.apps.collector.store.writer import StoreWriter
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("adbc_driver_sqlite")
+
+
+def test_a_segment_stays_where_the_process_that_seals_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = filled(tmp_path, 3)
+    writer.roll()
+    with monkeypatch.context() as patched:
+        patched.setattr(sys, "executable", "/bin/false")
+        with pytest.raises(SealingFailed, match=r"00000001\.sqlite could not be sealed: it ended with 1"):
+            writer.seal_closed()
+    assert [part.kind for part in writer.manifest.parts()] == ["closed"]
+    assert len(Store(tmp_path).read()) == 9
+    assert writer.seal_closed() == 1
+    assert len(Store(tmp_path).read()) == 9
+    writer.close(at(10))
+    assert check_store_files(tmp_path) == []
+
+
+def test_nothing_is_left_where_the_process_that_asked_has_ended(tmp_path: Path) -> None:
+    writer = filled(tmp_path, 3)
+    writer.roll()
+    (part,) = writer.manifest.parts()
+    asked = {"segment": str(tmp_path / SEGMENTS / part.file), "points": [], "parent": 1}
+    command = [sys.executable, "-m", "busway.apps.collector.store.sealed_part"]
+    ended = subprocess.run(command, input=json.dumps(asked), capture_output=True, encoding="utf-8", check=True)
+    assert json.loads(ended.stdout) == []
+    assert [path.name for path in (tmp_path / SEGMENTS).iterdir() if path.suffix != ".sqlite"] == []
+    writer.close(at(10))
+
+
+@pytest.mark.parametrize("values", [(None, "on", 7), (3, 0.5, 2**64 - 1), (None, None, None)])
+def test_values_of_one_point_that_change_their_type_stay_what_they_were(
+    tmp_path: Path, values: tuple[object, ...]
+) -> None:
+    group = PointGroup("d", ("p",))
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        for number, value in enumerate(values):
+            writer.commit([read_of(group, number, value, reasons=0 if value is not None else 64)], [], at(number))
+        before = Store(tmp_path).read()
+        writer.roll()
+        assert writer.seal_closed() == 1
+        after = Store(tmp_path).read()
+    assert after.value == before.value
+    assert list(map(type, after.value)) == list(map(type, before.value))
+
+
+def test_late_samples_are_sealed_in_files_of_their_own(tmp_path: Path) -> None:
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([meter_read(-3600, 1), meter_read(0, 2)], [], at(1))
+        writer.roll()
+        writer.seal_closed()
+        files = sorted(part.file for part in writer.manifest.parts())
+        assert sorted("late" in file for file in files) == [False, True]
+        assert len(Store(tmp_path).read(METER.device + "/*")) == 6
