@@ -20,6 +20,7 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ..samples import PointDescription
+from .database import open_database
 from .folder import MANIFEST, check_store
 
 FORMAT: Final = 1
@@ -123,10 +124,9 @@ class Manifest:
         self.path: Path = folder / MANIFEST
         self._lock = threading.RLock()
         try:
-            self._database = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False, timeout=10.0)
+            self._database = open_database(self.path, "PRAGMA synchronous=FULL")
             with ExitStack() as unless_open:
                 unless_open.callback(self._database.close)
-                self._database.execute("PRAGMA synchronous=FULL")
                 if writes:
                     self.path.chmod(0o600)
                     self._database.execute("PRAGMA journal_mode=WAL")

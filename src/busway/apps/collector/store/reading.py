@@ -10,6 +10,7 @@ Knows how parts overlap; knows no format.
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -159,11 +160,8 @@ class Store:
     # Parts
 
     def _from_manifest(self, ask: Callable[[Manifest], Result]) -> Result:
-        manifest = Manifest(self.folder)
-        try:
+        with closing(Manifest(self.folder)) as manifest:
             return ask(manifest)
-        finally:
-            manifest.close()
 
     def _chosen(self, points: str | Sequence[str]) -> list[StoredPoint]:
         return self._from_manifest(lambda manifest: chosen_points(points, manifest.points(), manifest.former_names()))

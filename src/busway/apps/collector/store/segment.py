@@ -19,9 +19,9 @@ from dataclasses import replace
 from itertools import repeat
 from pathlib import Path
 from typing import Final
-from urllib.parse import quote
 
 from ..samples import Gap, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
+from .database import open_database
 from .folder import size_of, sync_file
 from .manifest import IntervalRow, StorePart
 
@@ -57,11 +57,13 @@ class Segment:
     def __init__(self, path: Path, *, every_commit_durable: bool) -> None:
         self.path = path
         self._log = path.with_name(path.name + "-wal")
-        self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False, timeout=10.0)
-        self._database.execute("PRAGMA journal_mode=WAL")
-        self._database.execute(f"PRAGMA synchronous={'FULL' if every_commit_durable else 'NORMAL'}")
-        self._database.execute("PRAGMA wal_autocheckpoint=0")
-        self._database.executescript(_SCHEMA)
+        self._database = open_database(
+            path,
+            "PRAGMA journal_mode=WAL",
+            f"PRAGMA synchronous={'FULL' if every_commit_durable else 'NORMAL'}",
+            "PRAGMA wal_autocheckpoint=0",
+            script=_SCHEMA,
+        )
 
     def begin(
         self, number: int, at: int, batches: Sequence[KeyedBatch], intervals: Sequence[StateInterval | Gap]
@@ -189,15 +191,12 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
     """A connection to a segment that writes nothing. Raises `FileNotFoundError` where the file is gone."""
     if not path.exists():
         raise FileNotFoundError(os.fspath(path))
-    name = f"file:{quote(os.fspath(path))}?mode=rw"  # rw: a log that was left has to be read; it makes no file
     try:
-        database = sqlite3.connect(name, uri=True, isolation_level=None, check_same_thread=False, timeout=10.0)
+        return open_database(path, "PRAGMA query_only=1", makes=False)  # not read-only: a log that was left is read
     except sqlite3.OperationalError as error:
         if path.exists():
             raise
         raise FileNotFoundError(os.fspath(path)) from error
-    database.execute("PRAGMA query_only=1")
-    return database
 
 
 def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StorePart:

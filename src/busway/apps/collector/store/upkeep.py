@@ -29,16 +29,13 @@ def check_store_files(folder: Path) -> list[str]:
     Raises:
         ConfigError: there is no store, or its manifest cannot be read.
     """
-    manifest = Manifest(folder)
-    try:
+    with closing(Manifest(folder)) as manifest:
         for _ in range(_TRIES):
             try:
                 return list(_problems(folder, manifest))
             except FileNotFoundError:  # a part was sealed meanwhile: from the start
                 continue
         return list(_problems(folder, manifest, tolerant=True))
-    finally:
-        manifest.close()
 
 
 def _problems(folder: Path, manifest: Manifest, *, tolerant: bool = False) -> Iterator[str]:
@@ -138,9 +135,8 @@ def back_up(folder: Path, target: Path) -> int:
 def _copied(folder: Path, target: Path) -> int | None:
     """Copy the manifest and the parts it lists; None where one has gone meanwhile."""
     _copy_database(folder / MANIFEST, target / MANIFEST)
-    manifest = Manifest(target)
-    parts = manifest.parts()
-    manifest.close()
+    with closing(Manifest(target)) as manifest:
+        parts = manifest.parts()
     for part in parts:
         source, copy = folder / SEGMENTS / part.file, target / SEGMENTS / part.file
         try:

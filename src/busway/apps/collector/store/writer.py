@@ -14,7 +14,7 @@ import sqlite3
 import threading
 import weakref
 from collections.abc import Iterable, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, Literal, Self
@@ -92,32 +92,34 @@ class StoreWriter:
         self.options: StoreOptions = options or StoreOptions()
         self._step = step
         make_folder(self.folder)
+        self._segment: Segment | None = None
+        self._part: StorePart | None = None
+        self._slot = 0
+        self._files = threading.Lock()
+        self._groups: weakref.WeakKeyDictionary[PointGroup, tuple[int, ...]] = weakref.WeakKeyDictionary()
         self._lock = StoreLock(self.folder)
         try:
-            self.manifest: Manifest = Manifest(self.folder, writes=True)
-            remove_unfinished(self.folder, self.manifest)
-            remove_unlisted(self.folder, self.manifest)
-            self._groups: weakref.WeakKeyDictionary[PointGroup, tuple[int, ...]] = weakref.WeakKeyDictionary()
-            self._next, self._behind = self.manifest.reserve_numbers()
-            self._files = threading.Lock()
-            self._segment: Segment | None = None
-            self._part: StorePart | None = None
-            self._slot = 0
-            self._begin_again(now)
+            with ExitStack() as unless_open:
+                unless_open.callback(self._lock.release)
+                self.manifest: Manifest = Manifest(self.folder, writes=True)
+                unless_open.callback(self.manifest.close)
+                unless_open.callback(self._forget_segment)
+                remove_unfinished(self.folder, self.manifest)
+                remove_unlisted(self.folder, self.manifest)
+                self._next, self._behind = self.manifest.reserve_numbers()
+                self._begin_again(now)
+                unless_open.pop_all()
         except (sqlite3.Error, OSError) as error:
-            self._lock.release()
             raise ConfigError(f"the store cannot be written: {error}", file=str(self.folder)) from error
-        except BaseException:
-            self._lock.release()
-            raise
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._close_segment()
-        self.manifest.close()
-        self._lock.release()
+        with ExitStack() as opened:  # each is closed, whatever the others raise
+            opened.callback(self._lock.release)
+            opened.callback(self.manifest.close)
+            opened.callback(self._close_segment)
 
     def close(self, now: int) -> None:
         """Note that the end is meant, and close all files. Raises `sqlite3.Error` where that cannot be written."""
@@ -272,10 +274,10 @@ class StoreWriter:
         self._step("segment-closed")
 
     def _close_segment(self) -> None:
-        if self._segment is not None:
-            self._segment.sync()
-            self._segment.close()
-        self._segment = None
+        try:
+            self.sync()
+        finally:
+            self._forget_segment()
 
     # Upkeep, in another thread
 

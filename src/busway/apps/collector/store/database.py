@@ -1,0 +1,38 @@
+"""Connections to the SQLite files of a store.
+
+Knows SQLite; knows no table.
+"""
+
+import os
+import sqlite3
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+from urllib.parse import quote
+
+_TIMEOUT: Final = 10.0
+"""Seconds to wait while another connection holds the file."""
+
+
+def open_database(path: Path, *statements: str, script: str = "", makes: bool = True) -> sqlite3.Connection:
+    """A connection that several threads may use in turn; each statement is a transaction unless one is begun.
+
+    Args:
+        path: the file.
+        statements: executed first.
+        script: executed after them.
+        makes: whether a file that is not there is made.
+
+    Raises:
+        sqlite3.Error: the file cannot be opened, or something cannot be executed; then it is closed again.
+    """
+    name = os.fspath(path) if makes else f"file:{quote(os.fspath(path))}?mode=rw"
+    database = sqlite3.connect(name, uri=not makes, isolation_level=None, check_same_thread=False, timeout=_TIMEOUT)
+    with ExitStack() as unless_open:
+        unless_open.callback(database.close)
+        for statement in statements:
+            database.execute(statement)
+        if script:
+            database.executescript(script)
+        unless_open.pop_all()
+    return database
