@@ -37,8 +37,10 @@ class Range:
     above: bool = False
     """Whether ``low`` itself is out of range."""
 
-    def has(self, value: float) -> bool:
-        """Whether a number is in the range."""
+    def has(self, value: object) -> bool:
+        """Whether a value is a number in the range."""
+        if not isinstance(value, int | float):
+            return False
         return (self.low < value if self.above else self.low <= value) and value <= self.high
 
     def __str__(self) -> str:
@@ -51,8 +53,8 @@ class OneOf:
 
     values: tuple[int, ...]
 
-    def has(self, value: float) -> bool:
-        """Whether a number is one of them."""
+    def has(self, value: object) -> bool:
+        """Whether a value is one of them."""
         return value in self.values
 
     def __str__(self) -> str:
@@ -65,8 +67,8 @@ class Name:
 
     words: str
 
-    def has(self, value: str) -> bool:
-        """Whether it is a name."""
+    def has(self, value: object) -> bool:
+        """Whether a value is a name."""
         return bool(value)
 
     def __str__(self) -> str:
@@ -212,7 +214,7 @@ class Option:
         if self.choices and isinstance(value, Enum):
             return
         if isinstance(value, int | float | str) and (self.limits is not None or self.choices):
-            if self.limits is not None and self.limits.has(value):  # type: ignore[arg-type]
+            if self.limits is not None and self.limits.has(value):
                 return
             said = _number(value) if isinstance(value, int | float) else repr(value)
             raise ConfigError(f"must be {self.expected}, not {said}", key=self.name)

@@ -12,7 +12,7 @@ import pytest
 from waiting import until
 
 import busway
-from busway.apps.collector.configuration import load_collector
+from busway.apps.collector.configuration import CollectorConfiguration, load_collector
 from busway.errors import ConfigError
 from busway.server.server import Server
 
@@ -100,6 +100,42 @@ async def test_a_second_collector_on_one_store_is_refused_with_the_pid_of_the_fi
             with pytest.raises(ConfigError, match=str(os.getpid())):
                 async with busway.collect(file):
                     pass
+
+
+async def test_a_collector_whose_link_cannot_begin_leaves_the_store_to_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with served() as server:
+        url = server.endpoints[0]
+        file = plant(tmp_path, {"a": url, "b": url}, {"one": "a", "two": "b"})
+        collector = busway.collect(file)
+        start = collector._start_link
+
+        def fail_at_b(name: str, configuration: CollectorConfiguration) -> None:
+            if name == "b":
+                raise ConfigError("not this one")
+            start(name, configuration)
+
+        with monkeypatch.context() as broken:
+            broken.setattr(collector, "_start_link", fail_at_b)
+            with pytest.raises(ConfigError, match="not this one"):
+                await collector.__aenter__()
+        async with busway.collect(file) as again:
+            await first_values(again, ["one"], 2)
+
+
+async def test_an_end_that_is_cancelled_still_closes_the_store_and_is_cancelled(tmp_path: Path) -> None:
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"one": "a"})
+        collector = await busway.collect(file).__aenter__()
+        await first_values(collector, ["one"], 2)
+        ending = asyncio.create_task(collector.__aexit__(None, None, None))
+        await asyncio.sleep(0)  # it waits for the first of its tasks now
+        ending.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await ending
+        async with busway.collect(file) as again:
+            await first_values(again, ["one"], 2)
 
 
 async def test_a_device_in_maintenance_is_not_asked(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import os
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
+from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -130,45 +131,54 @@ class Collector:
         Raises:
             ConfigError: another process writes the store (its pid is named), or it cannot be written.
         """
-        configuration = self.configuration
-        options = configuration.file.collector
-        retention = Retention(None if options.keep_days is None else 86_400 * options.keep_days, options.keep_bytes)
-        writer = StoreWriter(
-            configuration.store, StoreOptions(durability=options.durability, retention=retention), now=time.time_ns()
-        )
-        try:
-            self.knowledge = read_learnt(configuration.learnt_path)
-            writer.describe_points(each for device in configuration.devices.values() for each in device.descriptions())
-        except BaseException:
-            writer.close(time.time_ns())
-            raise
+        writer = self._opened_store()
         loop = asyncio.get_running_loop()
         self._started = loop.time()
         self._clock = SampleClock(loop.time(), time.time_ns())
         self._committer = Committer(writer)
         self._committer.subscribe(lambda commit: self._committed_in_thread(loop, commit))
-        try:
+        async with AsyncExitStack() as unless_started:
+            unless_started.push_async_callback(self._stop)
             self._start_sinks(writer, self._committer)
-        except BaseException:
-            await self._close_store()
-            raise
-        for name in configuration.links:
-            self._start_link(name, configuration)
-        self._upkeep = asyncio.create_task(self._keep_up(), name="busway collector upkeep")
+            for name in self.configuration.links:
+                self._start_link(name, self.configuration)
+            self._upkeep = asyncio.create_task(self._keep_up(), name="busway collector upkeep")
+            self._upkeep.add_done_callback(_log_defect)
+            unless_started.pop_all()
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Stop polling, and commit what waits."""
-        if self._upkeep is not None:
-            await _ended(self._upkeep)
-        for name in list(self._links):
-            await self._stop_link(name)
-        self._write_learnt()
-        await self._close_store()
-        for reader in self._readers:
-            reader.arrived.set()
+        await self._stop()
+
+    async def _stop(self) -> None:
+        """End what was started, the last first; each step is done whatever came of those before it."""
+        async with AsyncExitStack() as steps:
+            for reader in self._readers:
+                steps.callback(reader.arrived.set)
+            steps.push_async_callback(self._close_store)
+            steps.callback(self._write_learnt)
+            for name in reversed(self._links):
+                steps.push_async_callback(self._stop_link, name)
+            if self._upkeep is not None:
+                steps.push_async_callback(_ended, self._upkeep)
+
+    def _opened_store(self) -> StoreWriter:
+        """The store, which knows the points of the configuration, and what was learnt. Raises `ConfigError`."""
+        configuration = self.configuration
+        options = configuration.file.collector
+        retention = Retention(None if options.keep_days is None else 86_400 * options.keep_days, options.keep_bytes)
+        writer = StoreWriter(
+            configuration.store, StoreOptions(durability=options.durability, retention=retention), now=time.time_ns()
+        )
+        with ExitStack() as unless_known:
+            unless_known.callback(lambda: writer.close(time.time_ns()))
+            self.knowledge = read_learnt(configuration.learnt_path)
+            writer.describe_points(each for device in configuration.devices.values() for each in device.descriptions())
+            unless_known.pop_all()
+        return writer
 
     def _start_sinks(self, writer: StoreWriter, committer: Committer) -> None:
         """Hand samples on. Raises `ConfigError` for a name of a sink that cannot be, `LinkDown` for a page."""
@@ -182,17 +192,15 @@ class Collector:
                 self._pages.append(PrometheusPage(page.where, page.points, values, stale=page.stale))
 
     async def _close_store(self) -> None:
-        """Commit what waits, give sinks a moment to take it, and close."""
-        loop = asyncio.get_running_loop()
-        committer, sinks = self._committer, self._sinks
-        for page in self._pages:
-            page.close()
-        if committer is not None:
-            await loop.run_in_executor(None, committer.flush)
-        if sinks is not None:
-            await loop.run_in_executor(None, sinks.close)
-        if committer is not None:
-            await loop.run_in_executor(None, committer.close)
+        """Commit what waits, give sinks a moment to take it, and close; each step whatever came of those before it."""
+        assert self._committer is not None
+        async with AsyncExitStack() as steps:
+            steps.push_async_callback(asyncio.to_thread, self._committer.close)
+            if self._sinks is not None:
+                steps.push_async_callback(asyncio.to_thread, self._sinks.close)
+            steps.push_async_callback(asyncio.to_thread, self._committer.flush)
+            for page in self._pages:
+                steps.callback(page.close)
 
     # What programs use.
 
@@ -371,10 +379,12 @@ class Collector:
 
     async def _stop_link(self, name: str) -> None:
         running = self._links.pop(name)
-        await _ended(running.task)
-        self._learn_from(running.poller)
-        running.poller.close()
-        await running.link.close()
+        try:
+            await _ended(running.task)
+        finally:
+            self._learn_from(running.poller)
+            running.poller.close()
+            await running.link.close()
 
     # Upkeep.
 
@@ -448,9 +458,9 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
 
 
 async def _ended(task: "asyncio.Task[None]") -> None:
+    """End a task. What it may have failed with was logged by `_log_defect`."""
     task.cancel()
-    with contextlib.suppress(asyncio.CancelledError, Exception):
-        await task
+    await asyncio.wait([task])
 
 
 def _log_defect(task: "asyncio.Task[None]") -> None:

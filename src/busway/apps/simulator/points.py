@@ -3,7 +3,7 @@
 Knows points and the device that holds them; knows no connection.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -21,7 +21,7 @@ class Points:
         sections: the points, as the device's file declares them.
     """
 
-    def __init__(self, device: Device, sections: list[PointSection]) -> None:
+    def __init__(self, device: Device, sections: Sequence[PointSection]) -> None:
         self._device = device
         self._sections = {section.name: section for section in sections}
 

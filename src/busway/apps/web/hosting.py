@@ -126,16 +126,15 @@ class HostedPage(ABC):
         self.token: str = ""
         self._server: _Server | None = None
         self._task: asyncio.Task[None] | None = None
+        self._opened = contextlib.ExitStack()
 
     @abstractmethod
     def application(self, rules: PageAccessRules) -> Application:
         """The ASGI application, with these rules of access."""
 
-    def _begin(self) -> None:  # noqa: B027 - most have nothing to begin
-        """Do what comes before the first request."""
-
-    def _end(self) -> None:  # noqa: B027 - most have nothing to end
-        """Do what comes after the last request."""
+    def _lasting(self) -> contextlib.AbstractContextManager[object]:
+        """What lasts from before the first request until after the last one; nothing unless a page has something."""
+        return contextlib.nullcontext()
 
     @property
     def page_url(self) -> str:
@@ -160,17 +159,16 @@ class HostedPage(ABC):
         if self._task is not None:
             return
         bound = await asyncio.to_thread(bind_tcp, *self._address)
-        try:
+        with contextlib.ExitStack() as unless_started:
+            unless_started.callback(bound.close)
             local = is_loopback(bound.getsockname()[0])
             rules = self._rules(local=local)
             self.url = f"http://{_reachable_name(bound)}/"
-            self._begin()
+            unless_started.enter_context(self._lasting())
             server = self._server = _Server(_configured(self.application(rules)))
             self._task = asyncio.create_task(server.serve([bound]))
             await server.answering.wait()
-        except BaseException:
-            bound.close()
-            raise
+            self._opened = unless_started.pop_all()
 
     async def stop(self) -> None:
         """Stop listening and close all connections."""
@@ -178,7 +176,7 @@ class HostedPage(ABC):
         if task is not None and self._server is not None:
             self._server.should_exit = True
             await task
-        self._end()
+        self._opened.close()
         self.url = ""
 
     async def __aenter__(self) -> Self:
@@ -224,11 +222,13 @@ class ControlPage(HostedPage):
         self.api: Api = Api(subject, self.traffic, name)
         self.streams: Streams = Streams(self.api)
 
-    def _begin(self) -> None:
+    @contextlib.contextmanager
+    def _lasting(self) -> Iterator[None]:
         self.traffic.start()
-
-    def _end(self) -> None:
-        self.traffic.stop()
+        try:
+            yield
+        finally:
+            self.traffic.stop()
 
     def application(self, rules: PageAccessRules) -> Application:
         """The ASGI application, with these rules of access."""

@@ -212,8 +212,8 @@ class GroupSection(WholeSection):
     count_from: str = ""
     stride: Annotated[int, Field(ge=0, le=TABLE_SIZE)] = 0
     atomic: bool = False
-    point: list[PointSection] = Field(default_factory=list)
-    group: "list[GroupSection]" = Field(default_factory=list)
+    point: Sequence[PointSection] = Field(default_factory=list)
+    group: "Sequence[GroupSection]" = Field(default_factory=list)
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:
@@ -358,8 +358,8 @@ class UnitSection(WholeSection):
     input_registers: DeclaredTable | None = None
     coils: DeclaredTable | None = None
     discrete_inputs: DeclaredTable | None = None
-    point: list[PointSection] = Field(default_factory=list)
-    group: list[GroupSection] = Field(default_factory=list)
+    point: Sequence[PointSection] = Field(default_factory=list)
+    group: Sequence[GroupSection] = Field(default_factory=list)
     read: ReadSection = ReadSection()
     file: list[FileSection] = Field(default_factory=list)
     fifo: list[FifoSection] = Field(default_factory=list)
@@ -479,7 +479,7 @@ class DeviceFile(Section):
 
     listen: Annotated[list[Url], Field(min_length=1)] = Field(default_factory=lambda: ["tcp://127.0.0.1:5020"])
     server: ServerSection = ServerSection()
-    unit: list[UnitSection] = Field(min_length=1)
+    unit: Sequence[UnitSection] = Field(min_length=1)
 
     @model_validator(mode="after")
     def _check_units(self) -> "DeviceFile":

@@ -27,7 +27,7 @@ Rules:
 3. A file without routes sends everything to its one link.
 """
 
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
@@ -188,8 +188,8 @@ class GatewayFile(SystemFile):
 
     retired: ClassVar[dict[str, str]] = {"line": "[[link]]"}
 
-    listener: list[GatewayListenerSection] = Field(default_factory=list)  # type: ignore[assignment]
-    link: list[UpstreamSection] = Field(default_factory=list)  # type: ignore[assignment]
+    listener: Sequence[GatewayListenerSection] = Field(default_factory=list)
+    link: Sequence[UpstreamSection] = Field(default_factory=list)
     route: list[RouteSection] = Field(default_factory=list)
     gateway: GatewaySection = GatewaySection()
     unit: Annotated[list[UnitSection], BeforeValidator(_no_units)] = Field(default_factory=list)

@@ -176,6 +176,8 @@ _WORDS = {
     "bool_type": "must be true or false",
     "list_type": "must be a list",
     "tuple_type": "must be a list",
+    "is_instance_of": "must be a list",  # the only class asked for is Sequence
+    "sequence_str": "must be a list",
     "dict_type": "must be a table",
     "model_type": "must be a table",
     "model_attributes_type": "must be a table",

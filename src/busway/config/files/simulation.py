@@ -131,15 +131,15 @@ class SimulatedPointSection(PointSection):
 class SimulatedGroupSection(GroupSection):
     """``[[unit.group]]``: points that behave, and belong together."""
 
-    point: list[SimulatedPointSection] = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
-    group: "list[SimulatedGroupSection]" = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
+    point: Sequence[SimulatedPointSection] = Field(default_factory=list)
+    group: "Sequence[SimulatedGroupSection]" = Field(default_factory=list)
 
 
 class SimulatedUnitSection(UnitSection):
     """``[[unit]]``: a device that behaves."""
 
-    point: list[SimulatedPointSection] = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
-    group: list[SimulatedGroupSection] = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
+    point: Sequence[SimulatedPointSection] = Field(default_factory=list)
+    group: Sequence[SimulatedGroupSection] = Field(default_factory=list)
     holes: DeclaredHoles = HolesSection()
 
 
@@ -209,7 +209,7 @@ class SimulationFile(SystemFile, ParameterKeys):
 
     simulation: SimulationSection = SimulationSection()
     fault: list[FaultSection] = Field(default_factory=list)
-    unit: list[SimulatedUnitSection] = Field(default_factory=list)  # type: ignore[assignment]  # frozen: only read
+    unit: Sequence[SimulatedUnitSection] = Field(default_factory=list)
 
     def places(self) -> list[tuple[Path, str]]:
         """The URLs that are listened on, each with where it stands."""

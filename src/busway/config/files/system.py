@@ -35,7 +35,7 @@ Rules:
 3. Paths are those of the system, or relative to the file's folder.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
@@ -155,15 +155,15 @@ class SystemFile(DeviceFile):
     """A whole configuration file."""
 
     listen: list[Url] = Field(default_factory=list)
-    listener: list[ListenerSection] = Field(default_factory=list)
+    listener: Sequence[ListenerSection] = Field(default_factory=list)
     security: SecuritySection = SecuritySection()
     client: ClientSection = ClientSection()
-    link: list[LinkSection] = Field(default_factory=list)
+    link: Sequence[LinkSection] = Field(default_factory=list)
     audit: AuditSection | None = None
     metrics: MetricsSection | None = None
     control: ControlSection = ControlSection()
     policy: DeclaredPolicy | None = None
-    unit: list[UnitSection] = Field(default_factory=list)
+    unit: Sequence[UnitSection] = Field(default_factory=list)
 
     def places(self) -> list[tuple[Path, str]]:
         """The URLs that are listened on, each with where it stands."""

@@ -67,6 +67,7 @@ def test_how_samples_are_handed_on_is_in_the_table_too() -> None:
         ({"url": "file:///x.xlsx"}, "files are csv, jsonl or parquet"),
         ({"url": "file:///x.csv", "most": True}, "int is needed, not True"),
         ({"url": "file:///x.csv", "most": 0}, "1…100000 samples"),
+        ({"url": "postgresql://db:x/plant"}, "Port could not be cast to integer"),
         ({"url": "file:///x.csv", "report": "never"}, "is every, change or change_or_period"),
         ({"url": "file:///x.csv", "points": []}, "a list of patterns"),
     ],

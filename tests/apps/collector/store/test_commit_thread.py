@@ -2,9 +2,11 @@
 
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 from collected import NOON, PUMP, at, meter_read, read_of
+from waiting import wait_until
 
 from busway.apps.collector.samples import Gap, Reason, StateInterval
 from busway.apps.collector.store.commit_thread import Committer
@@ -68,7 +70,31 @@ def test_a_subscriber_that_fails_stops_nothing(tmp_path: Path, caplog: pytest.Lo
         assert committer.flush()
     committer.close()
     assert len(Store(tmp_path).read("meter-7/voltage")) == 3
-    assert "a subscriber of commits failed" in caplog.text
+    assert caplog.text.count("a subscriber of commits failed") == 1
+    assert committer.status().subscriber_failures == 3
+
+
+def test_a_defect_of_the_store_is_told_in_the_status_and_ends_no_thread(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    committer = committer_of(tmp_path, interval=0.0)
+    commit_really = committer.writer.commit
+    is_broken = threading.Event()
+    is_broken.set()
+
+    def commit(*arguments: Any) -> Commit:  # Any: those of `StoreWriter.commit`
+        if is_broken.is_set():
+            raise ZeroDivisionError("of the test")
+        return commit_really(*arguments)
+
+    committer.writer.commit = commit  # type: ignore[method-assign]
+    committer.add(meter_read(1))
+    wait_until(lambda: committer.status().error == "of the test")
+    is_broken.clear()
+    assert committer.flush()
+    committer.close()
+    assert len(Store(tmp_path).read("meter-7/voltage")) == 1
+    assert "in a way that nobody expects" in caplog.text
 
 
 def test_a_full_disk_is_told_and_survived_and_what_is_lost_is_a_gap_with_its_number(

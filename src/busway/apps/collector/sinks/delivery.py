@@ -121,6 +121,10 @@ class Delivery:
         self._error: str | None = None
         self._is_open = False
 
+    def note_defect(self, error: Exception) -> None:
+        """Show in the status why the delivery ended unexpectedly."""
+        self._error = f"failed unexpectedly: {str(error) or type(error).__name__}"
+
     def status(self) -> SinkStatus:
         """How it does. Safe from any thread."""
         return SinkStatus(self.name, self._cursor, self._sent, self._lost, self._aside, self._error)

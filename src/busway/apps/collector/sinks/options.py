@@ -17,7 +17,7 @@ from difflib import get_close_matches
 from typing import Any, Final
 from urllib.parse import SplitResult, unquote, urlsplit
 
-from ....errors import ConfigError, InvalidRequest
+from ....errors import ConfigError
 from ....points.point_rules import ReportRule
 from ....safe_files import read_safely
 from ....values.refusal import shown
@@ -121,6 +121,7 @@ def make_sink(name: str, values: Mapping[str, Any]) -> tuple[Sink, DeliveryOptio
     kind = _KINDS.get(parts.scheme)
     if kind is None:
         raise table.refuse("url", f"{parts.scheme or shown(url)} is no kind of sink; there are {', '.join(_KINDS)}")
+    _check_port(parts, table)
     if parts.password is not None:
         raise table.refuse("url", "a password does not belong here; name a file by password_file")
     known = kind.keys | _COMMON
@@ -164,8 +165,8 @@ def _delivery(table: _Table) -> DeliveryOptions:
             keep=table.number("keep", 7 * 86_400.0),
             report=report,
         )
-    except (ConfigError, InvalidRequest) as error:
-        raise table.refuse(getattr(error, "key", None) or "sink", error.message) from error
+    except ConfigError as error:
+        raise table.refuse(error.key or "sink", error.message) from error
 
 
 def _mqtt(parts: SplitResult, table: _Table) -> Sink:
@@ -233,13 +234,16 @@ def _file(parts: SplitResult, table: _Table) -> Sink:
 
 
 def _host(parts: SplitResult, table: _Table) -> str:
-    try:
-        parts.port  # noqa: B018  raises where it is no number
-    except ValueError as error:
-        raise table.refuse("url", f"{error}") from error
     if not parts.hostname:
         raise table.refuse("url", "names no host")
     return parts.hostname
+
+
+def _check_port(parts: SplitResult, table: _Table) -> None:
+    try:
+        _ = parts.port
+    except ValueError as error:
+        raise table.refuse("url", str(error)) from error
 
 
 _MQTT: Final = frozenset({"topic", "per_point", "retain", "discovery", "client_id"}) | _PASSWORD | _TLS

@@ -37,7 +37,8 @@ class SinkThread:
             Delivery(name, sink, writer.folder, writer.manifest, options) for name, (sink, options) in sinks.items()
         ]
         self._loop = asyncio.new_event_loop()
-        self._tasks: list[asyncio.Task[None]] = []
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._is_ending = False
         self._thread = threading.Thread(target=self._run, name="busway-sinks", daemon=True)
         self._thread.start()
 
@@ -52,6 +53,7 @@ class SinkThread:
         self._thread.join(timeout)
 
     def _cancel(self) -> None:
+        self._is_ending = True
         for task in self._tasks:
             task.cancel()
 
@@ -63,8 +65,11 @@ class SinkThread:
             self._loop.close()
 
     async def _deliver(self) -> None:
-        self._tasks = [asyncio.create_task(self._guarded(delivery)) for delivery in self._deliveries]
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._tasks = {asyncio.create_task(self._guarded(delivery)) for delivery in self._deliveries}
+        if self._is_ending:  # `close` came first
+            self._cancel()
+        if self._tasks:
+            await asyncio.wait(self._tasks)
 
     @staticmethod
     async def _guarded(delivery: Delivery) -> None:
@@ -72,6 +77,7 @@ class SinkThread:
         while True:
             try:
                 await delivery.run()
-            except Exception:
+            except Exception as error:  # a defect of one sink, whatever it is: its status has it
                 _log.exception("sink %s failed; it is tried again", delivery.name)
+                delivery.note_defect(error)
                 await asyncio.sleep(PAUSE_LIMIT)

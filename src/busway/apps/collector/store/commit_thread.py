@@ -47,6 +47,7 @@ class StoreStatus:
         lost: samples that were dropped since the start because the store could not be written.
         error: what is wrong with the store; None while it can be written.
         upkeep_error: why parts could not be sealed or dropped when that was tried last; None if they could.
+        subscriber_failures: how often a subscriber of commits raised an error.
     """
 
     commits: int
@@ -55,6 +56,7 @@ class StoreStatus:
     lost: int
     error: str | None
     upkeep_error: str | None
+    subscriber_failures: int = 0
 
 
 class Committer:
@@ -89,6 +91,7 @@ class Committer:
         self._commits = self._samples = self._lost = 0
         self._error: str | None = None
         self._upkeep_error: str | None = None
+        self._subscriber_failures = 0
         self._hurry = self._ending = self._committing = False
         self._ended = threading.Event()
         self._synced = time.monotonic()
@@ -100,7 +103,7 @@ class Committer:
             thread.start()
 
     def subscribe(self, told: Callable[[Commit], None]) -> None:
-        """Call a function after each commit, in the thread of the committer; what it raises is logged."""
+        """Call a function after each commit, in the thread of the committer; what it raises is logged and counted."""
         self._subscribers.append(told)
 
     def add(self, batch: SampleBatch) -> None:
@@ -122,7 +125,15 @@ class Committer:
     def status(self) -> StoreStatus:
         """How it does."""
         with self._changed:
-            return StoreStatus(self._commits, self._samples, self._waiting, self._lost, self._error, self._upkeep_error)
+            return StoreStatus(
+                self._commits,
+                self._samples,
+                self._waiting,
+                self._lost,
+                self._error,
+                self._upkeep_error,
+                self._subscriber_failures,
+            )
 
     def flush(self, timeout: float = 10.0) -> bool:
         """Wait until all that was added is committed; False where ``timeout`` seconds did not do."""
@@ -185,8 +196,10 @@ class Committer:
         try:
             commit = self.writer.commit(batches, told, self._now())
             self._sync_when_due()
-        except (sqlite3.Error, OSError) as error:
-            self._put_back(batches, intervals, gap, str(error))
+        except Exception as error:  # a defect must not end the thread unseen: it is in the status, and tried again
+            if not isinstance(error, sqlite3.Error | OSError) and self._error is None:
+                _log.exception("the store failed in a way that nobody expects")
+            self._put_back(batches, intervals, gap, str(error) or type(error).__name__)
             return False
         with self._changed:
             self._commits += 1
@@ -211,8 +224,11 @@ class Committer:
         for subscriber in self._subscribers:
             try:
                 subscriber(commit)
-            except Exception:
-                _log.exception("a subscriber of commits failed")
+            except Exception:  # what subscribers raise is theirs: it is counted, and commits go on
+                if not self._subscriber_failures:
+                    _log.exception("a subscriber of commits failed; further failures are only counted")
+                with self._changed:
+                    self._subscriber_failures += 1
 
     def _put_back(
         self, batches: list[SampleBatch], intervals: list[StateInterval | Gap], gap: Gap | None, error: str
@@ -249,7 +265,7 @@ class Committer:
             try:
                 self.writer.apply_retention(self._now())
                 self.writer.seal_closed()
-            except Exception as error:  # whatever it is, collecting goes on, and it is tried again
+            except Exception as error:  # also what pyarrow raises: collecting goes on, and it is tried again
                 if self._upkeep_error is None:
                     _log.exception("parts of the store could not be sealed or dropped")
                 self._upkeep_error = str(error)

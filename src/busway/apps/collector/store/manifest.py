@@ -156,10 +156,9 @@ class Manifest:
             try:
                 yield self._database
                 self._database.execute("COMMIT")
-            except BaseException:
-                if self._database.in_transaction:
+            finally:
+                if self._database.in_transaction:  # something was raised
                     self._database.execute("ROLLBACK")
-                raise
 
     def _all(self, sql: str, *values: object) -> list[Any]:  # rows of SQLite have any type
         with self._lock:

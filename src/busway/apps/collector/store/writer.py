@@ -198,14 +198,13 @@ class StoreWriter:
         keyed = [(self._ids(batch), batch) for batch in batches]
         number = self._take_number()
         segment = self._segment_for(now)
-        try:
+        with ExitStack() as unless_committed:
+            unless_committed.callback(self._forget_segment)
+            unless_committed.callback(segment.rollback)
             segment.begin(number, now, keyed, intervals)
             self._step("before-commit")
             segment.commit()
-        except BaseException:
-            segment.rollback()
-            self._forget_segment()
-            raise
+            unless_committed.pop_all()
         self._step("after-commit")
         return Commit(number, now, batches, intervals)
 
