@@ -61,39 +61,40 @@ class WatchedCollector:
 
 
 @contextlib.asynccontextmanager
-async def _running(folder: Path, at: str) -> AsyncIterator[WatchedCollector]:
+async def _running(folder: Path, at: str, more: str) -> AsyncIterator[WatchedCollector]:
     device = busway.Device(holding_registers=100)
     device.holding_registers[0:2] = [15, 7]
     async with busway.serve("tcp://127.0.0.1:0", units={1: device}) as server:
         (folder / "pump.toml").write_text(PUMP)
         file = folder / "plant.toml"
-        file.write_text(PLANT.replace("{url}", server.endpoints[0]))
+        file.write_text(PLANT.replace("{url}", server.endpoints[0]) + more)
         async with busway.collect(file) as collector, CollectorPage(collector, at) as page:
             yield WatchedCollector(page, collector, device)
 
 
 @contextlib.contextmanager
-def watched_collector(folder: Path, at: str = "127.0.0.1:0") -> Iterator[WatchedCollector]:
-    """Run one while the block lasts."""
+def watched_collector(folder: Path, at: str = "127.0.0.1:0", more: str = "") -> Iterator[WatchedCollector]:
+    """Run one while the block lasts. ``more`` is added to its file."""
     ready: list[WatchedCollector | BaseException] = []
     begun, loop = threading.Event(), asyncio.new_event_loop()
     end = asyncio.Event()
 
     async def run() -> None:
         try:
-            async with _running(folder, at) as running:
+            async with _running(folder, at, more) as running:
                 ready.append(running)
                 begun.set()
                 await end.wait()
         except BaseException as error:
             ready.append(error)
             begun.set()
-            raise
 
     thread = threading.Thread(target=lambda: loop.run_until_complete(run()), daemon=True)
     thread.start()
     assert begun.wait(30)
     if isinstance(ready[0], BaseException):
+        thread.join(30)
+        loop.close()
         raise ready[0]
     try:
         yield ready[0]

@@ -16,15 +16,18 @@ from typing import Annotated, Final
 from fastapi import Depends, FastAPI, Query
 from starlette.exceptions import HTTPException
 
+from ...config.paths import within
+from ...options.tls import TlsParameters
 from ..collector.admission import LinkLoad
 from ..collector.collector import Collector
+from ..collector.configuration import CollectorConfiguration
 from ..collector.preview import CollectorPreview, preview
 from ..collector.samples import NANOSECONDS, quality_of, reason_text
 from ..collector.sinks.prometheus import LastValues
 from ..collector.store.frames import BucketTable
 from ..collector.store.reading import Store
 from ..collector.store.writer import Commit
-from .access import Application, Caller, PageAccessRules, Role, require
+from .access import ROLES, Application, Caller, PageAccessRules, Role, require
 from .collector_messages import (
     CallerAnswer,
     CollectedDevices,
@@ -63,10 +66,11 @@ _FILES: Final = {
 class CollectorPage(HostedPage):
     """The API and the page of a running collector while the ``async with`` block lasts.
 
+    Tokens, TLS and subjects of client certificates are those of ``[page_access]`` in its file.
+
     Args:
         collector: it has begun.
         at: host and port; port 0 takes a free one.
-        token_path: the file of its tokens; None for the one in the store.
 
     Attributes:
         token_path: the file of its tokens.
@@ -75,14 +79,21 @@ class CollectorPage(HostedPage):
         ConfigError: the address is invalid, or the tokens cannot be read or made.
     """
 
-    def __init__(self, collector: Collector, at: str, *, token_path: Path | None = None) -> None:
-        super().__init__(at, key="page")
-        self.token_path: Path = token_path or Path(collector.configuration.store) / TOKEN_FILE
+    def __init__(self, collector: Collector, at: str) -> None:
+        configuration = collector.configuration
+        access = configuration.file.page_access
+        super().__init__(at, key="page", tls=_tls_of(configuration))
+        self.token_path: Path = (
+            Path(configuration.store) / TOKEN_FILE
+            if access.tokens is None
+            else Path(within(configuration.name, access.tokens))
+        )
+        self._subjects = {subject: ROLES[label] for subject, label in access.subjects.items()}
         self.api: CollectorApi = CollectorApi(collector)
 
     def _rules(self, *, local: bool) -> PageAccessRules:
         kept = KeptTokens(self.token_path)
-        return PageAccessRules(kept.current, without_token=Role.VIEW if local else None, is_loopback=local)
+        return PageAccessRules(kept.current, self._subjects, Role.VIEW if local else None, is_loopback=local)
 
     def resources(self) -> FastAPI:
         """The API without its access rules."""
@@ -93,6 +104,24 @@ class CollectorPage(HostedPage):
     def application(self, rules: PageAccessRules) -> Application:
         """The ASGI application, with these rules of access."""
         return guarded(self.resources(), _FILES, rules)
+
+
+def _tls_of(configuration: CollectorConfiguration) -> TlsParameters | None:
+    """Certificate, key and authority of its page; None for HTTP."""
+    access = configuration.file.page_access
+    if access.certificate is None:
+        return None
+
+    def path(name: str | None) -> str | None:
+        return None if name is None else within(configuration.name, name)
+
+    return TlsParameters(
+        certificate=path(access.certificate),
+        key=path(access.key),
+        password_file=path(access.password_file),
+        authority=path(access.authority),
+        revocation_list=path(access.revocation_list),
+    )
 
 
 class CollectorApi:

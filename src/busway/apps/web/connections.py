@@ -9,10 +9,13 @@ have sent nothing, nor the time of a head, so that is here.
    request; if all have, it is closed.
 3. The last descriptors of the process are for Modbus: a connection that was given one of them is closed.
 4. Events that repeat are logged once a minute, with their number.
+5. A TLS handshake counts as a connection that has not sent its request, and has the same time. The subject of a
+   client's certificate that was verified goes with the connection, for the rules of access.
 """
 
 import asyncio
 import logging
+import ssl
 import time
 from collections.abc import Callable
 from functools import partial
@@ -23,6 +26,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ...access.repeats import Repeats, so_often
 from ...transport.descriptors import is_reserved
+from .access import CERTIFICATE_SUBJECT
 
 HEAD_SECONDS: Final = 5.0
 MOST: Final = 100
@@ -60,12 +64,29 @@ class SharedConnections:
     """
 
     def __init__(self) -> None:
-        self.waiting: dict[PageConnection, None] = {}
+        self.waiting: dict[PageConnection | SecuringConnection, None] = {}
         self._repeats = Repeats()
 
-    def protocols(self) -> Callable[..., asyncio.Protocol]:
-        """The protocol factory for uvicorn."""
-        return partial(PageConnection, self)
+    def protocols(self, tls: Callable[[], ssl.SSLContext] | None = None) -> Callable[..., asyncio.Protocol]:
+        """The protocol factory for uvicorn. ``tls`` gives the context of a connection that begins."""
+        return partial(PageConnection, self) if tls is None else partial(SecuringConnection, self, tls)
+
+    def admits(self, transport: asyncio.Transport, connections: "set[Any]") -> bool:
+        """Whether an accepted connection, which is among ``connections``, may stay; else it is closed."""
+        accepted = transport.get_extra_info("socket")
+        if accepted is not None and is_reserved(accepted.fileno()):
+            self.say("a connection to the page is closed: the last file descriptors are reserved for Modbus")
+            transport.abort()
+            return False
+        while len(connections) > MOST:
+            oldest = next(iter(self.waiting), None)
+            if oldest is None:
+                self.say("a connection to the page is closed: %d are open already", MOST)
+                transport.abort()
+                return False
+            self.say("a connection to the page has made room: it had sent no request, and %d are open", MOST)
+            oldest.close_unheard()
+        return True
 
     def say(self, sentence: str, *arguments: object) -> None:
         """Log an event that may repeat."""
@@ -91,20 +112,11 @@ class PageConnection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Keep an accepted connection if there is room."""
         super().connection_made(transport)
-        accepted = transport.get_extra_info("socket")
-        if accepted is not None and is_reserved(accepted.fileno()):
-            self._shared.say("a connection to the page is closed: the last file descriptors are reserved for Modbus")
-            transport.abort()
-            return
-        while len(self.connections) > MOST:
-            oldest = next(iter(self._shared.waiting), None)
-            if oldest is None:
-                self._shared.say("a connection to the page is closed: %d are open already", MOST)
-                transport.abort()
-                return
-            self._shared.say("a connection to the page has made room: it had sent no request, and %d are open", MOST)
-            oldest.close_unheard()
-        self._wait()
+        secured = transport.get_extra_info("ssl_object")
+        if secured is not None:
+            self.app_state = {**self.app_state, CERTIFICATE_SUBJECT: subject_of(secured.getpeercert(binary_form=True))}
+        if self._shared.admits(transport, self.connections):
+            self._wait()
 
     def data_received(self, data: bytes) -> None:
         """Handle received bytes."""
@@ -143,3 +155,88 @@ class PageConnection(H11Protocol):
     def _too_slow(self) -> None:
         self._shared.say("a connection to the page is closed: no request came within %g s", HEAD_SECONDS)
         self.close_unheard()
+
+
+class SecuringConnection(asyncio.Protocol):
+    """An accepted connection until its TLS handshake has ended; then a `PageConnection` takes its place.
+
+    Args:
+        shared: state shared with the other connections.
+        tls: gives the context.
+        given: arguments of uvicorn.
+    """
+
+    def __init__(self, shared: SharedConnections, tls: Callable[[], ssl.SSLContext], **given: Any) -> None:
+        self._shared = shared
+        self._tls = tls
+        self._given = given
+        self._connections: set[Any] = given["server_state"].connections
+        self._early: list[bytes] = []
+        self._has_ended = False
+        self._transport: asyncio.Transport | None = None
+        self._handshake: asyncio.Task[None] | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin the handshake of an accepted connection if there is room."""
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        self._connections.add(self)
+        if not self._shared.admits(transport, self._connections):
+            self._connections.discard(self)
+            return
+        transport.pause_reading()
+        self._shared.waiting[self] = None
+        self._handshake = asyncio.get_running_loop().create_task(self._secure(transport))
+
+    async def _secure(self, transport: asyncio.Transport) -> None:
+        loop = asyncio.get_running_loop()
+        try:
+            secured = await loop.start_tls(
+                transport, self, self._tls(), server_side=True, ssl_handshake_timeout=HEAD_SECONDS
+            )
+        except (OSError, ssl.SSLError) as error:  # an alert, a timeout, or the client has gone
+            self._shared.say("a TLS handshake with the page failed: %s", getattr(error, "reason", None) or error)
+            secured = None
+        finally:
+            self._shared.waiting.pop(self, None)
+            self._connections.discard(self)
+        if secured is not None and not self._has_ended and not secured.is_closing():
+            page = PageConnection(self._shared, **self._given)
+            secured.set_protocol(page)
+            page.connection_made(secured)
+            if self._early:
+                page.data_received(b"".join(self._early))
+
+    def data_received(self, data: bytes) -> None:
+        """Keep what came together with the end of the handshake."""
+        self._early.append(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget a connection that has ended."""
+        self._has_ended = True
+        self._shared.waiting.pop(self, None)
+        self._connections.discard(self)
+
+    def close_unheard(self) -> None:
+        """Close it before the handshake has ended."""
+        if self._handshake is not None:
+            self._handshake.cancel()
+        self.connection_lost(None)
+        if self._transport is not None:
+            self._transport.abort()
+
+    def shutdown(self) -> None:
+        """End, because the page does."""
+        self.close_unheard()
+
+
+def subject_of(certificate: bytes | None) -> str:
+    """The subject of a certificate in DER, as RFC 4514 writes it: ``CN=anna,O=plant``; empty without one."""
+    if not certificate:
+        return ""
+    from cryptography import x509
+
+    try:
+        return x509.load_der_x509_certificate(certificate).subject.rfc4514_string()
+    except ValueError:  # it was verified, and still has a form that cannot be read
+        return ""

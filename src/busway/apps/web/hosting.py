@@ -30,6 +30,9 @@ from starlette.routing import Route, WebSocketRoute
 from ...errors import ConfigError
 from ...observe.http import bind_tcp, bound_name, parse_host_port
 from ...options.endpoints import parse_endpoint
+from ...options.tls import TlsParameters
+from ...transport.tls.context import WatchedContext, web_context
+from ...transport.tls.roles import require_cryptography
 from ..control.addresses import is_loopback
 from .access import AccessToken, Application, Message, PageAccess, PageAccessRules, Receive, Role, Scope, Send
 from .api import Api
@@ -106,6 +109,7 @@ class HostedPage(ABC):
         at: host and port; port 0 takes a free one.
         token: token that every request to the API must carry. None: none on loopback, a new one elsewhere.
         key: the option that ``at`` comes from.
+        tls: certificate and key for HTTPS, and the authority of clients' certificates; None for HTTP.
 
     Attributes:
         url: URL of the page, without the token; empty while stopped.
@@ -115,13 +119,14 @@ class HostedPage(ABC):
         ConfigError: the address is invalid, or the token is too short.
     """
 
-    def __init__(self, at: str, *, token: str | None = None, key: str = KEY) -> None:
+    def __init__(self, at: str, *, token: str | None = None, key: str = KEY, tls: TlsParameters | None = None) -> None:
         if token is not None and not is_token(token):
             raise ConfigError(
                 f"a token has at least {SHORTEST_TOKEN} characters, letters, digits, - . _ and ~ alone", key="token"
             )
         self._address = parse_host_port(at, key)
         self._given = token
+        self._tls = tls
         self.url: str = ""
         self.token: str = ""
         self._server: _Server | None = None
@@ -155,17 +160,27 @@ class HostedPage(ABC):
         return PageAccessRules(lambda: tokens, is_loopback=local)
 
     async def start(self) -> None:
-        """Listen. Raises `LinkDown` if the address cannot be bound, `ConfigError` if the page cannot begin."""
+        """Listen.
+
+        Raises:
+            LinkDown: the address cannot be bound.
+            ConfigError: the page cannot begin, or its certificate cannot be used.
+            MissingExtra: TLS needs a package that is not installed.
+        """
         if self._task is not None:
             return
+        context: WatchedContext | None = None
+        if self._tls is not None:
+            require_cryptography("the subject of a client's certificate")
+            context = WatchedContext(self._tls, web_context, name="the page")
         bound = await asyncio.to_thread(bind_tcp, *self._address)
         with contextlib.ExitStack() as unless_started:
             unless_started.callback(bound.close)
             local = is_loopback(bound.getsockname()[0])
             rules = self._rules(local=local)
-            self.url = f"http://{_reachable_name(bound)}/"
+            self.url = f"{'http' if context is None else 'https'}://{_reachable_name(bound)}/"
             unless_started.enter_context(self._lasting())
-            server = self._server = _Server(_configured(self.application(rules)))
+            server = self._server = _Server(_configured(self.application(rules), context))
             self._task = asyncio.create_task(server.serve([bound]))
             await server.answering.wait()
             self._opened = unless_started.pop_all()
@@ -284,7 +299,8 @@ class _Server(uvicorn.Server):
         self.answering.set()
 
 
-def _configured(application: Application) -> uvicorn.Config:
+def _configured(application: Application, context: WatchedContext | None) -> uvicorn.Config:
+    protocols = SharedConnections().protocols(None if context is None else context.current)
     return uvicorn.Config(
         application,
         lifespan="off",
@@ -293,7 +309,7 @@ def _configured(application: Application) -> uvicorn.Config:
         log_level="warning",
         proxy_headers=False,
         server_header=False,
-        http=cast("Any", SharedConnections().protocols()),  # a class is asked for, and called like any callable
+        http=cast("Any", protocols),  # a class is asked for, and called like any callable
         ws="websockets-sansio",
         ws_max_size=_WISH_LIMIT,
         timeout_keep_alive=_KEEP_ALIVE,

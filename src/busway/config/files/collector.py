@@ -75,6 +75,18 @@ class CollectorSection(Section):
     page: str = Field(default="127.0.0.1:8503", min_length=1, max_length=200)
 
 
+class PageAccessSection(Section):
+    """``[page_access]``: tokens and TLS of the page, and what subjects of client certificates may do."""
+
+    tokens: str | None = Field(default=None, min_length=1)
+    certificate: str | None = Field(default=None, min_length=1)
+    key: str | None = Field(default=None, min_length=1)
+    password_file: str | None = Field(default=None, min_length=1)
+    authority: str | None = Field(default=None, min_length=1)
+    revocation_list: str | None = Field(default=None, min_length=1)
+    subjects: dict[str, Literal["view", "operate", "configure"]] = Field(default_factory=dict)
+
+
 class PollClassSection(Section):
     """``[poll_class]``, one class: how often its points are read."""
 
@@ -115,6 +127,7 @@ class CollectorFile(SystemFile):
     retired: ClassVar[dict[str, str]] = {}
 
     collector: CollectorSection = CollectorSection()
+    page_access: PageAccessSection = PageAccessSection()
     poll_class: dict[str, PollClassSection] = Field(default_factory=dict)
     device: list[CollectedDeviceSection] = Field(default_factory=list)
     sink: list[SinkSection] = Field(default_factory=list)
@@ -130,6 +143,7 @@ class CollectorFile(SystemFile):
         for key, sections in (("link", self.link), ("device", self.device), ("poll_class", self.poll_class)):
             if not sections:
                 yield (key,), "is missing"
+        yield from _page_access_faults(self.page_access)
         yield from twice("link", [each.name for each in self.link])
         yield from twice("device", [each.name for each in self.device])
         yield from twice("sink", [each.name for each in self.sink])
@@ -140,6 +154,14 @@ class CollectorFile(SystemFile):
             if device.poll_class and self.poll_class and device.poll_class not in self.poll_class:
                 there = ", ".join(self.poll_class)
                 yield ("device", index, "poll_class"), f"there is no class {device.poll_class!r}, but {there}"
+
+
+def _page_access_faults(access: PageAccessSection) -> Iterator[tuple[Path, str]]:
+    for key in ("key", "password_file", "authority", "revocation_list"):
+        if getattr(access, key) is not None and access.certificate is None:
+            yield ("page_access", key), "is for a page with TLS: certificate is missing"
+    if access.subjects and access.authority is None:
+        yield ("page_access", "subjects"), "are those of certificates: the authority that issues them is missing"
 
 
 def sink_options(section: SinkSection) -> dict[str, Any]:  # Any: what TOML has

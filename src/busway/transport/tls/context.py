@@ -45,6 +45,20 @@ def server_context(parameters: TlsParameters) -> ssl.SSLContext:
     return context
 
 
+def web_context(parameters: TlsParameters) -> ssl.SSLContext:
+    """The context of a page for browsers: clients may show a certificate where an authority is named, and need not.
+
+    Raises `ConfigError` that names the file and what is wrong with it.
+    """
+    if parameters.certificate is None:
+        raise ConfigError("a page with TLS needs a certificate", key="certificate")
+    context = _context(ssl.PROTOCOL_TLS_SERVER, parameters)
+    context.verify_mode = ssl.CERT_NONE if parameters.authority is None else ssl.CERT_OPTIONAL
+    context.options |= ssl.OP_NO_TICKET | ssl.OP_CIPHER_SERVER_PREFERENCE
+    context.set_alpn_protocols(["http/1.1"])
+    return context
+
+
 def client_context(parameters: TlsParameters) -> ssl.SSLContext:
     """The context of connections to servers. Raises `ConfigError` that names the file and what is wrong with it."""
     parameters.check_client()
