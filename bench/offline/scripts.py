@@ -174,13 +174,14 @@ async def client_await(loop: MemoryLoop) -> AsyncIterator[Turn]:
 
 
 @asynccontextmanager
-async def _forwarded(loop: MemoryLoop, clients: int, batches: Sequence[bytes], count: int) -> AsyncIterator[Turn]:
-    """Clients of a gateway that send these reads, ``count`` of them together, and wait for all their answers."""
+async def _forwarded(
+    loop: MemoryLoop, clients: int, batches: Sequence[bytes], count: int, reply: int = 9 + 2 * REGISTERS
+) -> AsyncIterator[Turn]:
+    """Clients of a gateway that send these requests, ``count`` of them together, and wait for all their answers."""
     loop.listeners[1] = Device
     plan = simple_plan([TCP], "tcp://127.0.0.1:1", max_transactions=IN_FLIGHT, queue=4096, share_reads=False)
     async with Gateway(plan) as gateway:
         wires = [loop.newcomer(port_of(gateway.endpoints[0])) for _ in range(clients)]
-        reply = 9 + 2 * REGISTERS
 
         async def turn() -> None:
             for begin in range(0, len(batches), clients):
@@ -211,6 +212,12 @@ def gateway_single(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
     """Reads of sixteen clients that each wait for their answer: batches of one."""
     reads = [read(number, number % IN_FLIGHT * REGISTERS) for number in range(TRANSACTIONS)]
     return _forwarded(loop, IN_FLIGHT, reads, 1)
+
+
+def gateway_writes(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+    """Writes of one register of sixteen clients that each wait for their answer."""
+    writes = [write_single(number, number) for number in range(TRANSACTIONS)]
+    return _forwarded(loop, IN_FLIGHT, writes, 1, len(writes[0]))
 
 
 def rtu_server(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
@@ -251,6 +258,7 @@ SCRIPTS: dict[str, Script] = {
     "gateway, forward": gateway_forward,
     "gateway, queue": gateway_queue,
     "gateway, single reads": gateway_single,
+    "gateway, writes": gateway_writes,
     "rtu, server": rtu_server,
     "rtu, client": rtu_client,
 }

@@ -1,6 +1,6 @@
 """An event loop without a network: who listens and who connects on it meet in memory.
 
-Knows what asyncio promises of transports and protocols; knows no Modbus beyond the reads that `Device` answers.
+Knows what asyncio promises of transports and protocols; knows no Modbus beyond what `Device` answers.
 
 1. A connection is made by the same calls as ever (``create_server``, ``create_connection``), so that the drivers under
    test run as they are. A listening socket is bound, and never used.
@@ -17,6 +17,7 @@ Factory = Callable[[], asyncio.BaseProtocol]
 _pair = socket.socketpair()
 SOCKET = _pair[0]
 """What connections say is their socket: of a kind that has no parameters of TCP."""
+WRITE_SINGLE_REGISTER = 6
 NUMBERS = b"".join(number.to_bytes(2, "big") for number in range(4096))
 
 
@@ -124,7 +125,7 @@ class MemoryLoop(asyncio.SelectorEventLoop):
 
 
 class Device(asyncio.Protocol):
-    """Answers reads of registers on TCP, register n with n, and does nothing else; the cheapest peer of a client."""
+    """Answers reads of registers on TCP, register n with n, and writes of one; the cheapest peer of a client."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
@@ -134,6 +135,9 @@ class Device(asyncio.Protocol):
         replies = []
         for at in range(0, len(data), 12):
             _, _, unit, function, address, count = struct.unpack_from(">HHxxBBHH", data, at)
+            if function == WRITE_SINGLE_REGISTER:
+                replies.append(data[at : at + 12])
+                continue
             head = struct.pack(">BBB", unit, function, 2 * count)
             following = struct.pack(">HH", 0, 3 + 2 * count)
             replies.append(data[at : at + 2] + following + head + NUMBERS[2 * address : 2 * (address + count)])

@@ -223,7 +223,15 @@ class AsyncLinkDriver:
             if TRACE.level:
                 self._traced().sent(adu)
         else:
-            self._enqueue(call, now)
+            if self._transport is None and (refusal := self._life.refusal(now, call.unit)) is not None:
+                raise refusal
+            if call.caller is None:
+                call.caller = asyncio.current_task()
+            self.session.submit(call, now)
+            if self._parameters.join:
+                self._plan_flush()
+            else:
+                self._pump(now)
         if self._line is not None:
             self._rearm()
             return
@@ -242,17 +250,6 @@ class AsyncLinkDriver:
         self._pump(now)
         if self._minds:
             self._after_use(now)
-
-    def _enqueue(self, call: Call, now: float) -> None:
-        if self._transport is None and (refusal := self._life.refusal(now, call.unit)) is not None:
-            raise refusal
-        if call.caller is None:
-            call.caller = asyncio.current_task()
-        self.session.submit(call, now)
-        if self._parameters.join:
-            self._plan_flush()
-        else:
-            self._pump(now)
 
     def _plan_flush(self) -> None:
         if not self._flush_planned:

@@ -17,9 +17,11 @@ from ..pdu.functions import AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from ..session.responder import (
+    ALONE,
     LATER,
     SILENCE,
     Deferral,
+    Forwarding,
     Outcome,
     Refusal,
     RequestContext,
@@ -110,6 +112,10 @@ class _Turn:
             outcome = perform(inside)
         except Refusal as refusal:
             outcome = ExceptionResponse(context.function, refusal.code)
+        if isinstance(outcome, Forwarding):
+            for target, asked in outcome.asks:
+                target.ask(outcome, ALONE, (asked,))
+            outcome = LATER
         if inside.replied:
             return SILENCE  # said already, before the responder returned
         if outcome is LATER:

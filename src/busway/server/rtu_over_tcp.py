@@ -124,7 +124,8 @@ class FramedSession:
             self.put_off(buffer, size)
             return self.go_on()
         self.spent = size // 16
-        emissions = self._session.receive(bytes(memoryview(buffer)[:size]), time.monotonic())
+        found = self._session.find(bytes(memoryview(buffer)[:size]), time.monotonic())
+        emissions = [*filter(None, map(self._session.process, found))]
         self._rearm()
         return [one.frame for one in emissions]
 

@@ -109,32 +109,29 @@ class UdpListener:
 
     # What its sockets tell.
 
-    def received(self, socket: "_Socket", data: bytes, address: Any) -> None:  # Any: of whatever family
-        """A datagram has come: answer it."""
+    def peer_of(self, socket: "_Socket", data: bytes, address: Any, now: float) -> "_Peer | None":
+        """The peer that sent a datagram; None if the datagram is dropped."""
         if not self._takes_more:
-            return
+            return None
         listener_context = self.listener_context
-        now = time.monotonic()
         listener_context.diagnosis.traffic = now
         host = host_of(address)
         if not listener_context.welcomes(host, address):
-            return
+            return None
         if not self._is_whole(data):
             listener_context.broken()
             listener_context.counters.discarded_frames += 1
             if listener_context.framing != "mbap":
                 listener_context.diagnostics.received_damaged()
-            return
+            return None
         if (
             listener_context.rates is not None
             and not listener_context.is_priority(host)
             and not listener_context.rates.allows(host, now)
         ):
             listener_context.counters.rate_limited += 1
-            return
-        peer = self._peers.get((socket, address)) or self._admit(socket, address)
-        if peer is not None:
-            peer.receive(data, now)
+            return None
+        return self._peers.get((socket, address)) or self._admit(socket, address)
 
     def closed(self, socket: "_Socket") -> None:
         """A socket is closed."""
@@ -197,8 +194,14 @@ class _Socket(asyncio.DatagramProtocol):
         self._listener.listener_context.diagnosis.is_open = True
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
-        """A datagram has come."""
-        self._listener.received(self, data, addr)
+        """A datagram has come: answer it."""
+        now = time.monotonic()
+        peer = self._listener.peer_of(self, data, addr, now)
+        if peer is not None:
+            peer.heard(data, now)
+            for reply in peer.session.receive(data, len(data)):
+                peer.deliver(reply)
+            peer.attend()
 
     def error_received(self, exc: Exception) -> None:
         """A peer does not take its answer: it has gone, and others have not."""
@@ -261,15 +264,12 @@ class _Peer:
         self._trace: ConnectionTrace | None = None
         self.session = listener_context.session_for(self)
 
-    def receive(self, data: bytes, now: float) -> None:
-        """Answer a datagram."""
+    def heard(self, data: bytes, now: float) -> None:
+        """Count and trace a datagram of this peer."""
         self.last_used = now
         self.received += len(data)
         if TRACE.level:
             self._traced().received(data)
-        for reply in self.session.receive(data, len(data)):
-            self.deliver(reply)
-        self.attend()
 
     def attend(self) -> None:
         """The session has come to something."""

@@ -243,7 +243,17 @@ class TcpClientSession:
             turn = 1 if gap else min(len(free), queue.share(room))
             while call is not None:
                 before = len(free)
-                self._send(call, now, out, at_most=turn)
+                # A unit that is doubted gets one request: a probe.
+                at_most = 1 if self._doubtful and self._is_doubted(call) else turn
+                adus = self._next_batch(call, at_most, now)
+                if not adus:
+                    for position in call.take(at_most):
+                        adus.append(self._launch(call, position, now))
+                    self.counters.requests += len(adus)
+                if len(adus) == 1 or self.parameters.single_adu_segments:
+                    out += adus
+                else:
+                    out.append(b"".join(adus))
                 sent = before - len(free)
                 queue.sent(call, sent)
                 turn -= sent
@@ -284,22 +294,13 @@ class TcpClientSession:
     def _may_ask(self, now: float, call: Call) -> bool:
         return self.breakers is None or self.breakers.suspended_for(call.unit, now) is None
 
-    def _send(self, call: Call, now: float, out: list[bytes], *, at_most: int) -> None:
-        """Send up to ``at_most`` requests of a call, joined in one piece of ``out``."""
-        if self._doubtful and self._is_doubted(call):
-            at_most = 1  # it is a probe
+    def _next_batch(self, call: Call, at_most: int, now: float) -> list[bytes]:
+        """Send up to ``at_most`` requests of a call as a pipelined batch; nothing if they cannot be batched."""
         requests = len(call.requests)
-        if requests > 1 and not call.again and not call.is_write and not self.parameters.single_adu_segments:
-            together = self._send_batch(call, min(at_most, requests - call.next), now)
-            if together is not None:
-                out.append(together)
-                return
-        adus = [self._launch(call, position, now) for position in call.take(at_most)]
-        self.counters.requests += len(adus)
-        if len(adus) == 1 or self.parameters.single_adu_segments:
-            out += adus
-        else:
-            out.append(b"".join(adus))
+        if requests == 1 or call.again or call.is_write or self.parameters.single_adu_segments:
+            return []
+        together = self._send_batch(call, min(at_most, requests - call.next), now)
+        return [] if together is None else [together]
 
     def _send_batch(self, call: Call, count: int, now: float) -> bytes | None:
         """Send the next ``count`` requests as a pipelined batch and return its bytes; None if they cannot be batched.

@@ -30,7 +30,7 @@ _READ_LENGTH = b"\0\0\0\6"
 """Protocol and length of such a read."""
 _UNIT_ASKED = 4
 """Offset of the unit in the key of a read, and in the head of its answer."""
-_LAST_READ = 4
+LAST_READ = 4
 """The largest function code of these reads."""
 _PLAN_LIMIT = 4096
 DeliverTogether = Callable[[list[bytes]], None]
@@ -332,4 +332,4 @@ class ForwardedReads:
 
 def is_read(adu: bytes) -> bool:
     """Whether an ADU is a read of one of the four tables (functions 01 to 04)."""
-    return len(adu) == READ_SIZE and 0 < adu[7] <= _LAST_READ and adu[2:6] == _READ_LENGTH
+    return len(adu) == READ_SIZE and 0 < adu[7] <= LAST_READ and adu[2:6] == _READ_LENGTH

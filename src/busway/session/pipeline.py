@@ -28,6 +28,7 @@ from .responder import (
     SILENCE,
     ClientIdentity,
     Deferral,
+    Forwarding,
     Outcome,
     Refusal,
     RequestContext,
@@ -170,7 +171,7 @@ class RequestPipeline:
         if self.observers:
             if isinstance(outcome, Message) or outcome is SILENCE:
                 context.end(outcome)
-            elif outcome is LATER and context.executed is not None:
+            elif context.executed is not None and (outcome is LATER or isinstance(outcome, Forwarding)):
                 context.end(SILENCE)  # a broadcast: no device replies to it
         return outcome
 

@@ -2,16 +2,16 @@
 
 Knows no device, policy or gateway.
 
-1. `Responder.answer` gives the reply, an awaitable of it, `LATER` (then `RequestContext.reply` is called once), or
-   `SILENCE`. Raising `Refusal` answers with its exception code.
+1. `Responder.answer` gives the reply, an awaitable of it, `LATER` (then `RequestContext.reply` is called once),
+   `SILENCE`, or a `Forwarding`, which the session begins. Raising `Refusal` answers with its exception code.
 2. `Responder.serves` says which units are served, and by which device of this process, if it is one. Requests to such a
    device may take the fast path, which does not pass `answer` (`busway.session.pipeline`).
 """
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from ..codes import LAST_SERIAL_UNIT
 from ..pdu.fast_answers import DirectModel
@@ -34,7 +34,6 @@ LATER: Final = Deferral.LATER
 SILENCE: Final = Deferral.SILENCE
 """No reply is sent."""
 
-Outcome = Message | Awaitable[Message] | Deferral
 Replaced = tuple[bytes | None, ...]
 """What a write replaces, an element for each range: items in wire order, or None where they do not exist."""
 
@@ -214,6 +213,91 @@ class RequestContext:
             ended(outcome)
 
 
+class ForwardingTarget(Protocol):
+    """A unit of another server that requests are forwarded to."""
+
+    def ask(self, asker: "Forwarding", tags: Sequence[None], asked: Sequence[Any]) -> None:  # Any: `ForwardedMessage`
+        """Forward a request. ``asker`` gets its answer, perhaps before this returns."""
+
+
+class ForwardedMessage(Protocol):
+    """A request as it is asked of another server, and the way back for its reply."""
+
+    def of_data(self, data: bytes) -> Message:
+        """The client's reply with the data of a read."""
+
+    def client_reply(self, reply: Message) -> Message:
+        """The client's reply, made from the other server's."""
+
+
+class Forwarding:
+    """A request that a gateway forwards to one target or more, and the client that waits for it.
+
+    The session begins it: ``ask`` of each target, with `ALONE`. When all have answered, the client gets the reply.
+
+    Args:
+        context: the request.
+        asks: what is asked of each target.
+        reply: answers the request unless a target refuses it; None for the reply of the only target.
+
+    Attributes:
+        asks: as above.
+        peer, is_priority: the client.
+        batches: what works for it; it adds and removes itself.
+    """
+
+    __slots__ = ("_context", "_left", "_reply", "asks", "batches", "is_priority", "peer")
+
+    def __init__(
+        self,
+        context: RequestContext,
+        asks: tuple[tuple[ForwardingTarget, ForwardedMessage], ...],
+        reply: Message | Deferral | None = None,
+    ) -> None:
+        client = context.client
+        self.peer: str = client.peer
+        self.is_priority: bool = client.is_priority
+        self.asks = asks
+        self.batches: dict[Any, None] = {}  # Any: batches are the gateway's
+        self._context = context
+        self._left = len(asks)
+        self._reply = reply
+        context.gone = self._client_gone
+
+    def answer(self, tags: Sequence[None], asked: Sequence[ForwardedMessage], data: Sequence[bytes]) -> None:
+        """Answer with the data of a read."""
+        self._answered(asked[0].of_data(data[0]))
+
+    def reply(self, tag: None, asked: ForwardedMessage, reply: Message) -> None:
+        """Answer with the reply of a target."""
+        self._answered(asked.client_reply(reply))
+
+    def refuse(self, tag: None, asked: ForwardedMessage, code: int) -> None:
+        """Answer with an exception code."""
+        self._reply = None
+        self._answered(ExceptionResponse(self._context.function, code))
+
+    def send(self) -> None:
+        """Nothing is left to send."""
+
+    def _answered(self, reply: Message) -> None:
+        if self._reply is None:
+            self._reply = reply
+        self._left -= 1
+        if not self._left:
+            self._context.gone = None
+            self._context.reply(self._reply)
+
+    def _client_gone(self) -> None:
+        for batch in list(self.batches):
+            batch.asker_gone(self)
+
+
+ALONE: Final = (None,)
+"""The tag of a request that is forwarded by itself."""
+Outcome = Message | Awaitable[Message] | Deferral | Forwarding
+
+
 class DirectDevice(DirectModel, Protocol):
     """A device of this process that requests may reach by the fast path."""
 
@@ -275,11 +359,15 @@ class SerialUnits:
 
 
 __all__ = [
+    "ALONE",
     "LATER",
     "SILENCE",
     "ClientIdentity",
     "Deferral",
     "DirectDevice",
+    "ForwardedMessage",
+    "Forwarding",
+    "ForwardingTarget",
     "Judged",
     "Outcome",
     "Refusal",

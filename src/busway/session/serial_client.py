@@ -354,7 +354,15 @@ class SerialClientSession:
         if marker is not None:
             return [self._send_marker(marker, call, now)]
         queue.take_turn(call)
-        return [self._send(call, now)]
+        (position,) = call.take(1)
+        if not call.has_more:
+            queue.remove(call)
+        request = call.requests[position]
+        frame = self._framing.encode(call.unit, request.wire if hasattr(request, "wire") else request.prepare())
+        broadcast = call.unit == BROADCAST_UNIT
+        self.state = MasterState.WAITING_TURNAROUND if broadcast else MasterState.WAITING_FOR_REPLY
+        self._begin(_RequestInFlight(call, request, position, call.unit, frame, now, now, 0.0, call.timeout))
+        return [frame]
 
     def _may_ask(self, call: Call, now: float) -> bool:
         unit = call.unit
@@ -425,24 +433,6 @@ class SerialClientSession:
             pause = self.breakers.suspended_for(call.unit, now)
             if pause is not None:
                 self._tracker.give_up(call, now, partial(self._suspended, call, pause))
-
-    def _send(self, call: Call, now: float) -> bytes:
-        (position,) = call.take(1)
-        if not call.has_more:
-            self._tracker.queue.remove(call)
-        request = call.requests[position]
-        try:
-            wire = request.wire
-        except AttributeError:
-            wire = request.prepare()
-        unit = call.unit
-        frame = self._framing.encode(unit, wire)
-        if unit == BROADCAST_UNIT:
-            self.state = MasterState.WAITING_TURNAROUND
-        else:
-            self.state = MasterState.WAITING_FOR_REPLY
-        self._begin(_RequestInFlight(call, request, position, unit, frame, now, now, 0.0, call.timeout))
-        return frame
 
     def _send_marker(self, marker: Marker, call: Call, now: float) -> bytes:
         """Send a marker to the unit of a call, which keeps its position in the queue."""

@@ -20,14 +20,14 @@ from collections.abc import Callable, Container
 from dataclasses import dataclass
 
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, ExceptionCode, FunctionCode
-from ..framing.received import Damaged, Direction, Received, SerialFrame
+from ..framing.received import Damaged, Direction, Received
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
 from .diagnostics import LineDiagnostics
 from .line_framing import LineFraming
 from .pipeline import RequestPipeline, ResponderFailure
-from .responder import LATER, ClientIdentity, Deferral, RequestContext
+from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, Outcome, RequestContext
 from .server import Deferred
 
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
@@ -155,8 +155,49 @@ class SerialServerSession:
 
     def receive(self, data: bytes, now: float) -> list[FrameToSend]:
         """Process bytes read at ``now``. Returns the answers to send; at most one if there is a single master."""
+        return [*filter(None, map(self.process, self.find(data, now)))]
+
+    def find(self, data: bytes, now: float) -> list[Received]:
+        """The frames that bytes read at ``now`` complete, and what is none; to be given to `process` in order."""
         self._last_byte = max(self._last_byte, now)
-        return self._work(self._receiver.receive(data, now))
+        return self._receiver.receive(data, now)
+
+    def process(self, frame: Received) -> FrameToSend | None:
+        """Process a frame, or bytes that are none. Returns the answer, if it is there at once."""
+        self._abandon()
+        if isinstance(frame, Damaged):
+            self.damaged_frames += 1
+            self._diagnostics.received_damaged(overrun=frame.overrun)
+            return None
+        broadcast = frame.unit == BROADCAST_UNIT
+        function = frame.pdu[0]
+        is_own = self._takes_more and (broadcast or frame.unit in self._units)
+        if frame.direction is Direction.REPLY or function > 0x7F or not is_own:
+            self.foreign += 1
+            self._diagnostics.received_foreign()
+            return None
+        self.requests += 1
+        if broadcast:
+            self._broadcast(frame.pdu)
+            return None
+        context = self._waiting = self._context(frame.unit, function)
+        context.diagnostics.received()
+        outcome = self._pipeline.answer(context, frame.pdu, self.failures)
+        if isinstance(outcome, Forwarding):
+            for target, asked in outcome.asks:
+                target.ask(outcome, ALONE, (asked,))
+            outcome = LATER
+        if context.replied:
+            return None  # by ``reply``, before the responder returned; a request has one answer
+        if isinstance(outcome, Message):
+            self._settle(context)
+            return self._answer(context, outcome)
+        if outcome is Deferral.SILENCE:
+            self._settle(context)
+            context.diagnostics.kept_silent()
+        elif outcome is not LATER:
+            self.deferred.append(Deferred(context, outcome))
+        return None
 
     def receive_damaged(self, data: bytes, now: float, *, overrun: bool = False) -> None:
         """Process bytes with a parity or framing error that the port marked, or after which it lost some (S14).
@@ -165,7 +206,8 @@ class SerialServerSession:
         """
         self._last_byte = max(self._last_byte, now)
         marked = [found for found in self._receiver.receive(data, now) if isinstance(found, Damaged)]
-        self._work([*marked, *self._receiver.damaged(now, overrun=overrun)])
+        for found in (*marked, *self._receiver.damaged(now, overrun=overrun)):
+            self.process(found)
 
     def clear_at(self) -> float:
         """The earliest time at which an answer may be sent."""
@@ -173,7 +215,7 @@ class SerialServerSession:
 
     def tick(self, now: float) -> list[FrameToSend]:
         """Process the silence until ``now``. Returns the answers to send."""
-        return self._work(self._receiver.tick(now))
+        return [*filter(None, map(self.process, self._receiver.tick(now)))]
 
     def deadline(self) -> float | None:
         """When `tick` has something to do."""
@@ -213,46 +255,6 @@ class SerialServerSession:
 
     # Inside.
 
-    def _work(self, received: list[Received]) -> list[FrameToSend]:
-        out: list[FrameToSend] = []
-        for found in received:
-            self._abandon()
-            if isinstance(found, Damaged):
-                self.damaged_frames += 1
-                self._diagnostics.received_damaged(overrun=found.overrun)
-                continue
-            answer = self._frame(found)
-            if answer is not None:
-                out.append(answer)
-        return out
-
-    def _frame(self, frame: SerialFrame) -> FrameToSend | None:
-        broadcast = frame.unit == BROADCAST_UNIT
-        function = frame.pdu[0]
-        is_own = self._takes_more and (broadcast or frame.unit in self._units)
-        if frame.direction is Direction.REPLY or function > 0x7F or not is_own:
-            self.foreign += 1
-            self._diagnostics.received_foreign()
-            return None
-        self.requests += 1
-        if broadcast:
-            self._broadcast(frame.pdu)
-            return None
-        context = self._waiting = self._context(frame.unit, function)
-        context.diagnostics.received()
-        outcome = self._pipeline.answer(context, frame.pdu, self.failures)
-        if context.replied:
-            return None  # by ``reply``, before the responder returned; a request has one answer
-        if isinstance(outcome, Message):
-            self._settle(context)
-            return self._answer(context, outcome)
-        if outcome is Deferral.SILENCE:
-            self._settle(context)
-            context.diagnostics.kept_silent()
-        elif outcome is not LATER:
-            self.deferred.append(Deferred(context, outcome))
-        return None
-
     def _settle(self, context: RequestContext) -> None:
         """Forget the request in work: it has its outcome."""
         self._waiting = None
@@ -271,20 +273,23 @@ class SerialServerSession:
             if diagnostics.listen_only:
                 pass
             elif may_be_broadcast:
-                done = self._broadcast_to(unit, pdu, executed)
+                context = self._context(unit, pdu[0])
+                context.executed = executed
+                outcome = self._pipeline.answer(context, pdu, self.failures)
+                if isinstance(outcome, Forwarding):
+                    for target, asked in outcome.asks:
+                        target.ask(outcome, ALONE, (asked,))
+                done = self._is_executed(context, outcome)
             else:
                 diagnostics.failed(ExceptionCode.ILLEGAL_FUNCTION)
             diagnostics.kept_silent(executed=done)
 
-    def _broadcast_to(self, unit: int, pdu: bytes, executed: set[int]) -> bool:
-        """Execute a broadcast on one unit. Returns whether it succeeded."""
-        context = self._context(unit, pdu[0])
-        context.executed = executed
-        outcome = self._pipeline.answer(context, pdu, self.failures)
+    def _is_executed(self, context: RequestContext, outcome: Outcome) -> bool:
+        """Whether a unit has executed a broadcast, to which it gives no answer."""
         if isinstance(outcome, ExceptionResponse):
             context.diagnostics.failed(outcome.exception)
             return False
-        if not isinstance(outcome, Message | Deferral):
+        if not isinstance(outcome, Message | Deferral | Forwarding):
             self.deferred.append(Deferred(context, outcome))
             return False
         context._finish = None

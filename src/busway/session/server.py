@@ -13,6 +13,8 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no dev
 6. Known reads that the responder forwards (`ReadForwarder`) are forwarded together and bypass the generic path.
 7. With a share, one call processes at most that many requests, known reads not counted; bytes after them
    wait (``rest``) until the driver calls `go_on`.
+8. `TcpServerSession.receive` has two loops: one for segments of nothing but known reads, one for everything else. With
+   the second alone, a known read would take half as many instructions again (67 instead of 45).
 """
 
 from collections.abc import Awaitable, Sequence
@@ -26,9 +28,9 @@ from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, Stre
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostics import LineDiagnostics
-from .forwarded_reads import READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
+from .forwarded_reads import LAST_READ, READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
 from .pipeline import MOST_READS, NO_FAST_PATH, RequestPipeline, ResponderFailure
-from .responder import LATER, ClientIdentity, Deferral, RequestContext
+from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext
 from .transaction_slots import TransactionSlots
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
@@ -36,7 +38,8 @@ _pack = HEAD.pack
 _cut_reads = Struct("2s10s").iter_unpack
 """Cuts reads of twelve bytes into the transaction and the ten bytes that are the key of a plan."""
 _UNIT = 6
-"""Offset of the unit in an ADU."""
+_FUNCTION = 7
+"""Offsets of the unit and of the function in an ADU."""
 _unit_of = itemgetter(_UNIT)
 _LENGTHS = frozenset(range(MIN_LENGTH, MAX_LENGTH + 1))
 """Valid values of the length field: one look-up is quicker than two comparisons."""
@@ -181,9 +184,12 @@ class TcpServerSession:
                 self.requests += 1
                 self._diagnostics.exchanged[buffer[_UNIT]] += 1
                 return [bytes(buffer[:2]) + plan.head + plan.block.data[plan.part]]
+        reads = None if muted else self._reads
         out: list[bytes] = []
         at = 0
-        if known and not size % READ_SIZE:
+        if size % READ_SIZE:
+            pass
+        elif known:
             # A poller sends only reads, and repeats them. Cut by one call, without copying the buffer, they take
             # 0.47 µs each, of which 0.2 are for building the answer; by the loop below 0.6.
             for transaction, asked in _cut_reads(memoryview(buffer)[:size]):
@@ -198,9 +204,7 @@ class TcpServerSession:
                 if began is not None:
                     pipeline.answered(self._client, out, began)
                 return out
-        reads = self._reads if not muted else None
-        if reads is not None and not (out or size % READ_SIZE):
-            # A poller's reads that a gateway forwards.
+        elif reads is not None and size and buffer[_FUNCTION] <= LAST_READ:
             at = reads.take(buffer, 0, size)
             self.requests += at // READ_SIZE
             if at == size:
@@ -224,7 +228,7 @@ class TcpServerSession:
                 continue
             if not left:
                 break
-            if reads is not None:
+            if reads is not None and buffer[at + _FUNCTION] <= LAST_READ:
                 begin, at = at, reads.take(buffer, at, size)
                 if at > begin:
                     taken = (at - begin) // READ_SIZE
@@ -247,7 +251,7 @@ class TcpServerSession:
                 reply = None if answer is None else answer(buffer, at + 7, end, client)
                 if reply is not None:
                     out.append(_pack(transaction, 0, len(reply) + 1, unit) + reply)
-                    if function <= 4 and learns and length == 6:
+                    if function <= LAST_READ and learns and length == 6:
                         learns = fast.learn_read(buffer[at:end])
                     at = end
                     continue
@@ -257,19 +261,19 @@ class TcpServerSession:
                     if began is not None:
                         pipeline.answered(client, out[counted:], began)
                     counted = len(out)
-                if reads is not None and self._can_forward(unit, buffer[at:end]):
+                if reads is not None and function <= LAST_READ and self._can_forward(unit, buffer[at:end]):
                     left += 1  # it is taken in the next round
                     continue
-                adu = self._generic_path(transaction, unit, bytes(buffer[at + 7 : end]))
+                adu = self._generic_path(transaction, unit, buffer[at + _FUNCTION : end])
                 if adu:
                     out.append(adu)
                     counted += 1
                 if began is not None:
                     began = pipeline.clock()
-                # Function 08 may have muted a unit, or woken it.
-                fast = NO_FAST_PATH if muted else self._fast
-                known, functions = fast.reads, fast.functions
-                reads = self._reads if not muted else None
+                if function == FunctionCode.DIAGNOSTICS:  # it may have muted a unit, or woken it
+                    fast = NO_FAST_PATH if muted else self._fast
+                    known, functions = fast.reads, fast.functions
+                    reads = None if muted else self._reads
             else:
                 self.discarded += 1
             at = end
@@ -367,7 +371,11 @@ class TcpServerSession:
             self.refused_busy += 1
             return self._encode(context, ExceptionResponse(function, ExceptionCode.SERVER_DEVICE_BUSY))
         outcome = self._pipeline.answer(context, pdu, self.failures)
-        if context.replied:
+        if isinstance(outcome, Forwarding):
+            for target, asked in outcome.asks:
+                target.ask(outcome, ALONE, (asked,))
+            outcome = LATER
+        if context._finish is None:
             return b""  # by ``reply``, before the responder returned; a request has one answer
         if isinstance(outcome, Message):
             context._finish = None

@@ -19,7 +19,7 @@ from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
 from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState
-from busway.session.responder import LATER, ClientIdentity, Deferral, RequestContext
+from busway.session.responder import ALONE, ClientIdentity, Deferral, Forwarding, RequestContext
 
 UNITS = range(1, 11)
 CLIENTS = 4
@@ -84,7 +84,10 @@ class Pollers:
             client=ClientIdentity(peer=f"client {client}"),
         )
         outcome = self.handler.answer(context, request)
-        if outcome is not LATER:
+        if isinstance(outcome, Forwarding):
+            for target, asked in outcome.asks:
+                target.ask(outcome, ALONE, (asked,))
+        else:
             assert isinstance(outcome, Message)
             self.done(client, unit, outcome, begun)
 

@@ -24,7 +24,7 @@ from busway.options.server import ListenerParameters
 from busway.server.listener import Listener
 from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState
-from busway.session.responder import ClientIdentity, RequestContext
+from busway.session.responder import ALONE, ClientIdentity, Forwarding, RequestContext
 
 ANY_PORT = "tcp://127.0.0.1:0"
 
@@ -173,7 +173,10 @@ def test_a_client_that_goes_on_asking_keeps_its_connection_however_many_others_c
         context = RequestContext(
             unit=1, function=3, diagnostics=CommunicationState(), finish=_ignored, client=ClientIdentity(peer=peer)
         )
-        handler.answer(context, busway.ReadHoldingRegisters(address, 10))
+        forwarding = handler.answer(context, busway.ReadHoldingRegisters(address, 10))
+        assert isinstance(forwarding, Forwarding)
+        for target, asked in forwarding.asks:
+            target.ask(forwarding, ALONE, (asked,))
         (used,) = [link for link in links if link.taken]
         used.answer_all()
         return used

@@ -22,7 +22,7 @@ from busway.faults.clock import FakeClock
 from busway.pdu.message import Message
 from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState
-from busway.session.responder import LATER, SILENCE, ClientIdentity, Deferral, RequestContext
+from busway.session.responder import ALONE, SILENCE, ClientIdentity, Deferral, Forwarding, RequestContext
 
 SIZE = 3000
 """Items of each table of a device. What lies beyond does not exist."""
@@ -95,7 +95,10 @@ def asked_by(handler: ListenerRouter, unit: int, pdu: bytes, *, peer: str = "cli
         client=ClientIdentity(peer=peer),
     )
     outcome = handler.answer(context, handler.functions.decode_request(pdu))
-    if outcome is not LATER:
+    if isinstance(outcome, Forwarding):
+        for target, asked in outcome.asks:
+            target.ask(outcome, ALONE, (asked,))
+    else:
         assert not seen
         seen.append(outcome)  # type: ignore[arg-type]
     (reply,) = seen

@@ -20,6 +20,7 @@ from types import MappingProxyType
 from typing import Any, Final, Protocol
 
 from ...client.link import AsyncLinkDriver
+from ...codes import BROADCAST_UNIT
 from ...errors import ModbusError, NoReply, Overloaded
 from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
@@ -184,11 +185,12 @@ class ForwardTarget:
         deadline: seconds after which clients have given up; None if that is not known.
     """
 
-    __slots__ = ("deadline", "forwarder", "retries", "timeout", "unit")
+    __slots__ = ("deadline", "forwarder", "is_broadcast", "retries", "timeout", "unit")
 
     def __init__(self, forwarder: "Forwarder", unit: int, timeout: float | None, deadline: float | None) -> None:
         self.forwarder: Forwarder = forwarder
         self.unit: int = unit
+        self.is_broadcast: bool = unit == BROADCAST_UNIT and forwarder.upstream.takes_broadcasts
         parameters = forwarder.upstream.settings.parameters
         self.timeout: float = timeout or parameters.timeout
         self.retries: int = parameters.retries
@@ -197,36 +199,82 @@ class ForwardTarget:
     def ask(self, asker: ForwardingClient, tags: Sequence[Any], asked: Sequence[ForwardedRequest]) -> None:
         """Forward requests of one client; each gets its answer, perhaps before this returns."""
         forwarder = self.forwarder
-        links = forwarder.upstream.links
-        link = links[0] if len(links) == 1 else forwarder.upstream.link_for(asker.peer)
+        upstream = forwarder.upstream
+        links = upstream.links
+        link = links[0] if len(links) == 1 else upstream.link_for(asker.peer)
+        if link is None or (len(tags) > 1 and not upstream.pipelines):
+            self._ask_apart(link, asker, tags, asked)
+            return
         shared = forwarder.cache.shared(self.unit) if forwarder.share_reads and asked[0].key else None
-        if link is None:
-            forwarder.upstream.counters.no_path += len(tags)
-            for tag, one in zip(tags, asked, strict=True):
-                forwarder.refuse((asker, tag, one), NO_PATH)
-        elif len(tags) > 1 and not forwarder.upstream.pipelines:
-            for tag, one in zip(tags, asked, strict=True):
-                self.ask(asker, (tag,), (one,))
-        elif shared is None:
-            self._send(link, asker, tags, asked, None)
-        else:
+        twice: Sequence[tuple[Any, ForwardedRequest]] = ()
+        keys: Sequence[Key] = ()
+        if shared is not None:
             keys = [one.key for one in asked]
-            if shared.keys().isdisjoint(keys) and len(set(keys)) == len(keys):
-                self._send(link, asker, tags, asked, shared)
-            else:
-                self._share(link, asker, tags, asked, shared)
+            if not shared.keys().isdisjoint(keys) or len(set(keys)) != len(keys):
+                tags, asked, twice = self._share(asker, tags, asked, shared)
+                keys = [one.key for one in asked]
+        if tags:
+            batch = Batch(self, link, asker, tags, asked)
+            # All before it begins: it may end at once, while a connection is made anew.
+            forwarder.open[batch] = None
+            asker.batches[batch] = None
+            if batch.is_write:
+                forwarder.cache.write_begins(self.unit)
+                upstream.counters.broadcasts += self.is_broadcast
+            elif shared is not None:
+                batch.shared = shared
+                batch.keys = keys
+                shared.update(dict.fromkeys(keys, batch))
+            if asked[0].place is not None:
+                batch.place = asked[0].place
+                batch.since, batch.read_at = forwarder.cache.changes(self.unit), upstream.clock()
+            try:
+                link.begin(batch, link.now())
+                upstream.counters.forwarded += len(tags)
+            except ModbusError as error:
+                self._not_begun(batch, asker, error)
+        for tag, one in twice:  # now the first of those that are alike is in flight
+            self.ask(asker, (tag,), (one,))
         if forwarder.answered:
             forwarder.send()
 
-    def _share(
+    def _ask_apart(
         self,
-        link: AsyncLinkDriver,
+        link: AsyncLinkDriver | None,
         asker: ForwardingClient,
         tags: Sequence[Any],
         asked: Sequence[ForwardedRequest],
-        shared: MutableMapping[Key, Batch],
     ) -> None:
-        """Let reads wait for identical ones in flight, or of the same client, and send the others."""
+        """Forward requests one by one; refuse them without a link."""
+        forwarder = self.forwarder
+        for tag, one in zip(tags, asked, strict=True):
+            if link is not None:
+                self.ask(asker, (tag,), (one,))
+            else:
+                forwarder.upstream.counters.no_path += 1
+                forwarder.refuse((asker, tag, one), NO_PATH)
+        forwarder.send()
+
+    def _not_begun(self, batch: Batch, asker: ForwardingClient, error: ModbusError) -> None:
+        """Refuse requests that the link does not take; of several, some may have room."""
+        forwarder = self.forwarder
+        forwarder.leave(batch)
+        forwarder.upstream.counters.broadcasts -= batch.is_write and self.is_broadcast
+        error.with_traceback(None)  # its frames hold the one that holds it
+        if isinstance(error, Overloaded) and len(batch.tags) > 1:
+            self._ask_apart(batch.link, asker, batch.tags, batch.asked)
+            return
+        for tag, one in zip(batch.tags, batch.asked, strict=True):
+            forwarder.refuse((asker, tag, one), forwarder.upstream.refused(error))
+
+    def _share(
+        self,
+        asker: ForwardingClient,
+        tags: Sequence[Any],
+        asked: Sequence[ForwardedRequest],
+        shared: Mapping[Key, Batch],
+    ) -> tuple[Sequence[Any], Sequence[ForwardedRequest], list[tuple[Any, ForwardedRequest]]]:
+        """Let reads wait for identical ones in flight. Returns those to send, and those that are among them already."""
         left: dict[Key, tuple[Any, ForwardedRequest]] = {}
         twice: list[tuple[Any, ForwardedRequest]] = []
         for tag, one in zip(tags, asked, strict=True):
@@ -239,47 +287,7 @@ class ForwardTarget:
                 twice.append((tag, one))
             else:
                 left[one.key] = tag, one
-        if left:
-            kept, them = zip(*left.values(), strict=True)
-            self._send(link, asker, kept, them, shared)
-        for tag, one in twice:  # now the first of those that are alike is in flight
-            self.ask(asker, (tag,), (one,))
-
-    def _send(
-        self,
-        link: AsyncLinkDriver,
-        asker: ForwardingClient,
-        tags: Sequence[Any],
-        asked: Sequence[ForwardedRequest],
-        shared: MutableMapping[Key, Batch] | None,
-    ) -> None:
-        """Hand requests to the link; refuse those that it does not take. Reads are found in ``shared`` by others."""
-        forwarder = self.forwarder
-        batch = Batch(self, link, asker, tags, asked)
-        # All before it begins: it may end at once, while a connection is made anew.
-        forwarder.open[batch] = None
-        asker.batches[batch] = None
-        if batch.is_write:
-            forwarder.cache.write_begins(self.unit)
-        elif shared is not None:
-            batch.shared = shared
-            batch.keys = [one.key for one in asked]
-            shared.update(dict.fromkeys(batch.keys, batch))
-        if asked[0].place is not None:
-            batch.place = asked[0].place
-            batch.since, batch.read_at = forwarder.cache.changes(self.unit), forwarder.upstream.clock()
-        try:
-            link.begin(batch, link.now())
-        except ModbusError as error:
-            forwarder.leave(batch)
-            error.with_traceback(None)  # its frames hold the one that holds it
-            for tag, one in zip(tags, asked, strict=True):
-                if isinstance(error, Overloaded) and len(tags) > 1:  # some of them may have room
-                    self._send(link, asker, (tag,), (one,), shared)
-                else:
-                    forwarder.refuse((asker, tag, one), forwarder.upstream.refused(error))
-        else:
-            forwarder.upstream.counters.forwarded += len(tags)
+        return [tag for tag, _ in left.values()], [one for _, one in left.values()], twice
 
     def _join(self, batch: Batch, waiter: Waiter) -> None:
         """Let a client wait for a read in flight."""

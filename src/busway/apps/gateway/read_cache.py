@@ -83,17 +83,15 @@ class ReadCache(Generic[Shared]):
 
     def write_begins(self, unit: int) -> None:
         """A write to ``unit`` is about to be forwarded."""
-        self._unit(unit).open_writes += 1
-        self._open_writes += 1
-        self._changed(unit)
+        self._changed(unit, 1)
 
     def write_ended(self, unit: int) -> None:
         """A write to ``unit`` has ended, with or without success."""
-        self._unit(unit).open_writes -= 1
-        self._open_writes -= 1
-        self._changed(unit)
+        self._changed(unit, -1)
 
-    def _changed(self, unit: int) -> None:
+    def _changed(self, unit: int, more_writes: int) -> None:
+        self._open_writes += more_writes
+        self._unit(unit).open_writes += more_writes
         concerned = self._units if unit in ANY_DEVICE else self._concerned.get(unit, (unit, *ANY_DEVICE))
         for each in concerned:
             state = self._units.get(each)

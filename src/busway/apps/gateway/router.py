@@ -10,7 +10,7 @@ Knows routes, upstreams and the gateway's own unit; knows no bytes (Messaging on
    unknown function is forwarded unread.
 """
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
@@ -23,8 +23,18 @@ from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
 from ...pdu.wide_registers import MAX_DATA, NARROW
 from ...session.forwarded_reads import ForwardPlan
-from ...session.responder import LATER, SILENCE, Deferral, Outcome, RequestContext, Responder, ServedUnit
-from .forwarding import Batch, Forwarder, ForwardTarget
+from ...session.responder import (
+    SILENCE,
+    Deferral,
+    ForwardedMessage,
+    Forwarding,
+    ForwardingTarget,
+    Outcome,
+    RequestContext,
+    Responder,
+    ServedUnit,
+)
+from .forwarding import Forwarder, ForwardTarget
 from .routes import ListenerRoutes, Route, RouteAction, Straddles
 from .translation import Translated, echo
 
@@ -170,7 +180,7 @@ class ListenerRouter:
 
     def _forward(
         self, context: RequestContext, request: Request, route: Route, forwarder: Forwarder
-    ) -> Message | Deferral:
+    ) -> Message | Forwarding:
         """Forward a request by a route, or answer a read with remembered data."""
         width = forwarder.upstream.register_width
         if width != NARROW and isinstance(request, ReadRegisters) and request.count * width > MAX_DATA:
@@ -184,9 +194,7 @@ class ListenerRouter:
             data = forwarder.recall(target.unit, asked.place, route.cache)
             if data is not None:
                 return asked.of_data(data)
-        asker = _SingleRequest(context)
-        target.ask(asker, (None,), (asked,))
-        return asker.outcome()
+        return Forwarding(context, ((target, asked),))
 
     def _no_route(self, context: RequestContext, found: Straddles | None) -> Outcome:
         self.counters.no_route += 1
@@ -207,21 +215,25 @@ class ListenerRouter:
         if isinstance(own, Route) and own.action is not RouteAction.FORWARD:
             return self._not_forwarded(context, own)
         charged: set[int] = set()
-        ways = [
-            way for name in self._takers() if (way := self._way_to_all(context, name, request, charged)) is not None
-        ]
+        found = [self._way_to_all(context, name, request, charged) for name in self._takers()]
+        ways = [way for way in found if way is not None]
         if not ways:
             forwarder = None if not isinstance(own, Route) else self._forwarder_of(own)
             if forwarder is not None and isinstance(own, Route):
                 return self._forward(context, request, own, forwarder)
             return self._no_route(context, None)
-        rest = _Broadcast(context, None if self.silent_broadcasts else echo(request))
-        parts = [(way, rest.part()) for way in ways]
-        for way, part in parts:
-            outcome = self._refused(part, way) if isinstance(way, int) else self._to_all(part, request, way)
-            if outcome is not LATER:
-                rest.one_done(part, outcome)
-        return LATER
+        reply: Message | Deferral = SILENCE if self.silent_broadcasts else echo(request)
+        asks: list[tuple[ForwardingTarget, ForwardedMessage]] = []
+        for way in ways:
+            if isinstance(way, int):
+                outcome: Message | Forwarding = self._refused(context, way)
+            else:
+                outcome = self._forward(context, request, way, self._forwarders[way.upstream])
+            if isinstance(outcome, Forwarding):
+                asks += outcome.asks
+            else:
+                reply = outcome
+        return Forwarding(context, tuple(asks), reply) if asks else reply
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
         """Forward a broadcast of a serial listener, which comes once per unit; upstreams that take broadcasts get one.
@@ -242,8 +254,9 @@ class ListenerRouter:
             self.counters.broadcasts += 1
             way = self._way_to_all(context, found.upstream, request, executed)
             if isinstance(way, Route):
-                self._to_all(context, request, way)
-            elif way is not None:
+                outcome = self._forward(context, request, way, forwarder)
+                return outcome if isinstance(outcome, Forwarding) else SILENCE
+            if way is not None:
                 self._refused(context, way)
         return SILENCE
 
@@ -281,13 +294,6 @@ class ListenerRouter:
             return _NO_PATH
         return self.refusal_of(context, request, units, charged) or ways.pop()
 
-    def _to_all(self, context: RequestContext, request: Request, way: Route) -> Message | Deferral:
-        """Send a write to all units of an upstream; it is answered when it was sent."""
-        forwarder = self._forwarders[way.upstream]
-        outcome = self._forward(context, request, way, forwarder)
-        forwarder.upstream.counters.broadcasts += not isinstance(outcome, ExceptionResponse)
-        return outcome
-
     def _refused(self, context: RequestContext, code: int) -> Message:
         self.counters.refused += 1
         return ExceptionResponse(context.function, code)
@@ -305,91 +311,7 @@ def _for_all_units(route: Route) -> Route:
     )
 
 
-class _SingleRequest:
-    """A single request on its way upstream: its reply is the outcome of `answer`, or comes later by its context."""
-
-    __slots__ = ("_context", "_is_late", "_outcome", "batches", "is_priority", "peer")
-
-    def __init__(self, context: RequestContext) -> None:
-        self.peer = context.peer
-        self.is_priority = context.is_priority
-        self.batches: dict[Batch, None] = {}
-        self._context = context
-        self._is_late = False
-        self._outcome: Message | Deferral = LATER
-        context.gone = self._gone
-
-    def outcome(self) -> Message | Deferral:
-        """The reply if it is there, otherwise `LATER`; from now on replies go to the context."""
-        self._is_late = True
-        return self._outcome
-
-    def answer(self, tags: Sequence[None], asked: Sequence[Translated], data: Sequence[bytes]) -> None:
-        """Answer with the data of a read."""
-        self._give(asked[0].of_data(data[0]))
-
-    def reply(self, tag: None, asked: Translated, reply: Message) -> None:
-        """Answer with a reply of the upstream."""
-        self._give(asked.client_reply(reply))
-
-    def refuse(self, tag: None, asked: Translated, code: int) -> None:
-        """Answer with an exception code."""
-        self._give(ExceptionResponse(self._context.function, code))
-
-    def send(self) -> None:
-        """Nothing is left to send."""
-
-    def _give(self, reply: Message) -> None:
-        self._context.gone = None
-        if self._is_late:
-            self._context.reply(reply)
-        else:
-            self._outcome = reply
-
-    def _gone(self) -> None:
-        for batch in list(self.batches):
-            batch.asker_gone(self)
-
-
 @lru_cache(maxsize=32)
 def as_bytes(kind: type[ReadRegisters] | type[ReadBits]) -> Any:  # Any: a class of the same kind
     """A class of the same read whose reply is its data alone: no message is built only to be taken apart (0.4 µs)."""
     return type(kind.__name__, (kind,), {"take": staticmethod(bytes), "__doc__": kind.__doc__})
-
-
-class _Broadcast:
-    """A broadcast to several upstreams: answered when all have sent it, with an exception if one failed."""
-
-    __slots__ = ("_context", "_parts", "_reply")
-
-    def __init__(self, context: RequestContext, reply: Message | None) -> None:
-        self._context = context
-        self._parts: list[RequestContext] = []
-        self._reply: Message | Deferral = SILENCE if reply is None else reply
-        context.gone = self.asker_gone
-
-    def part(self) -> RequestContext:
-        """The context of the broadcast to one upstream."""
-        context = self._context
-        part = RequestContext(
-            unit=BROADCAST_UNIT,
-            function=context.function,
-            diagnostics=context.diagnostics,
-            client=context.client,
-            finish=self.one_done,
-        )
-        self._parts.append(part)
-        return part
-
-    def one_done(self, part: RequestContext, reply: Message | Deferral) -> None:
-        """One upstream has sent the broadcast, or failed to."""
-        if isinstance(reply, ExceptionResponse):
-            self._reply = reply
-        self._parts.remove(part)
-        if not self._parts:
-            self._context.reply(self._reply)
-
-    def asker_gone(self) -> None:
-        """The client has disconnected: upstreams that have not sent the broadcast do not send it."""
-        for part in self._parts:
-            part.abandon()
