@@ -1,0 +1,121 @@
+"""Points that change their names: history goes on under the new one, and no value of another point comes under it."""
+
+import asyncio
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+from lying_devices import Field, Lies, word
+from waiting import until
+
+import busway
+from busway.apps.collector.configuration import load_collector
+
+ADDRESSES = {"at0": 0, "at4": 4, "at8": 8}
+
+
+def plant(folder: Path, url: str, names: Mapping[str, str], was: Mapping[str, str]) -> Path:
+    """A file with one device; names and former names of its points by address."""
+    points = []
+    for key, start in ADDRESSES.items():
+        former = f', was = "{was[key]}"' if key in was else ""
+        points.append(f'{{ name = "{names[key]}", address = "holding:{start}", type = "uint64"{former} }}')
+    (folder / "profile.toml").write_text("[[unit]]\nunit = 1\npoint = [\n" + ",\n".join(points) + "\n]\n")
+    file = folder / "plant.toml"
+    file.write_text(
+        '[collector]\nstore = "data"\npage = "off"\n[poll_class]\nall.period = 0.03\n'
+        f'[[link]]\nname = "a"\nurl = "{url}"\n'
+        '[[device]]\nname = "pump"\nlink = "a"\nunit = 1\nprofile = "profile.toml"\n'
+    )
+    return file
+
+
+def starts(folder: Path, point: str) -> list[int]:
+    """Which registers the samples of a point are of, in the order of time, repetitions left out."""
+    found: list[int] = []
+    for sample in busway.Store(folder / "data").read(f"pump/{point}"):
+        if sample.value is not None:
+            assert isinstance(sample.value, int)
+            start = (sample.value >> 32 & 0xFFFF) & ~3
+            if found[-1:] != [start]:
+                found.append(start)
+    return found
+
+
+async def some_rounds(collector: busway.Collector) -> None:
+    before = collector.store_status().samples
+    await until(lambda: collector.store_status().samples >= before + 12, 20)
+
+
+async def all_configurations(folder: Path, url: str, *steps: tuple[Mapping[str, str], Mapping[str, str]]) -> None:
+    """Collect by each of these names and former names, one after the other; then start again with the last."""
+    names, was = steps[0]
+    async with busway.collect(plant(folder, url, names, was)) as collector:
+        await some_rounds(collector)
+        for names, was in steps[1:]:
+            await collector.reload(load_collector(plant(folder, url, names, was)))
+            await some_rounds(collector)
+    for _ in range(2):
+        async with busway.collect(folder / "plant.toml") as collector:
+            await some_rounds(collector)
+
+
+NAMED = {"at0": "a", "at4": "b", "at8": "c"}
+
+
+async def test_history_goes_on_under_the_new_name_and_both_names_find_it(tmp_path: Path) -> None:
+    with Field() as world:
+        url, _ = world.endpoint("tcp", [1])
+        await all_configurations(tmp_path, url, (NAMED, {}), ({**NAMED, "at0": "new"}, {"at0": "a"}))
+    assert starts(tmp_path, "new") == [0]
+    assert starts(tmp_path, "a") == [0]
+    assert {point.point for point in busway.Store(tmp_path / "data").points()} == {"new", "b", "c"}
+
+
+async def test_a_sample_that_was_on_its_way_when_its_point_was_renamed_belongs_to_the_new_name(tmp_path: Path) -> None:
+    with Field() as world:
+        url, devices = world.endpoint("tcp", [1], Lies(delay=0.02))
+        for number in range(6):
+            names = {**NAMED, "at0": f"new{number}"}
+            was = {"at0": f"new{number - 1}"} if number else {}
+            file = plant(tmp_path, url, names, was)
+            if number == 0:
+                collector = await busway.collect(file).__aenter__()
+            else:
+                await collector.reload(load_collector(file))
+            await asyncio.sleep(0.1 + 0.007 * number)
+        await collector.__aexit__(None, None, None)
+    assert {point.point for point in busway.Store(tmp_path / "data").points()} == {"new5", "b", "c"}
+    assert starts(tmp_path, "new5") == [0]
+    assert len(devices) == 1
+
+
+async def test_two_points_that_exchange_their_names_keep_their_history(tmp_path: Path) -> None:
+    with Field() as world:
+        url, _ = world.endpoint("tcp", [1])
+        exchanged = {"at0": "b", "at4": "a", "at8": "c"}
+        await all_configurations(tmp_path, url, (NAMED, {}), (exchanged, {"at0": "a", "at4": "b"}))
+    assert (starts(tmp_path, "a"), starts(tmp_path, "b"), starts(tmp_path, "c")) == ([4], [0], [8])
+
+
+async def test_a_point_that_takes_the_name_that_another_gave_up_brings_its_own_history(tmp_path: Path) -> None:
+    with Field() as world:
+        url, _ = world.endpoint("tcp", [1])
+        passed_on = {"at0": "first", "at4": "a", "at8": "b"}
+        await all_configurations(tmp_path, url, (NAMED, {}), (passed_on, {"at0": "a", "at4": "b", "at8": "c"}))
+    assert [starts(tmp_path, name) for name in ("first", "a", "b")] == [[0], [4], [8]]
+
+
+async def test_a_new_point_under_a_name_that_was_given_up_has_no_history(tmp_path: Path) -> None:
+    with Field() as world:
+        url, _ = world.endpoint("tcp", [1])
+        last = {"at0": "new", "at4": "b", "at8": "a"}
+        await all_configurations(
+            tmp_path, url, (NAMED, {}), ({**NAMED, "at0": "new"}, {"at0": "a"}), (last, {"at0": "a"})
+        )
+    assert [starts(tmp_path, name) for name in ("new", "a", "b")] == [[0], [8], [4]]
+
+
+@pytest.mark.parametrize("start", [0, 4])
+def test_a_register_says_where_it_is(start: int) -> None:
+    assert word(7, 3, start + 1, 9) & ~3 == start

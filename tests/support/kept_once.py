@@ -1,0 +1,130 @@
+"""What a store and its sinks have to hold of what devices answered: each sample once, handed on with one key, none lost.
+
+1. A sample is named by device, point and time. In the store it is there once; in a sink all its copies are equal, with one
+   commit.
+2. What was seen anywhere (a sink, a query, the page, a backup) is in the store at the end, as it was seen.
+3. An answer that a device gave is in the store, but for the moments before an end of the process.
+"""
+
+import csv
+import io
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any
+
+from lying_devices import Answer
+
+Key = tuple[str, str, int]
+SECOND = 1_000_000_000
+
+
+@dataclass(slots=True)
+class Delivered:
+    """What a sink received: by sample all commits and values that it came with, in the order of arrival."""
+
+    values: dict[Key, set[object]] = field(default_factory=lambda: defaultdict(set))
+    commits: dict[Key, set[int]] = field(default_factory=lambda: defaultdict(set))
+    order: list[Key] = field(default_factory=list)
+    copies: int = 0
+
+    def take(self, key: Key, value: object, commit: int) -> None:
+        self.copies += 1
+        if key not in self.values:
+            self.order.append(key)
+        self.values[key].add(value)
+        self.commits[key].add(commit)
+
+    def problems(self) -> Iterable[str]:
+        """Copies that differ, and points of which something came before what is older."""
+        for key, values in self.values.items():
+            if len(values) != 1:
+                yield f"{key} was handed on with the values {values}"
+            if len(self.commits[key]) != 1:
+                yield f"{key} was handed on as of commits {sorted(self.commits[key])}"
+        last: dict[tuple[str, str], tuple[int, int]] = {}
+        for key in self.order:
+            point = key[:2]
+            this = (min(self.commits[key]), key[2])
+            if this <= last.get(point, (0, 0)):
+                yield f"{key} of commit {this[0]} was handed on after {last[point]}"
+            last[point] = this
+
+
+def of_lines(text: str) -> Delivered:
+    """What a sink of JSON lines received."""
+    found = Delivered()
+    for line in text.splitlines():
+        try:
+            sample = json.loads(line)
+        except ValueError:
+            continue  # what a kill cut off; it comes again
+        found.take((sample["device"], sample["point"], sample["time"]), sample["value"], sample["commit"])
+    return found
+
+
+def of_csv(text: str) -> dict[Key, str]:
+    """The good samples of ``busway query --csv``."""
+    found = {}
+    for row in csv.DictReader(io.StringIO(text)):
+        if row["quality"] == "good":
+            device, _, point = row["point"].partition("/")
+            found[device, point, nanoseconds(row["time"])] = row["value"]
+    return found
+
+
+def nanoseconds(text: str) -> int:
+    """A time of the command line, as nanoseconds since 1970."""
+    whole, _, part = text.rstrip("Z").partition(".")
+    return int(datetime.fromisoformat(whole + "+00:00").timestamp()) * SECOND + int(part.ljust(9, "0") or 0)
+
+
+def good_samples(table: Iterable[Any]) -> tuple[dict[Key, object], list[str]]:
+    """The good samples of a store by their names, and which are there twice."""
+    found: dict[Key, object] = {}
+    twice = []
+    for sample in table:
+        if sample.reason == 0:
+            key = (sample.device, sample.point, sample.time)
+            if key in found:
+                twice.append(f"{key} is there twice: {found[key]} and {sample.value}")
+            found[key] = sample.value
+    return found, twice
+
+
+def missing_answers(
+    kept: Mapping[Key, object], answers: Mapping[str, Sequence[Answer]], excused: Sequence[tuple[int, int]]
+) -> Iterable[str]:
+    """Honest answers whose value is nowhere in the store, and those that are there at two times."""
+    turns: dict[tuple[str, str, int], list[int]] = defaultdict(list)
+    for (device, point, time), value in kept.items():
+        if point.startswith("code"):
+            assert isinstance(value, int)
+            turns[device, point, value & 0xFFFFFFFF].append(time)
+    for place, times in turns.items():
+        if len(times) > 1:
+            yield f"the answer {place} is there at {times}"
+    for device, given in answers.items():
+        for answer in given:
+            if answer.lie != "honest" or answer.function != 3 or answer.start % 4 or answer.count % 4:
+                continue
+            if any(begin <= answer.received <= end for begin, end in excused):
+                continue
+            for start in range(answer.start, answer.start + answer.count, 4):
+                point = f"code{start}"
+                if point in WANTED and (device, point, answer.round) not in turns:
+                    yield f"{device}/{point}: the answer {answer.round} at {answer.received} is not in the store"
+
+
+WANTED = frozenset(f"code{start}" for start in (0, 4, 8, 200, 204))
+"""The points of the devices of these tests."""
+
+
+def profile() -> str:
+    """Five points in two reads, and nothing else that could be read."""
+    lines = ["[[unit]]", "unit = 1", "point = ["]
+    for start in (0, 4, 8, 200, 204):
+        lines.append(f'    {{ name = "code{start}", address = "holding:{start}", type = "uint64" }},')
+    return "\n".join([*lines, "]"]) + "\n"
