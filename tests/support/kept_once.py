@@ -1,7 +1,7 @@
-"""What a store and its sinks have to hold of what devices answered: each sample once, handed on with one key, none lost.
+"""What a store and its sinks have to hold of what devices answered: each sample once, with one key, none lost.
 
-1. A sample is named by device, point and time. In the store it is there once; in a sink all its copies are equal, with one
-   commit.
+1. A sample is named by device, point and time. In the store it is there once; in a sink all its copies are equal, with
+   one commit.
 2. What was seen anywhere (a sink, a query, the page, a backup) is in the store at the end, as it was seen.
 3. An answer that a device gave is in the store, but for the moments before an end of the process.
 """

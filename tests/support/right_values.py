@@ -1,4 +1,4 @@
-"""What samples of `lying_devices` have to be: a layout of points, and a checker that knows who was asked what, and when.
+"""What samples of `lying_devices` have to be: a layout of points, and a checker that knows who was asked what.
 
 1. A sample that is good equals what its device held at its point in an answer within the sample's transaction.
 2. A series is a point of a device with its history: a rename carries it on, a point under an old name goes on with what
@@ -94,7 +94,13 @@ def layout(blocks: Sequence[int] = (0, 4, 8, 24, 28, 60, 100, 108, 200)) -> list
             is_timeless=True,
         ),
         Laid(
-            "computed", 'formula = "dev0 * 2 + dev60"', 3, 0, 1, lambda device, start, turn: 3 * device, is_timeless=True
+            "computed",
+            'formula = "dev0 * 2 + dev60"',
+            3,
+            0,
+            1,
+            lambda device, start, turn: 3 * device,
+            is_timeless=True,
         ),
     ]
     return points
@@ -270,9 +276,8 @@ class Checker:
                 told.append(f"configuration {number}: not read")
                 continue
             answers = [f"{a.round}:{a.lie}" for a in self._between(source.device, begin, end)]
-            told.append(
-                f"configuration {number}: device {source.device} {source.laid.key} at {source.start()}, answers {answers}"
-            )
+            where = f"{source.laid.key} at {source.start()} of device {source.device}"
+            told.append(f"configuration {number}: {where}, answers {answers}")
         value = f"{sample.value:016x}" if isinstance(sample.value, int) else repr(sample.value)
         return f"{value} at {sample.time}, half width {sample.half_width}; {told}"
 

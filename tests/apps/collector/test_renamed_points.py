@@ -1,11 +1,11 @@
 """Points that change their names: history goes on under the new one, and no value of another point comes under it."""
 
 import asyncio
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
-import pytest
-from lying_devices import Field, Lies, word
+from lying_devices import Field, Lies
 from waiting import until
 
 import busway
@@ -116,6 +116,47 @@ async def test_a_new_point_under_a_name_that_was_given_up_has_no_history(tmp_pat
     assert [starts(tmp_path, name) for name in ("new", "a", "b")] == [[0], [8], [4]]
 
 
-@pytest.mark.parametrize("start", [0, 4])
-def test_a_register_says_where_it_is(start: int) -> None:
-    assert word(7, 3, start + 1, 9) & ~3 == start
+async def test_a_sink_gets_each_sample_under_the_name_that_it_was_read_by(tmp_path: Path) -> None:
+    passed_on = {"at0": "first", "at4": "a", "at8": "b"}
+    sink = '[[sink]]\nname = "lines"\nurl = "file://lines.jsonl"\nage = 0.05\n'
+    with Field() as world:
+        url, _ = world.endpoint("tcp", [1])
+        file = plant(tmp_path, url, NAMED, {})
+        file.write_text(file.read_text() + sink)
+        async with busway.collect(file) as collector:
+            await some_rounds(collector)
+            file = plant(tmp_path, url, passed_on, {"at0": "a", "at4": "b", "at8": "c"})
+            file.write_text(file.read_text() + sink)
+            await collector.reload(load_collector(file))
+            await some_rounds(collector)
+            file = plant(tmp_path, url, {**passed_on, "at8": "last"}, {"at8": "b"})
+            file.write_text(file.read_text() + sink)
+            await collector.reload(load_collector(file))
+            await some_rounds(collector)
+            await until(lambda: collector.sink_statuses()[0].sent >= collector.store_status().samples - 12, 20)
+    begun: dict[str, list[int]] = {}
+    for line in (tmp_path / "lines.jsonl").read_text().splitlines():
+        sample = json.loads(line)
+        if sample["value"] is not None:
+            start = (sample["value"] >> 32 & 0xFFFF) & ~3
+            found = begun.setdefault(sample["point"], [])
+            if found[-1:] != [start]:
+                found.append(start)
+    assert begun == {"a": [0, 4], "b": [4, 8], "c": [8], "first": [0], "last": [8]}
+
+
+async def test_files_that_are_read_again_at_once_are_applied_one_after_the_other(tmp_path: Path) -> None:
+    with Field() as world:
+        url, devices = world.endpoint("tcp", [1, 2, 3, 4])
+        configurations = []
+        for unit in (1, 2, 3, 4):
+            file = plant(tmp_path, url, NAMED, {})
+            file.write_text(file.read_text().replace("unit = 1", f"unit = {unit}"))
+            configurations.append(load_collector(file))
+        async with busway.collect(configurations[0]) as collector:
+            await some_rounds(collector)
+            await asyncio.gather(*(collector.reload(each) for each in configurations[1:]))
+            await some_rounds(collector)
+            turns = [devices[unit].turns for unit in (1, 2, 3)]
+            await some_rounds(collector)
+            assert [devices[unit].turns for unit in (1, 2, 3)] == turns

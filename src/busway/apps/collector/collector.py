@@ -124,6 +124,7 @@ class Collector:
         self._sinks: SinkThread | None = None
         self._pages: list[PrometheusPage] = []
         self._started = 0.0
+        self._reloading = asyncio.Lock()
 
     async def __aenter__(self) -> Self:
         """Open the store and begin to poll.
@@ -321,24 +322,24 @@ class Collector:
             raise ConfigError(
                 "the store cannot be another while the collector runs: restart it", file=configuration.name, key="store"
             )
+        async with self._reloading:
+            return await self._apply(configuration)
+
+    async def _apply(self, configuration: CollectorConfiguration) -> list[str]:
+        """Stop the links that change; give points their new names, behind all samples so far; then begin anew."""
         assert self._committer is not None
-        self._committer.writer.describe_points(
-            each for device in configuration.devices.values() for each in device.descriptions()
-        )
         self.configuration = configuration
         done: list[str] = []
-        for name in [*self._links]:
+        changed = [name for name, link in self._links.items() if link.key != _key_of(configuration, name)]
+        for name in changed:
+            await self._stop_link(name)
             if name not in configuration.links:
-                await self._stop_link(name)
                 done.append(f"link {name} ended")
+        self._committer.describe(each for device in configuration.devices.values() for each in device.descriptions())
         for name in configuration.links:
-            running = self._links.get(name)
-            if running is not None and running.key == _key_of(configuration, name):
-                continue
-            if running is not None:
-                await self._stop_link(name)
-            self._start_link(name, configuration)
-            done.append(f"link {name} {'began' if running is None else 'began anew'}")
+            if name not in self._links:
+                self._start_link(name, configuration)
+                done.append(f"link {name} {'began anew' if name in changed else 'began'}")
         return done or ["nothing changed"]
 
     # Links.
@@ -452,7 +453,9 @@ def write_learnt(path: Path, knowledge: Knowledge) -> None:
 
 
 def _key_of(configuration: CollectorConfiguration, link: str) -> object:
-    """What a link is made from: two that are equal poll the same in the same way."""
+    """What a link is made from, None for none: two that are equal poll the same in the same way."""
+    if link not in configuration.links:
+        return None
     devices: list[CollectedDevice] = configuration.devices_of(link)
     return configuration.links[link].settings, tuple(devices), tuple(configuration.periods.items())
 

@@ -1,5 +1,6 @@
 """The committer: told after the commit, patient with a full disk, counts what it drops."""
 
+import sqlite3
 import threading
 from pathlib import Path
 from typing import Any
@@ -8,8 +9,9 @@ import pytest
 from collected import NOON, PUMP, at, meter_read, read_of
 from waiting import wait_until
 
-from busway.apps.collector.samples import Gap, Reason, StateInterval
+from busway.apps.collector.samples import Gap, PointDescription, PointGroup, Reason, StateInterval
 from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.writer import Commit, StoreWriter
 
@@ -141,3 +143,77 @@ def test_intervals_are_committed_like_samples(tmp_path: Path) -> None:
     assert committer.flush()
     committer.close()
     assert Store(tmp_path).read().intervals == [StateInterval("pump-1", at(2), None, Reason.SUSPENDED)]
+
+
+class UnsyncedStore(StoreWriter):
+    """A store on a disk that takes commits and never becomes durable."""
+
+    def sync(self) -> None:
+        raise OSError(28, "No space left on device")
+
+
+def test_a_commit_that_cannot_be_made_durable_is_told_once_and_not_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("busway.apps.collector.store.commit_thread.SYNC", -1.0)
+    committer = Committer(UnsyncedStore(tmp_path, now=NOON), now=lambda: at(100), interval=0.0, retry=0.01)
+    told: list[Commit] = []
+    committer.subscribe(told.append)
+    for number in range(3):
+        committer.add(meter_read(number))
+        assert committer.flush()
+    status = committer.status()
+    assert [len(commit.batches) for commit in told if commit.batches] == [1, 1, 1]
+    assert (status.samples, status.waiting, status.error) == (9, 0, None)
+    assert "No space left" in str(status.upkeep_error)
+    assert len(Store(tmp_path).read()) == 9
+
+
+def test_a_commit_whose_log_cannot_be_moved_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("busway.apps.collector.store.segment.LOG_LIMIT", 0)
+    writer = StoreWriter(tmp_path, now=NOON)
+    assert writer._segment is not None
+    denied = []
+
+    def authorize(action: int, name: str | None, *_: object) -> int:
+        if action == sqlite3.SQLITE_PRAGMA and name == "wal_checkpoint":
+            denied.append(name)
+            return sqlite3.SQLITE_DENY
+        return sqlite3.SQLITE_OK
+
+    writer._segment._database.set_authorizer(authorize)
+    committer = Committer(writer, now=lambda: at(100), interval=0.0, retry=0.01)
+    told: list[Commit] = []
+    committer.subscribe(told.append)
+    committer.add(meter_read(1))
+    assert committer.flush()
+    assert denied
+    assert [len(commit.batches) for commit in told if commit.batches] == [1]
+    assert CommitReader(tmp_path, writer.manifest).count(0, told[-1].number) == 3
+    assert committer.status().error is None
+    writer._segment._database.set_authorizer(None)
+    committer.close()
+
+
+def test_samples_go_by_the_names_that_held_when_they_were_added(tmp_path: Path) -> None:
+    committer = committer_of(tmp_path, interval=0.0)
+    committer.add(read_of(PUMP, 1, 1.0))
+    committer.describe([PointDescription("pump-1", "rpm", was="speed")])
+    committer.add(read_of(PointGroup("pump-1", ("rpm", "speed")), 2, 2.0, 20.0))
+    committer.close()
+    store = Store(tmp_path)
+    assert store.read("pump-1/rpm").value == [1.0, 2.0]
+    assert store.read("pump-1/speed").value == [20.0]
+
+
+def test_names_change_in_their_place_after_a_disk_was_full(tmp_path: Path) -> None:
+    committer = committer_of(tmp_path, interval=0.0)
+    committer.writer.limit_pages(1)
+    for number in range(400):
+        committer.add(read_of(PUMP, number, "x" * 1000))
+    committer.describe([PointDescription("pump-1", "rpm", was="speed")])
+    committer.add(read_of(PointGroup("pump-1", ("rpm",)), 1000, 2.0))
+    assert committer.flush(20)
+    committer.close()
+    assert len(Store(tmp_path).read("pump-1/rpm")) == 401
+    assert [point.point for point in Store(tmp_path).points()] == ["rpm"]

@@ -7,7 +7,9 @@ Knows when to commit, and what to do while that fails; knows nothing of segments
    first commit that succeeds records the time of what was dropped as a gap with its number. Polling never waits.
 3. A second thread seals and drops parts, so that no sample waits for that.
 4. Without samples an empty commit every `ALIVE` seconds says that the collector lived.
-5. With ``durability = process`` the log is synced every `SYNC` seconds: that much a power failure costs.
+5. With ``durability = process`` the log is synced every `SYNC` seconds: that much a power failure costs. Where that
+   fails, it is said and tried again; what was committed stays committed, and is never committed twice.
+6. What is known of points changes between commits: samples that were added before go by the names of then.
 """
 
 import logging
@@ -15,11 +17,11 @@ import sqlite3
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Final
 
-from ..samples import Gap, Reason, SampleBatch, StateInterval
+from ..samples import Gap, PointDescription, Reason, SampleBatch, StateInterval
 from .writer import Commit, StoreWriter
 
 INTERVAL: Final = 0.2
@@ -46,7 +48,8 @@ class StoreStatus:
         waiting: samples that are not yet committed.
         lost: samples that were dropped since the start because the store could not be written.
         error: what is wrong with the store; None while it can be written.
-        upkeep_error: why parts could not be sealed or dropped when that was tried last; None if they could.
+        upkeep_error: why parts could not be sealed or dropped, or commits not be made durable, when that was tried
+            last; None if they could.
         subscriber_failures: how often a subscriber of commits raised an error.
     """
 
@@ -86,11 +89,14 @@ class Committer:
         self._changed = threading.Condition()
         self._batches: deque[SampleBatch] = deque()
         self._intervals: list[StateInterval | Gap] = []
+        self._descriptions: deque[tuple[int, list[PointDescription]]] = deque()
+        self._taken = 0
         self._waiting = 0
         self._lost_now: Gap | None = None
         self._commits = self._samples = self._lost = 0
         self._error: str | None = None
         self._upkeep_error: str | None = None
+        self._sync_error: str | None = None
         self._subscriber_failures = 0
         self._hurry = self._ending = self._committing = False
         self._ended = threading.Event()
@@ -122,6 +128,12 @@ class Committer:
             self._intervals.append(interval)
             self._changed.notify_all()
 
+    def describe(self, descriptions: Iterable[PointDescription]) -> None:
+        """Note what is known of points, behind all samples that were added so far."""
+        with self._changed:
+            self._descriptions.append((self._taken + len(self._batches), list(descriptions)))
+            self._changed.notify_all()
+
     def status(self) -> StoreStatus:
         """How it does."""
         with self._changed:
@@ -131,7 +143,7 @@ class Committer:
                 self._waiting,
                 self._lost,
                 self._error,
-                self._upkeep_error,
+                self._upkeep_error or self._sync_error,
                 self._subscriber_failures,
             )
 
@@ -139,7 +151,7 @@ class Committer:
         """Wait until all that was added is committed; False where ``timeout`` seconds did not do."""
         until = time.monotonic() + timeout
         with self._changed:
-            while self._batches or self._intervals or self._committing:
+            while self._is_due() or self._committing:
                 self._hurry = True
                 self._changed.notify_all()
                 if not self._changed.wait(min(0.05, max(0.0, until - time.monotonic()))) and time.monotonic() >= until:
@@ -171,7 +183,7 @@ class Committer:
         """Wait until a commit is due; False when the end has come."""
         with self._changed:
             idle_until = time.monotonic() + ALIVE
-            while not self._ending and not self._batches and not self._intervals:
+            while not self._ending and not self._is_due():
                 left = idle_until - time.monotonic()
                 if left <= 0:
                     return True
@@ -185,22 +197,45 @@ class Committer:
             self._hurry = False
             return not self._ending
 
+    def _is_due(self) -> bool:
+        """Whether anything waits. The lock is held."""
+        return bool(self._batches or self._intervals or self._descriptions)
+
+    def _describe_what_is_due(self) -> None:
+        """Note what is known of points from the next sample on."""
+        while self._descriptions and self._descriptions[0][0] <= self._taken:
+            self.writer.describe_points(self._descriptions[0][1])
+            with self._changed:
+                self._descriptions.popleft()
+
+    def _next_batches(self) -> list[SampleBatch]:
+        """The samples up to the next change of names. The lock is held."""
+        count = len(self._batches)
+        if self._descriptions:
+            count = min(count, max(0, self._descriptions[0][0] - self._taken))
+        self._taken += count
+        return [self._batches.popleft() for _ in range(count)]
+
     def _commit_once(self) -> bool:
         """Commit what waits; False where the store could not be written, and all of it waits again."""
-        with self._changed:
-            batches, self._batches = list(self._batches), deque()
-            intervals, self._intervals = self._intervals, []
-            gap, self._lost_now = self._lost_now, None
-            self._committing = True
-        told = [*intervals, gap] if gap is not None else intervals
+        batches: list[SampleBatch] = []
+        intervals: list[StateInterval | Gap] = []
+        gap: Gap | None = None
         try:
+            self._describe_what_is_due()
+            with self._changed:
+                batches = self._next_batches()
+                intervals, self._intervals = self._intervals, []
+                gap, self._lost_now = self._lost_now, None
+                self._committing = True
+            told = [*intervals, gap] if gap is not None else intervals
             commit = self.writer.commit(batches, told, self._now())
-            self._sync_when_due()
         except Exception as error:  # a defect must not end the thread unseen: it is in the status, and tried again
             if not isinstance(error, sqlite3.Error | OSError) and self._error is None:
                 _log.exception("the store failed in a way that nobody expects")
             self._put_back(batches, intervals, gap, str(error) or type(error).__name__)
             return False
+        self._sync_when_due()
         with self._changed:
             self._commits += 1
             count = sum(map(len, batches))
@@ -216,9 +251,17 @@ class Committer:
         return True
 
     def _sync_when_due(self) -> None:
-        if self.writer.options.durability == "process" and time.monotonic() - self._synced > SYNC:
-            self._synced = time.monotonic()
+        if self.writer.options.durability != "process" or time.monotonic() - self._synced <= SYNC:
+            return
+        self._synced = time.monotonic()
+        try:
             self.writer.sync()
+        except OSError as error:
+            if self._sync_error is None:
+                _log.error("commits of the store %s cannot be made durable: %s", self.writer.folder, error)
+            self._sync_error = str(error)
+        else:
+            self._sync_error = None
 
     def _tell(self, commit: Commit) -> None:
         for subscriber in self._subscribers:
@@ -236,6 +279,7 @@ class Committer:
         with self._changed:
             self._committing = False
             self._batches.extendleft(reversed(batches))
+            self._taken -= len(batches)
             self._intervals[:0] = intervals
             if gap is not None:
                 self._note_loss(gap)
@@ -248,6 +292,7 @@ class Committer:
         """Drop samples beyond the bound. The lock is held."""
         while self._waiting > self._most and self._batches:
             batch = self._batches.popleft()
+            self._taken += 1
             self._waiting -= len(batch)
             self._lost += len(batch)
             self._note_loss(Gap(batch.time, batch.time + 1, Reason.LOST, len(batch)))

@@ -5,6 +5,7 @@ Knows how each kind of part is read in that order; knows no sink.
 1. Nothing is read that was not committed. An interval of a device is a sample without a value for each of its points.
 2. Rows are ordered by commit, time and point, so they are in order for each point.
 3. A part is read from the first wanted commit on; sealed parts, which are sorted otherwise, by ranges of commits.
+4. A sample has the name that its point had when it was committed: a repetition after a rename has the same name.
 """
 
 from collections.abc import Iterator, Sequence
@@ -73,6 +74,8 @@ class CommitReader:
         self._folder = folder
         self._manifest = manifest
         self._points: dict[int, StoredPoint] = {}
+        self._former: dict[int, list[tuple[int, str]]] = {}
+        self._described = -1
         self._sealed: tuple[str, Any] | None = None
 
     def read(self, after: int, most: int) -> CommitRange | None:
@@ -200,8 +203,7 @@ class CommitReader:
             yield from part_intervals(self._folder, parts[0])
 
     def _samples(self, rows: list[Row], intervals: list[IntervalRow]) -> list[CommittedSample]:
-        if any(row[1] not in self._points for row in rows) or intervals:
-            self._points = {point.id: point for point in self._manifest.points()}
+        self._look_up_points(rows, intervals)
         marks: list[Row] = [
             (row.begin, point.id, None, row.reason, 0, row.commit_number)
             for row in intervals
@@ -216,7 +218,7 @@ class CommitReader:
                 CommittedSample(
                     commit,
                     point.device,
-                    point.point,
+                    self._name_at(point, commit),
                     moment,
                     half_width,
                     sample_value(value, reason, point.is_state),
@@ -226,9 +228,21 @@ class CommitReader:
             )
         return samples
 
-    def forget_points(self) -> None:
-        """Look the points up again: names and units of measure may have changed."""
-        self._points = {}
+    def _look_up_points(self, rows: list[Row], intervals: list[IntervalRow]) -> None:
+        described = self._manifest.descriptions
+        if described == self._described and not intervals and all(row[1] in self._points for row in rows):
+            return
+        self._points = {point.id: point for point in self._manifest.points()}
+        self._former = {}
+        for number, name, last in self._manifest.renames():
+            self._former.setdefault(number, []).append((last, name))
+        self._described = described
+
+    def _name_at(self, point: StoredPoint, commit: int) -> str:
+        for last, name in self._former.get(point.id, ()):
+            if commit <= last:
+                return name
+        return point.point
 
 
 def _order(row: Row) -> tuple[int, int, int]:

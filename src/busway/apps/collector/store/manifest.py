@@ -8,6 +8,8 @@ count: a reader reads it first, a writer changes it last.
    is found there at the start was left by a crash.
 3. Commit numbers are reserved in blocks, and a start goes on behind the block: a number is never used twice, even where
    a power failure took the commits that had it.
+4. A point that is renamed keeps its id, and so its history. All new names of a configuration are given at once, so that
+   points may exchange theirs; each once, so that the next start gives them no second time.
 """
 
 import sqlite3
@@ -38,8 +40,9 @@ CREATE TABLE IF NOT EXISTS points (
     id INTEGER PRIMARY KEY, device TEXT NOT NULL, point TEXT NOT NULL, unit_of_measure TEXT NOT NULL DEFAULT '',
     is_state INTEGER NOT NULL DEFAULT 0, UNIQUE (device, point)
 );
-CREATE TABLE IF NOT EXISTS former_names (
-    point INTEGER NOT NULL, name TEXT NOT NULL, PRIMARY KEY (point, name)
+CREATE TABLE IF NOT EXISTS renames (point INTEGER NOT NULL, name TEXT NOT NULL, last_commit INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS carried_names (
+    point INTEGER NOT NULL, was TEXT NOT NULL, PRIMARY KEY (point, was)
 ) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS intervals (
     device TEXT, begin INTEGER NOT NULL, "end" INTEGER, reason INTEGER NOT NULL, lost INTEGER NOT NULL DEFAULT 0,
@@ -111,7 +114,11 @@ class StoredPoint:
 
 
 class Manifest:
-    """The manifest of a store, for one writer and any number of readers."""
+    """The manifest of a store, for one writer and any number of readers.
+
+    Attributes:
+        descriptions: how often points were described by this object: names that were read before may be others now.
+    """
 
     def __init__(self, folder: Path, *, writes: bool = False) -> None:
         """Open it; with ``writes`` it is made where it is not there.
@@ -122,6 +129,7 @@ class Manifest:
         if not writes:
             check_store(folder)
         self.path: Path = folder / MANIFEST
+        self.descriptions: int = 0
         self._lock = threading.RLock()
         try:
             self._database = open_database(self.path, "PRAGMA synchronous=FULL")
@@ -274,25 +282,40 @@ class Manifest:
         found: int = self._all("SELECT count(*) FROM points")[0][0]
         return found
 
-    def former_names(self) -> dict[str, int]:
-        """Names that points had before, as ``device/point``, and the ids of those points."""
-        rows = self._all(
-            "SELECT device, name, former_names.point FROM former_names JOIN points ON points.id = former_names.point"
+    def former_names(self) -> list[tuple[str, int]]:
+        """Names that points had before and none has now, as ``device/point``, and the ids of those points."""
+        return self._all(
+            "SELECT DISTINCT device || '/' || renames.name, points.id"
+            " FROM renames JOIN points ON points.id = renames.point WHERE NOT EXISTS"
+            " (SELECT 1 FROM points AS now WHERE now.device = points.device AND now.point = renames.name)"
         )
-        return {f"{device}/{name}": point for device, name, point in rows}
 
-    def describe_points(self, descriptions: Iterable[PointDescription]) -> None:
-        """Note points with what is known of them; one that has a new name keeps its id, and so its history."""
+    def renames(self) -> list[tuple[int, str, int]]:
+        """Ids of points, names that they had before, and the last commit in which they had them; in their order."""
+        return self._all("SELECT point, name, last_commit FROM renames ORDER BY rowid")
+
+    def describe_points(self, descriptions: Iterable[PointDescription], last_commit: int) -> None:
+        """Note points with what is known of them; one that has a new name keeps its id, and so its history.
+
+        Args:
+            descriptions: the points; names that change among them change at once.
+            last_commit: number of the last commit, whose samples go by the names of before.
+        """
+        described = list(descriptions)
         with self.transaction() as database:
-            for one in descriptions:
-                if one.was is not None:
-                    _rename(database, one.device, one.was, one.point)
+            _give_new_names(database, described, last_commit)
+            for one in described:
                 database.execute(
                     "INSERT INTO points (device, point, unit_of_measure, is_state) VALUES (?, ?, ?, ?)"
                     " ON CONFLICT (device, point) DO UPDATE SET unit_of_measure = excluded.unit_of_measure,"
                     " is_state = excluded.is_state",
                     (one.device, one.point, one.unit_of_measure, one.is_state),
                 )
+            database.executemany(
+                "INSERT OR IGNORE INTO carried_names SELECT id, ? FROM points WHERE device = ? AND point = ?",
+                [(one.was, one.device, one.point) for one in described if one.was is not None],
+            )
+        self.descriptions += 1
 
     def point_ids(self, device: str, points: Sequence[str], states: frozenset[str] = frozenset()) -> list[int]:
         """The ids of points of a device; those that are new get one, and are states where ``states`` names them."""
@@ -320,10 +343,21 @@ class Manifest:
             database.execute("INSERT OR REPLACE INTO cursors VALUES (?, ?, ?)", (sink, number, lost))
 
 
-def _rename(database: sqlite3.Connection, device: str, was: str, name: str) -> None:
-    old = database.execute("SELECT id FROM points WHERE device = ? AND point = ?", (device, was)).fetchone()
-    new = database.execute("SELECT id FROM points WHERE device = ? AND point = ?", (device, name)).fetchone()
-    if old is None or new is not None:
-        return
-    database.execute("UPDATE points SET point = ? WHERE id = ?", (name, old[0]))
-    database.execute("INSERT OR IGNORE INTO former_names VALUES (?, ?)", (old[0], was))
+def _give_new_names(database: sqlite3.Connection, described: Sequence[PointDescription], last_commit: int) -> None:
+    """Rename points to what they are called now, but where another point has that name and keeps it."""
+    rows = database.execute("SELECT device, point, id FROM points").fetchall()
+    ids: dict[tuple[str, str], int] = {(device, point): number for device, point, number in rows}
+    carried = set(database.execute("SELECT point, was FROM carried_names"))
+    moves: dict[int, PointDescription] = {}
+    for one in described:
+        old = None if one.was is None else ids.get((one.device, one.was))
+        if old is not None and (ids.get((one.device, one.point)), one.was) not in carried:
+            moves.setdefault(old, one)
+    while blocked := [old for old, one in moves.items() if ids.get((one.device, one.point), old) not in moves]:
+        for old in blocked:
+            del moves[old]
+    for old, one in moves.items():
+        database.execute("INSERT INTO renames VALUES (?, ?, ?)", (old, one.was, last_commit))
+        database.execute("UPDATE points SET point = char(0) || id WHERE id = ?", (old,))  # until all have left theirs
+    for old, one in moves.items():
+        database.execute("UPDATE points SET point = ? WHERE id = ?", (one.point, old))

@@ -80,10 +80,14 @@ class Segment:
         database.executemany("INSERT INTO intervals VALUES (?, ?, ?, ?, ?, ?)", _interval_rows(intervals, number))
 
     def commit(self) -> None:
-        """End the transaction, then move the log into the file where it has grown."""
+        """End the transaction, then move the log into the file where it has grown.
+
+        What was committed is committed, also where the log cannot be moved (a full disk): that is tried again.
+        """
         self._database.execute("COMMIT")
         if self.log_size() > LOG_LIMIT:
-            self._database.execute("PRAGMA wal_checkpoint(PASSIVE)")
+            with contextlib.suppress(sqlite3.Error):
+                self._database.execute("PRAGMA wal_checkpoint(PASSIVE)")
 
     def rollback(self) -> None:
         """Undo what was begun."""

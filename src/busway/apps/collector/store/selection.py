@@ -4,7 +4,7 @@ Pure but for the clock of "an hour ago", which comes as an argument.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from typing import Final
@@ -57,19 +57,19 @@ def span(given: str | float) -> int:
 
 
 def chosen_points(
-    patterns: str | Sequence[str], points: Iterable[StoredPoint], former: Mapping[str, int]
+    patterns: str | Sequence[str], points: Iterable[StoredPoint], former: Iterable[tuple[str, int]]
 ) -> list[StoredPoint]:
-    """The points that patterns such as ``meter-7/*`` name, also by names that they had before.
+    """The points that patterns such as ``meter-7/*`` name, also by names that they had before and none has now.
 
     Raises:
         InvalidRequest: a pattern names no point of the store.
     """
-    known = list(points)
+    known, before = list(points), list(former)
     chosen: dict[int, StoredPoint] = {}
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
         whole = pattern if "/" in pattern else f"{pattern}/*"
         found = [point for point in known if fnmatchcase(point.name, whole)]
-        ids = {number for name, number in former.items() if fnmatchcase(name, whole)}
+        ids = {number for name, number in before if fnmatchcase(name, whole)}
         found += [point for point in known if point.id in ids]
         if not found and whole != "*/*":
             raise InvalidRequest(

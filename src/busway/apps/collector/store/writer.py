@@ -180,8 +180,8 @@ class StoreWriter:
     # Commits
 
     def describe_points(self, descriptions: Iterable[PointDescription]) -> None:
-        """Note what is known of points; a point with a new name keeps its history."""
-        self.manifest.describe_points(descriptions)
+        """Note what is known of points; a point with a new name keeps its history. In the thread of `commit`."""
+        self.manifest.describe_points(descriptions, self._next - 1)
         self._groups.clear()
 
     def commit(self, batches: Sequence[SampleBatch], intervals: Sequence[StateInterval | Gap], now: int) -> Commit:
