@@ -173,8 +173,11 @@ def _pieces(request: Request) -> tuple[TouchedRange, ...]:
 
 def _pieces_of_malformed(request: MalformedRequest, sub_function: int | None) -> tuple[TouchedRange, ...]:
     kind = request.kind
-    if kind.sub_code is not None and sub_function is None:
-        return _UNKNOWN_WRITE
+    return _UNKNOWN_WRITE if kind.sub_code is not None and sub_function is None else touched_by(kind)
+
+
+def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
+    """All that requests of a function may touch, a range for each kind of access."""
     if issubclass(kind, _OF_FILES):
         return (TouchedRange(FILES, 0, END, issubclass(kind, WriteFileRecord)),)
     found = [

@@ -208,6 +208,30 @@ def test_rules_that_hold_for_all_ways_to_their_devices_are_not_odd(policy: str) 
     assert warned(*MERGED, policy) == []
 
 
+def test_a_way_that_another_rule_closes_too_is_not_odd_though_the_rules_differ() -> None:
+    near = 'action = "deny"\nunits = 3\naccess = "write"'
+    assert warned(*MERGED, rules(near, 'action = "read-only"\nunits = 103')) == []
+    holding = 'action = "deny"\nunits = 3\nfunctions = [6]'
+    far = 'action = "deny"\nunits = 103\nfunctions = [6]\naddresses = "4x1-4x{}"'
+    assert warned(*MERGED, rules(holding, far.format(65536))) == []
+    (sentence,) = warned(*MERGED, rules(holding, far.format(10)))
+    assert "policy.rule[0]" in sentence
+    assert "does not hold for unit 103" in sentence
+
+
+def test_a_rule_is_compared_with_what_its_own_clients_may_do_by_the_other_way() -> None:
+    rule = 'action = "deny"\npeers = ["10.0.0.0/8"]\nunits = 3'
+    assert warned(*MERGED, rules(rule, 'action = "allow"\npeers = ["10.1.0.0/16"]\nunits = 103', default="deny")) == []
+    assert len(warned(*MERGED, rules(rule, 'action = "allow"\nunits = 103', default="deny"))) == 1
+
+
+def test_a_way_whose_route_takes_no_function_of_the_rule_is_not_odd() -> None:
+    reads = '[[route]]\nlink = "hall"\nunits = "101-110"\nunit_offset = -100\nfunctions = ["read"]\n'
+    deny_writes = 'action = "deny"\nunits = 3\naccess = "write"'
+    assert warned(LISTENER, LINE, route("hall", units="1-10"), reads, rules(deny_writes)) == []
+    assert len(warned(LISTENER, LINE, route("hall", units="1-10"), reads, rules('action = "deny"\nunits = 3'))) == 1
+
+
 def test_a_route_that_calls_the_registers_of_a_rule_by_other_addresses_is_odd() -> None:
     near = route("hall", units=3, addresses="4x1-4x100")
     far = route("hall", units=3, addresses="4x1001-4x1100", shift=-1000)

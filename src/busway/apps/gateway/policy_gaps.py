@@ -1,114 +1,137 @@
 """Gaps of a policy: routes that reach the device of a rule under units or addresses that the rule does not name.
 
-Knows rules and routes; opens nothing. Rules use the numbers of the listener. If a second route gives the same device
-another unit, or its registers other addresses, a rule for the first numbers does not hold for the second: `gateway
-check` warns of it.
+Knows routes, and asks the evaluator of rules (`busway.access.rights`) what is permitted; opens nothing. Rules use the
+numbers of the listener. If a second route gives the same device another unit, or its registers other addresses, a rule
+for the first numbers does not hold for the second: `gateway check` warns where more is permitted there.
 """
 
 from collections.abc import Iterator, Sequence
+from itertools import chain, permutations
 
 from ...access.notation import Range
+from ...access.question import TouchedRange, touched_by
+from ...access.rights import Rights, UnitAccess, Zone
 from ...access.rules import Action, Policy, Rule
 from ...codes import Table
 from ...config.files.lines import Path as Place
+from ...pdu.functions import STANDARD
+from ...pdu.message import Request
 from .file_routes import PlacedRoute
 from .routes import Route
 
-Device = tuple[str, int]
-"""Name of the upstream, and unit there."""
+Way = tuple[PlacedRoute, int]
+"""A route that leads to a device, and the unit that is asked for it."""
+Access = tuple[type[Request], TouchedRange]
+"""A function, and what it touches."""
 
 
 def policy_gaps(policy: Policy, routes: Sequence[PlacedRoute]) -> Iterator[tuple[Place, str]]:
     """The rules that some route to their device evades: the place of each in the file, and a message."""
-    forwards = [one for one in routes if one.route.upstream]
-    for index, rule in enumerate(policy.rules):
-        if _restricts(rule):
-            for sentence in (*_by_unit(rule, policy, forwards), *_by_address(rule, forwards)):
-                yield ("policy", "rule", index), sentence
-
-
-def _restricts(rule: Rule) -> bool:
-    return rule.action is not Action.ALLOW or rule.rate is not None or rule.limits is not None
-
-
-def _by_unit(rule: Rule, policy: Policy, routes: Sequence[PlacedRoute]) -> Iterator[str]:
-    """Routes that reach a device of the rule under a unit that the rule does not name."""
-    if rule.units is None:
+    devices = _reached_in_several_ways(routes)
+    if not devices:
         return
-    known: dict[Device, int] = {}
-    for one in routes:
-        for unit in sorted(one.route.units & rule.units):
-            known.setdefault((one.route.upstream, one.route.upstream_unit(unit)), unit)
-    for one in routes:
-        route = one.route
-        for unit in sorted(route.units - rule.units):
-            asked = known.get((route.upstream, route.upstream_unit(unit)))
-            if asked is not None and _is_permitted(policy, unit) and not _has_a_rule_alike(policy, rule, unit):
-                yield (
-                    f"does not hold for unit {unit}, which {one.title} leads to the same device as unit {asked}: "
-                    f"unit {route.upstream_unit(unit)} of line {route.upstream!r}"
-                )
-                break
+    accesses = _accesses(policy, routes)
+    of_clients: dict[object, Rights] = {}
+    for index, rule in enumerate(policy.rules):
+        if rule.action is Action.ALLOW and rule.rate is None and rule.limits is None:
+            continue
+        clients = rule.peers, rule.roles, rule.listeners
+        if clients not in of_clients:
+            rules = tuple(other for other in policy.rules if _is_for_clients_of(rule, other))
+            of_clients[clients] = Rights(rules, policy.default)
+        told: set[int] = set()
+        for way, other in chain.from_iterable(permutations(ways, 2) for ways in devices):
+            if id(other[0]) not in told:
+                sentence = _evaded(rule, of_clients[clients], accesses, way, other)
+                if sentence:
+                    told.add(id(other[0]))
+                    yield ("policy", "rule", index), sentence
 
 
-def _is_permitted(policy: Policy, unit: int) -> bool:
-    """Whether the policy permits anything at a unit."""
-    return policy.default is not Action.DENY or any(
-        rule.action is not Action.DENY and (rule.units is None or unit in rule.units) for rule in policy.rules
+def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[Access]:
+    """The kinds of access to ask for: of those that no rule and no route tells apart, one."""
+    by_rules = [rule for rule in policy.rules if rule.functions is not None]
+    found: dict[object, Access] = {}
+    for kind in STANDARD:
+        named = tuple(rule.names(kind.code, kind.sub_code) for rule in by_rules)
+        routed = tuple(kind.code in one.route.functions for one in routes)
+        for touched in touched_by(kind):
+            found.setdefault((touched.space, touched.writes, named, routed), (kind, touched))
+    return list(found.values())
+
+
+def _reached_in_several_ways(routes: Sequence[PlacedRoute]) -> list[list[Way]]:
+    """The ways to each device that is reached by two units, or with two shifts."""
+    devices: dict[tuple[str, int], list[Way]] = {}
+    for one in routes:
+        if one.route.upstream:
+            for unit in sorted(one.route.units):
+                devices.setdefault((one.route.upstream, one.route.upstream_unit(unit)), []).append((one, unit))
+    return [ways for ways in devices.values() if len({(unit, one.route.shift) for one, unit in ways}) > 1]
+
+
+def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
+    """Whether another rule applies to all clients of a rule."""
+    return (
+        other.peers in (None, rule.peers)
+        and other.roles in (None, rule.roles)
+        and other.listeners in ((), rule.listeners)
     )
 
 
-def _has_a_rule_alike(policy: Policy, rule: Rule, unit: int) -> bool:
-    """Whether another rule treats a unit as this rule treats its own."""
-    return any(
-        other is not rule
-        and other.units is not None
-        and unit in other.units
-        and (other.action, other.rate, other.limits) == (rule.action, rule.rate, rule.limits)
-        for other in policy.rules
-    )
-
-
-def _by_address(rule: Rule, routes: Sequence[PlacedRoute]) -> Iterator[str]:
-    """Routes that reach registers of the rule under addresses that the rule does not name."""
-    for table, ranges in rule.items.items():
-        devices: dict[Device, set[int]] = {}  # the shifts of routes that the rule names
-        for one in routes:
-            for unit in one.route.units if rule.units is None else one.route.units & rule.units:
-                devices.setdefault((one.route.upstream, one.route.upstream_unit(unit)), set()).add(one.route.shift)
-        for one in routes:
-            sentence = _other_addresses(rule, table, ranges, one, devices)
-            if sentence:
-                yield sentence
-
-
-def _other_addresses(
-    rule: Rule, table: Table, ranges: Sequence[Range], one: PlacedRoute, devices: dict[Device, set[int]]
-) -> str:
-    route = one.route
-    for unit in sorted(route.units if rule.units is None else route.units & rule.units):
-        device = (route.upstream, route.upstream_unit(unit))
-        for shift in sorted(devices.get(device, set()) - {route.shift}):
-            for first, end in ranges:
-                moved = (first + shift - route.shift, end + shift - route.shift)
-                found = _taken(route, table, moved)
-                if found is not None and not any(low <= found[0] and found[1] <= high for low, high in ranges):
+def _evaded(rule: Rule, rights: Rights, accesses: Sequence[Access], way: Way, other: Way) -> str:
+    """How requests by the other way do what the rule does not permit by this one; empty if they do not."""
+    (near, asked), (far, unit) = way, other
+    is_named = rule.units is None or unit in rule.units
+    if (rule.units is not None and asked not in rule.units) or (is_named and near.route.shift == far.route.shift):
+        return ""
+    for kind, touched in accesses:
+        is_item = isinstance(touched.space, Table)
+        if (is_named and not is_item) or not (_takes(near.route, kind) and _takes(far.route, kind)):
+            continue
+        shift = near.route.shift - far.route.shift if is_item else 0
+        mine, others = (
+            rights.zones(UnitAccess(each, None, kind.code, kind.sub_code, touched.space, touched.writes))
+            for each in (asked, unit)
+        )
+        for zone in mine:
+            taken = _taken(near.route, touched, zone.first, zone.end) if zone.rule is rule else None
+            found = None if taken is None else _taken(far.route, touched, taken[0] + shift, taken[1] + shift)
+            if found is not None and any(_permits_more(each, zone, found) for each in others):
+                if not is_named:
                     return (
-                        f"does not hold for {table.label}s {found[0]}…{found[1] - 1} of unit {unit}: by {one.title} "
-                        f"these are the same as its {found[0] + route.shift - shift}…"
-                        f"{found[1] - 1 + route.shift - shift}, which it names"
+                        f"does not hold for unit {unit}, which {far.title} leads to the same device as unit {asked}: "
+                        f"unit {near.route.upstream_unit(asked)} of line {near.route.upstream!r}"
                     )
+                assert isinstance(touched.space, Table)
+                items = f"{touched.space.label}s {found[0]}…{found[1] - 1}"
+                return (
+                    f"does not hold for {items} of unit {unit}: by {far.title} these are "
+                    f"the same as its {found[0] - shift}…{found[1] - 1 - shift}, which it names"
+                )
     return ""
 
 
-def _taken(route: Route, table: Table, items: Range) -> Range | None:
+def _takes(route: Route, kind: type[Request]) -> bool:
+    return not route.functions or kind.code in route.functions
+
+
+def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | None:
     """The part of a range that a route takes."""
-    low, high = max(items[0], 0), min(items[1], 0x10000)
+    if isinstance(touched.space, Table):
+        low, high = max(low, 0), min(high, 0x10000)
     if route.addresses is not None:
-        if route.addresses.table is not table:
+        if route.addresses.table is not touched.space:
             return None
         low, high = max(low, route.addresses.first), min(high, route.addresses.end)
     return (low, high) if low < high else None
+
+
+def _permits_more(other: Zone, zone: Zone, items: Range) -> bool:
+    """Whether a zone of the other way, where it has some of the items, permits what this zone refuses or limits."""
+    if not other.permits or other.end <= items[0] or items[1] <= other.first or other.rule is zone.rule:
+        return False
+    return not zone.permits or (other.rate, other.limits) != (zone.rate, zone.limits)
 
 
 __all__ = ["policy_gaps"]
