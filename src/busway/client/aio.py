@@ -503,7 +503,7 @@ class AsyncLink:
         return self._link
 
     def _looked_at(self) -> AsyncLinkDriver | None:
-        """The driver, or None before the first use."""
+        """The driver of this link for reading its status; None before the first use."""
         if self._rule is None:
             return self._link
         try:

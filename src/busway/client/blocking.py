@@ -269,7 +269,7 @@ class BlockingUnit:
     def read_many(
         self, wanted: "Mapping[str, Wanted]", *, order: Order = "ABCD", **call_options: Unpack[CallOptions]
     ) -> dict[str, Any]:
-        """Values from several addresses by name, with as few requests as their places allow.
+        """Read values from several addresses, by name, with as few requests as their addresses allow.
 
         Ranges that touch or overlap are read together; what lies between others is not read. The requests go out as
         those of `execute_many` do, so values of different requests may be of different moments.
@@ -626,7 +626,7 @@ class BlockingLink:
         return BLOCKING_POOL.choose(self._settings, self._rule or LinkSelection.FIRST)
 
     def _looked_at(self) -> BlockingLinkDriver | None:
-        """The driver, or None where there is none now."""
+        """The driver of this link for reading its status; None if there is none now."""
         try:
             return self._link or self._bound()
         except ModbusError:
@@ -637,7 +637,7 @@ class BlockingLink:
 
     @property
     def endpoint(self) -> Endpoint:
-        """The parsed URL of the peer."""
+        """The parsed URL of the endpoint."""
         return self._settings.endpoint
 
     @property

@@ -1,4 +1,4 @@
-"""One connection of a blocking link: its channel, and the frames that the channel has not taken yet.
+"""One open connection of a blocking link: its channel, and the frames that the channel has not accepted yet.
 
 Knows a channel; knows no session and no thread. The lock of its link guards it, except while a thread waits.
 
@@ -18,7 +18,7 @@ from .polling import ExactPoll, Poll
 
 
 class BlockingConnection:
-    """An open connection, until `close`.
+    """An open connection of a blocking link, until `close`.
 
     Attributes:
         channel: the socket or port.
@@ -61,7 +61,7 @@ class BlockingConnection:
             unsent.popleft()
 
     def wait(self, seconds: float) -> bool:
-        """Wait without the lock. Returns whether bytes can be received or sent within ``seconds``."""
+        """Wait, without holding the link's lock. Returns whether bytes can be received or sent within ``seconds``."""
         return self._poll.wait(self.channel, seconds, bool(self.unsent))
 
     def close(self) -> None:

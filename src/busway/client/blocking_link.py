@@ -55,7 +55,7 @@ _SPIN: Final = 0.0003
 
 
 class BlockingLinkDriver:
-    """The blocking driver of one client conversation. Made by `busway.client.blocking_pool`.
+    """The blocking driver of one link. Created by `busway.client.blocking_pool`.
 
     Attributes:
         shared: whether all users of the endpoint share it.
@@ -105,7 +105,7 @@ class BlockingLinkDriver:
 
     @staticmethod
     def now() -> float:
-        """The clock in which calls give their times."""
+        """The current time by the clock that calls use, in seconds."""
         return time.monotonic()
 
     @property
@@ -114,7 +114,7 @@ class BlockingLinkDriver:
         return self._connection is not None
 
     def run(self, call: Call) -> None:
-        """Run a call until it has all its outcomes. Raises `Overloaded`, `LinkDown`."""
+        """Run a call until all its requests have their outcomes. Raises `Overloaded`, `LinkDown`."""
         with self._turn:
             now = time.monotonic()
             if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
@@ -176,7 +176,7 @@ class BlockingLinkDriver:
                 self._turn.notify_all()
 
     def close(self) -> None:
-        """Close the connection. What is still waiting ends as `LinkDown`."""
+        """Close the connection. Waiting calls end as `LinkDown`."""
         with self._turn:
             closed_before, self._life.closed = self._life.closed, True
             LOCAL.discard(self)
@@ -215,7 +215,7 @@ class BlockingLinkDriver:
             self._turn.release()
 
     def serve(self, now: float) -> None:
-        """Send requests that wait for a slot: one that links share has become free. The lock is held."""
+        """Send requests that wait for a slot, because a slot shared between links is free. The lock is held."""
         if self.session.has_calls and self._connection is not None:
             self._transmit(now)
 
@@ -279,25 +279,25 @@ class BlockingLinkDriver:
     # Under the lock.
 
     def _is_used(self) -> bool:
-        """Whether a thread waits for something."""
+        """Whether a thread is waiting for a reply or for its turn."""
         return self._leading or self._waiting > 0
 
     def _used(self) -> None:
-        """After a call: serve the other links of the client; close the connection with ``hold=request``."""
+        """After a call: let other links of the client use free slots; close the connection with ``hold=request``."""
         if self._scope is not None:
             self._scope.serve(time.monotonic())
         if not self._hold:
             self._let_go(time.monotonic())
 
     def _let_go(self, now: float) -> None:
-        """Close the connection if its hold time is over."""
+        """Close the unused connection if its hold time is over."""
         if self._connection is not None and not self._is_used():
             reason = self._life.spent(now, self.last_used)
             if reason:
                 self._release(now, reason)
 
     def _transmit(self, now: float) -> None:
-        """Send what may be sent at ``now``, which may lie shortly ahead with ``precise_timing``."""
+        """Send all frames that may be sent at ``now``, which may lie shortly ahead with ``precise_timing``."""
         if self.session.recycle:
             self._recycle(now)
         connection = self._connection
@@ -336,7 +336,7 @@ class BlockingLinkDriver:
             self._end_if_stuck(time.monotonic())
 
     def _end_if_stuck(self, now: float) -> None:
-        """After a call ended: drop the connection if frames have not left yet, or they would leave later."""
+        """After a call ended: drop the connection if frames of it are unsent, because they would be sent later."""
         if self._connection is not None and self._connection.unsent:
             self._drop(now, "a call ended before the connection had taken its request")
 
@@ -464,7 +464,7 @@ class BlockingLinkDriver:
     # By the leader, without the lock where it waits.
 
     def _make_connection(self) -> LinkDown | None:
-        """Connect. Returns None, or the failure, with which all waiting calls have ended."""
+        """Connect. Returns None, or the error with which all waiting calls have ended."""
         with self._turn:
             self._life.dialled(time.monotonic())
         try:

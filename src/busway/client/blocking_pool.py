@@ -22,7 +22,7 @@ class _Shared:
 
 
 class BlockingPool:
-    """The blocking links of this process; safe from any thread."""
+    """The blocking links of this process by endpoint; safe from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -45,7 +45,7 @@ class BlockingPool:
             return entry.link
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> BlockingLinkDriver:
-        """Choose one of the links to the endpoint for a request. Raises `LinkDown` if there are none."""
+        """Choose one of the open links to an endpoint for a request. Raises `LinkDown` if there are none."""
         with self._lock:
             return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 

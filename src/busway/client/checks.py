@@ -1,4 +1,4 @@
-"""Checks that both interfaces make: units, settings of a link that is shared, errors of calls that were refused.
+"""Checks shared by the asyncio and the blocking interface: unit numbers, settings of a shared link, refused calls.
 
 Knows defaults and checks; knows no link and does no IO.
 """
@@ -22,7 +22,7 @@ SHOWN_STATE = {state.value: state.value for state in ConnectionState} | {
 
 
 def default_unit(endpoint: Endpoint, unit: int | None) -> int:
-    """Check a unit number 0…255; None means 255 on TCP (Messaging on TCP/IP V1.0b §4.4.1.2).
+    """Check a unit number 0…255; None gives the default, 255 on TCP (Messaging on TCP/IP V1.0b §4.4.1.2).
 
     With the framings RTU and ASCII, also over a network, a unit 0…247 is required (Serial Line V1.02 §2.2).
 
@@ -69,7 +69,7 @@ def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusErr
 
 
 def closed_error(settings: LinkSettings) -> LinkClosed:
-    """The error of a call on a link that the program has closed."""
+    """The error for a call on a link that the program has closed."""
     return LinkClosed("this link was closed by its user; nothing was sent", endpoint=settings.endpoint.url)
 
 

@@ -1,4 +1,4 @@
-"""Connectors: they open the connections of a link, over the transport that its endpoint names.
+"""Connectors open the connections of a link over the transport that its endpoint names.
 
 Knows the transports; knows a session only to pass it on.
 """
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Connector(Protocol):
-    """Makes connections to one endpoint."""
+    """Opens connections to one endpoint."""
 
     async def connect(self, protocol: Callable[[], Any]) -> Any:  # an asyncio.Transport with its protocol, or alike
         """Open a connection and return its transport, which calls ``protocol``. Raises `LinkDown`."""
@@ -32,7 +32,7 @@ class Connector(Protocol):
         """Open a connection for a blocking link. Raises `LinkDown`."""
 
     def release(self) -> None:
-        """Free the resources of the connector: its link is closed for good."""
+        """Free the resources of the connector, because its link was closed for good."""
 
 
 class TcpConnector:
@@ -47,7 +47,7 @@ class TcpConnector:
         self._local = (sockets.local_address, 0) if sockets.local_address else None
 
     async def connect(self, protocol: Callable[[], "asyncio.BaseProtocol"]) -> Any:
-        """Connect, and return the transport. Raises `LinkDown`."""
+        """Open a TCP connection and return its transport. Raises `LinkDown`."""
         import asyncio  # here: blocking programs, and every start of the command line, do without it
 
         from ..transport.dialling import open_stream
@@ -67,7 +67,7 @@ class TcpConnector:
         return transport
 
     def dial(self) -> socket.socket:
-        """Connect, and return the non-blocking socket. Raises `LinkDown`."""
+        """Open a TCP connection and return its non-blocking socket. Raises `LinkDown`."""
         try:
             if self._interface is not None:
                 from ..transport.dialling import dial_through
@@ -91,11 +91,11 @@ class TcpConnector:
         return connection
 
     def release(self) -> None:
-        """Nothing to free."""
+        """Do nothing: a TCP connector holds no resources."""
 
 
 class UdpConnector:
-    """Opens UDP sockets; one frame per datagram."""
+    """Opens UDP sockets of a link; each frame is one datagram."""
 
     def __init__(
         self, endpoint: Endpoint, sockets: SocketParameters, session: TcpClientSession | SerialClientSession
@@ -107,7 +107,7 @@ class UdpConnector:
         self._is_whole = WHOLE[endpoint.framing]
 
     async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:
-        """Open a socket. Raises `LinkDown`."""
+        """Open a UDP socket to the endpoint for an asyncio link. Raises `LinkDown`."""
         from ..transport.udp import open_datagram
 
         return await open_datagram(
@@ -120,7 +120,7 @@ class UdpConnector:
         )
 
     def dial(self) -> Channel:
-        """Open a socket. Raises `LinkDown`."""
+        """Open a UDP socket to the endpoint for a blocking link. Raises `LinkDown`."""
         from ..transport.udp import BlockingDatagramSocket
 
         return BlockingDatagramSocket(
@@ -128,7 +128,7 @@ class UdpConnector:
         )
 
     def release(self) -> None:
-        """Nothing to free."""
+        """Do nothing: a UDP connector holds no resources."""
 
     def _whole(self, data: bytes) -> bool:
         if self._is_whole(data):

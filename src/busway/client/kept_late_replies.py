@@ -47,7 +47,7 @@ class KeptDoubts:
             doubts.add(kept)
 
     def clear(self) -> None:
-        """Forget what is kept: other units are behind the same URLs now, as in a test."""
+        """Forget all outstanding replies, for tests that reuse a URL for another line."""
         with self._lock:
             self._by_url.clear()
 

@@ -85,7 +85,7 @@ class _LinkProtocol(asyncio.BufferedProtocol):
 
 
 class AsyncLinkDriver:
-    """The asynchronous driver of one client conversation. Made by `busway.client.pool`.
+    """The asyncio driver of one link. Created by `busway.client.pool`.
 
     Attributes:
         shared: whether all users of the endpoint share it.
@@ -194,7 +194,8 @@ class AsyncLinkDriver:
     # Calls of the public interface.
 
     def start(self, call: Call, now: float) -> "asyncio.Future[None]":
-        """Begin a call; the future is done when the call has all its outcomes. Raises `Overloaded`, `LinkDown`.
+        """Begin a call; the returned future is done when all its requests have their outcomes. Raises `Overloaded`,
+        `LinkDown`.
 
         A caller that stops waiting for the future must call `give_up`.
         """
@@ -242,7 +243,7 @@ class AsyncLinkDriver:
             self._arm(soonest)
 
     def give_up(self, call: Call) -> None:
-        """Cancel a call whose caller does not wait for it any more."""
+        """Cancel a call whose caller no longer waits for it."""
         self._write_outgoing()
         now = self._clock()
         if self.session.cancel(call):
@@ -257,7 +258,7 @@ class AsyncLinkDriver:
             self._loop.call_soon(self._flush)
 
     async def close(self) -> None:
-        """Close the connection. What is still waiting ends as `LinkDown`."""
+        """Close the connection. Waiting calls end as `LinkDown`."""
         self._life.closed = True
         LOCAL.discard(self)
         if self._timer is not None:
@@ -293,7 +294,7 @@ class AsyncLinkDriver:
         return self._transport is not None
 
     def call_at(self, when: float, callback: Callable[[], None]) -> asyncio.TimerHandle:
-        """A timer in the clock of calls."""
+        """Call a function at a time of the clock that calls use. Returns its timer."""
         return self._loop.call_later(max(when - self._clock(), 0.0), callback)
 
     @property
@@ -331,7 +332,7 @@ class AsyncLinkDriver:
         return True
 
     def serve(self, now: float) -> None:
-        """Send requests that wait for a slot: one that is shared with other links has become free."""
+        """Send requests that wait for a slot, because a slot shared between links is free."""
         if self.session.has_calls and self._transport is not None:
             self._pump(now)
             self._rearm()
@@ -339,7 +340,7 @@ class AsyncLinkDriver:
     # Events of the connection.
 
     def received(self, protocol: _LinkProtocol, buffer: bytes | bytearray, size: int) -> None:
-        """Process received bytes."""
+        """Process bytes received on a connection; ignored unless it is the current one."""
         if protocol is not self._protocol:
             return
         now = self.last_used = self._clock()
@@ -360,7 +361,7 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def received_damaged(self, protocol: _LinkProtocol, data: bytes, *, overrun: bool) -> None:
-        """Process received bytes with parity or framing errors that the port marked."""
+        """Process received bytes with parity or framing errors that the serial port marked."""
         if protocol is not self._protocol or self._line is None:
             return
         if TRACE.level:
@@ -388,7 +389,7 @@ class AsyncLinkDriver:
             self._scope.serve(now)
 
     def pause(self, protocol: _LinkProtocol, paused: bool) -> None:
-        """Stop or resume sending, as the transport's buffer asks."""
+        """Stop or resume sending, as the write buffer of the transport requires."""
         if protocol is self._protocol:
             self._paused = paused
             if not paused:
@@ -411,7 +412,7 @@ class AsyncLinkDriver:
             outgoing.clear()
 
     def _pump(self, now: float) -> None:
-        """Send what may be sent; connect if there is no connection; replace one that is out of step.
+        """Send all frames that may be sent; connect if there is no connection; replace one that is out of step.
 
         ``now`` may lie shortly ahead (``precise_timing``): the frame is prepared now, and leaves at that time.
         """
@@ -451,7 +452,7 @@ class AsyncLinkDriver:
             self.lost(self._protocol, f"reconnecting after {self.session.recycle}")
 
     def _end_if_stuck(self) -> None:
-        """After a call ended: abort the connection if bytes have not left yet, or they would leave later."""
+        """After a call ended: abort the connection if bytes of it are unsent, because they would be sent later."""
         if self._held is None or not self._held() or self._protocol is None:
             return
         if self._writes_late and takes_bytes(self._transport.get_extra_info("socket")):
@@ -475,13 +476,13 @@ class AsyncLinkDriver:
         self._transport.abort()
 
     def _forget_connection(self) -> None:
-        """Clear all state of the connection, above all the bytes to be sent on it."""
+        """Clear all state of the ended connection, above all its unsent bytes."""
         self._transport = self._protocol = self._frame_leaves = self._held = None
         self._outgoing.clear()
         self._paused = False
 
     def _after_use(self, now: float) -> None:
-        """Offer free slots to the other links of the client; close the connection if it is held no longer."""
+        """Offer free slots to the other links of the client; close the connection if its hold time is over."""
         if self._scope is not None:
             self._scope.serve(now)
         if self._hold == math.inf or self._transport is None or self._is_used() or self.session.deadline() is not None:
@@ -619,7 +620,7 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _on_line_timer(self, now: float) -> float:
-        """Wait out the end of a gap with ``precise_timing``, and ignore silence while our frame is still being sent."""
+        """Wait exactly for the end of a gap with ``precise_timing``, and ignore silence while a frame is being sent."""
         if self._spin and now < self._timer_at <= now + 2 * self._spin:
             self._pump(self._timer_at)  # preparing the frame takes a tenth of a millisecond
             now = self._clock()
@@ -634,7 +635,7 @@ class AsyncLinkDriver:
 
 
 def _clock_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
-    """The clock of a loop; for asyncio's own loops ``time.monotonic`` itself, which saves a call."""
+    """The clock of an event loop; for asyncio's own loops ``time.monotonic`` itself, which saves a call."""
     is_plain = getattr(loop.time, "__func__", None) is asyncio.BaseEventLoop.time
     return time.monotonic if is_plain else loop.time
 

@@ -1,4 +1,4 @@
-"""Waiting of a blocking link at its socket or port.
+"""Waits of a blocking link at its socket or serial port, until it is readable or a time is over.
 
 Knows descriptors; knows no conversation.
 """
@@ -14,13 +14,13 @@ _LONGEST_WAIT: Final = 0.25
 
 
 class ExactPoll:
-    """Waits at one port as exactly as the system can, and wakes up ``spin`` seconds before the time is over."""
+    """Waits at one serial port as exactly as the system can, waking up ``spin`` seconds early for a busy wait."""
 
     def __init__(self, spin: float) -> None:
         self._spin = spin
 
     def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
-        """As `Poll.wait`."""
+        """Wait. Returns whether bytes can be received (or sent, if ``writes``) within ``seconds``."""
         if seconds > self._spin:
             seconds -= self._spin
         try:
@@ -31,7 +31,7 @@ class ExactPoll:
 
 
 class Poll:
-    """Waits at one socket; by ``poll`` if the system has it, because that has no limit of descriptors."""
+    """Waits at one socket, by ``poll`` if the system has it, because it has no limit of descriptors."""
 
     def __init__(self, connection: Channel) -> None:
         self._poll = select.poll() if hasattr(select, "poll") else None

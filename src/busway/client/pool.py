@@ -31,7 +31,7 @@ class _Shared:
 
 
 class LinkPool:
-    """The links of one event loop."""
+    """The links of one event loop, by endpoint."""
 
     def __init__(self) -> None:
         self._shared: dict[str, _Shared] = {}
@@ -52,7 +52,7 @@ class LinkPool:
         return entry.link
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AsyncLinkDriver:
-        """Choose one of the links to the endpoint for a request. Raises `LinkDown` if there are none."""
+        """Choose one of the open links to an endpoint for a request. Raises `LinkDown` if there are none."""
         return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 
     async def release(self, settings: LinkSettings, link: AsyncLinkDriver) -> None:
@@ -86,7 +86,7 @@ _pools: "WeakKeyDictionary[asyncio.AbstractEventLoop, LinkPool]" = WeakKeyDictio
 
 
 def pool_of_running_loop() -> LinkPool:
-    """The pool of the running event loop."""
+    """The pool of links that belongs to the running event loop."""
     try:
         loop = asyncio.get_running_loop()
     except RuntimeError:

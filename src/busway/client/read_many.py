@@ -1,4 +1,4 @@
-"""Values from several addresses, read with as few requests as their places allow.
+"""Reads values from several addresses with as few requests as their addresses allow.
 
 Knows places, types and requests; knows no link. Ranges that touch or overlap become one request; nothing is read that
 was not asked for, because a device may refuse a range with a hole in it.
@@ -28,7 +28,9 @@ Wanted: TypeAlias = (
 
 @dataclass(frozen=True, slots=True)
 class _Item:
-    """One named value: ``items`` of a table from ``offset`` on; ``form`` is None for bits, ``count`` for one value."""
+    """One named value to read: ``items`` of a table from ``offset`` on; ``form`` is None for bits, ``count`` for one
+    value.
+    """
 
     name: str
     table: Table
@@ -44,7 +46,7 @@ class _Item:
 
 @dataclass(slots=True)
 class _Range:
-    """One request, and the named values that it reads."""
+    """The range of one request, and the named values that it reads."""
 
     table: Table
     offset: int
@@ -56,7 +58,7 @@ class _Range:
 
 
 def read_together(wanted: Mapping[str, Wanted], order: str, width: int = NARROW) -> Operation:
-    """Read all named values. Returns them by name, in the order of the names."""
+    """Read all named values with few requests. Returns them by name, in the order of the names."""
     if width != NARROW:
         raise InvalidRequest(f"read_many needs registers of 2 bytes, not of {width}; read each value by itself")
     items = [_item(name, one, order) for name, one in wanted.items()]

@@ -1,4 +1,4 @@
-"""The client connections of this process: their list, their status and their limit.
+"""Registry of the client connections of this process: their status and their limit.
 
 Holds links weakly and asks only them, never a peer.
 
@@ -29,7 +29,7 @@ DEFAULT_LIMIT: Final = 10_000
 
 @dataclass(frozen=True, slots=True)
 class LocalConnectionStatus:
-    """One link of this process and its present connection.
+    """Status of one link of this process and its current connection.
 
     Attributes:
         endpoint: URL of the peer, without options.
@@ -91,14 +91,14 @@ class LocalLink(Protocol):
         """Whether the link is connected now."""
 
     def status(self) -> LocalConnectionStatus:
-        """A snapshot of state, traffic and counters."""
+        """A snapshot of state, traffic and counters of the link."""
 
     def make_room(self) -> bool:
         """Close the connection if it is unused. Returns whether it was closed. Called on the link's own loop."""
 
 
 class LocalConnections:
-    """The links of a process; safe from any thread.
+    """The registry of all links of a process; safe from any thread.
 
     Attributes:
         supported: how many connections there may be at once.
@@ -126,17 +126,17 @@ class LocalConnections:
         return [link for link in links if link.home is None or not link.home.is_closed()]
 
     def count(self) -> int:
-        """Number of open connections."""
+        """Number of open connections of the process."""
         return sum(link.is_connected for link in self.links())
 
     def limit(self, supported: int) -> None:
-        """Set how many connections there may be. Raises `ConfigError` outside 1…65535."""
+        """Set the highest number of connections of the process. Raises `ConfigError` outside 1…65535."""
         if not 1 <= supported <= 65_535:
             raise ConfigError(f"must be 1…65535, not {supported}", key="supported")
         self.supported = supported
 
     def make_room(self, newcomer: LocalLink, endpoint: str) -> None:
-        """Make room for a connection of ``newcomer``. Raises `LinkDown` if all connections are in use."""
+        """Make room for a new connection of the link ``newcomer``. Raises `LinkDown` if all connections are in use."""
         if len(self._links) <= self.supported:
             return
         standing = [link for link in self.links() if link.is_connected and link is not newcomer]
@@ -180,7 +180,7 @@ def limit_local_connections(supported: int) -> None:
 def status_of(
     link: LocalLink, session: ClientSession, life: ConnectionLife, now: float, local: object
 ) -> LocalConnectionStatus:
-    """The status of a link.
+    """The status of a link, put together from its session and connection.
 
     Args:
         link, session, life: the driver, its session, and the life of its connections.

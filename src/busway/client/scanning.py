@@ -32,7 +32,7 @@ LISTEN_SECONDS: Final = 2.0
 
 @dataclass(slots=True)
 class FoundUnit:
-    """A unit that answers.
+    """A unit that answered a scan.
 
     Attributes:
         unit: its number.
@@ -132,14 +132,14 @@ def refuse_busy_line(
 
 
 def _for_listening(endpoint: Endpoint) -> Endpoint:
-    """The endpoint without the options that have no effect on listening."""
+    """An endpoint without the options that have no effect when a line is only listened to."""
     taken = Offer.at(endpoint, "monitor", MONITORS).options
     kept = {name: text for name, text in endpoint.options.items() if aliases().get(name, name) in taken}
     return replace(endpoint, options=kept)
 
 
 class UnitScan:
-    """A scan of the units behind one endpoint. Made before anything is sent; `found` asks.
+    """A scan of the units behind one endpoint. Creating it sends nothing; `found` sends the requests.
 
     Args:
         endpoint: the line, or the server in front of the units.
@@ -201,7 +201,7 @@ class UnitScan:
             yield found
 
     def _probe(self, unit: int) -> FoundUnit | None:
-        """Whether a unit answers, and how."""
+        """Send a harmless request to a unit. Returns how it answered, or None if it did not."""
         counters, timeout = self._link.counters, self.adaptive_timeout.timeout
         late_before = counters.late_replies
         began = time.monotonic()

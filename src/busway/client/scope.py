@@ -1,4 +1,4 @@
-"""One limit of transactions for all links of a client: NumberMaxOfClientTransaction with ``scope=client``.
+"""One limit of requests in flight for all links of a client: NumberMaxOfClientTransaction with ``scope=client``.
 
 Knows links that wait for a slot, and serves them in turn; knows nothing of what they send.
 
@@ -19,10 +19,10 @@ from ..session.call import Places, places
 
 
 class ScopedLink(Protocol):
-    """A link that takes its slots from a scope."""
+    """A link that takes its slots for requests in flight from a `ClientScope`."""
 
     def serve(self, now: float) -> None:
-        """Send requests that wait for a slot."""
+        """Send requests of the link that wait for a slot."""
 
 
 class ClientScope:
@@ -46,7 +46,7 @@ class ClientScope:
         return any(link() is not None for link in self._links)
 
     def enter(self, link: ScopedLink) -> None:
-        """Add a new link."""
+        """Add a new link to those that share the slots."""
         self._links.append(weakref.ref(link))
 
     def leave(self, link: ScopedLink) -> None:
@@ -54,7 +54,7 @@ class ClientScope:
         self._links = deque(one for one in self._links if one() not in (None, link))
 
     def serve(self, now: float) -> None:
-        """Let the waiting links use the free slots, in turn."""
+        """Let the links with waiting requests use the free slots, in turn."""
         for _ in range(len(self._links)):
             if not self.places:
                 return

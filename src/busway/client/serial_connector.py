@@ -47,7 +47,7 @@ class SerialConnector:
         self._claim = Claim(endpoint.path, user)
 
     async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:
-        """Open the port; wait for it as the options say. Raises `LinkDown`."""
+        """Open the port for an asyncio link, waiting for it as the options say. Raises `LinkDown`."""
         import asyncio
 
         from ..transport.serial.connection import SerialConnection
@@ -66,7 +66,7 @@ class SerialConnector:
             await asyncio.sleep(pause)
 
     def dial(self) -> Channel:
-        """Open the port; wait for it as the options say. Raises `LinkDown`."""
+        """Open the port for a blocking link, waiting for it as the options say. Raises `LinkDown`."""
         waited = _Waited(self._opening)
         while True:
             try:
@@ -76,18 +76,18 @@ class SerialConnector:
             time.sleep(pause)
 
     def release(self) -> None:
-        """Free the port for others: the link is closed for good."""
+        """Free the port for other programs, because the link was closed for good."""
         self._claim.release()
 
     def _named(self, error: LinkDown | ConfigError) -> LinkDown:
-        """Translate an error of opening. An impossible setting is raised at once: waiting would not help."""
+        """Translate an error of opening the port. An impossible setting is raised at once: waiting would not help."""
         down = LinkDown(error.message, endpoint=self._endpoint.url)
         down.__cause__ = error
         return down
 
 
 class _Waited:
-    """Limits how long a port is waited for."""
+    """Limit of the time for which a missing port is waited for."""
 
     def __init__(self, opening: OpeningParameters) -> None:
         self._policy = reopen_policy(opening)
@@ -95,7 +95,7 @@ class _Waited:
         self._failures = 0
 
     def pause(self, error: LinkDown) -> float:
-        """Seconds to wait before the next attempt; raises ``error`` when the wait is over."""
+        """Seconds to wait before the next attempt to open; raises ``error`` when the wait is over."""
         self._failures += 1
         left = self._until - time.monotonic()
         if isinstance(error.__cause__, ConfigError) or left <= 0:
@@ -104,7 +104,7 @@ class _Waited:
 
 
 class SerialStream:
-    """An open port under asyncio, with the methods of a stream transport."""
+    """An open serial port under asyncio, with the methods of a stream transport."""
 
     def __init__(self, session: SerialClientSession, end: LinkEnd) -> None:
         self._session = session
@@ -115,7 +115,7 @@ class SerialStream:
         self._puts_off = 0
 
     def opened(self, connection: "SerialConnection") -> None:
-        """Note that the port is open."""
+        """Keep the opened port and tell the session its properties."""
         self._connection = connection
         self._session.characters_take_time = not connection.pseudo_terminal
         self._overruns = Overruns(connection.counters)
@@ -123,7 +123,7 @@ class SerialStream:
     # What the port tells.
 
     def received(self, data: bytes, errors: int) -> None:
-        """Process received bytes; ``errors``: how many of them are marked as damaged."""
+        """Pass received bytes to the link; ``errors``: how many of them are marked as damaged."""
         overrun = self._overruns is not None and self._overruns.more()
         if errors or overrun:
             self._end.arrived_damaged(data, overrun=overrun)
@@ -152,7 +152,7 @@ class SerialStream:
             asyncio.get_running_loop().call_soon(self._end.connection_lost, error)
 
     def still_sending(self) -> None:
-        """Check whether the last character has left, before a timeout is believed."""
+        """Tell the session if characters are still unsent, so that a timeout does not start too early."""
         if self._connection is None or self._puts_off >= HOLDS_AT_MOST:
             return
         try:
@@ -164,7 +164,7 @@ class SerialStream:
             self._session.still_sending(until)
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the serial port."""
         connection, self._connection = self._connection, None
         if connection is not None:
             self._closing = connection
@@ -176,16 +176,16 @@ class SerialStream:
             await self._closing.wait_closed()
 
     def abort(self) -> None:
-        """Close the port."""
+        """Close the serial port."""
         self.close()
 
     def is_closing(self) -> bool:
-        """Whether the connection is closed."""
+        """Whether the serial port is closed."""
         return self._connection is None
 
 
 class SerialChannel:
-    """An open port of a blocking link, with the methods of a non-blocking socket."""
+    """An open serial port of a blocking link, with the methods of a non-blocking socket."""
 
     def __init__(self, port: BlockingSerialPort, session: SerialClientSession) -> None:
         self._port = port
@@ -195,11 +195,13 @@ class SerialChannel:
         self._puts_off = 0
 
     def fileno(self) -> int:
-        """The descriptor, to wait for readiness. Raises `OSError` if ports have none."""
+        """The file descriptor of the port, to wait for readiness. Raises `OSError` if ports have none."""
         return self._port.fileno()
 
     def recv_into(self, buffer: bytearray) -> int:
-        """Receive bytes. Raises `BlockingIOError` if nothing usable came, and `LinkDown` (an `OSError`)."""
+        """Receive bytes into a buffer. Raises `BlockingIOError` if nothing usable came, and `LinkDown` (an
+        `OSError`).
+        """
         data, errors = self._port.read(0)
         overrun = bool(data) and self._overruns.more()
         if errors or overrun:
@@ -217,7 +219,7 @@ class SerialChannel:
         return len(data)
 
     def still_sending(self) -> None:
-        """Check whether the last character has left, before a timeout is believed."""
+        """Tell the session if characters are still unsent, so that a timeout does not start too early."""
         if self._puts_off >= HOLDS_AT_MOST:
             return
         try:
@@ -229,5 +231,5 @@ class SerialChannel:
             self._session.still_sending(until)
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the serial port."""
         self._port.close()

@@ -22,7 +22,7 @@ from .settings import LinkSettings
 
 
 class ClientSession(Protocol):
-    """A client session: `TcpClientSession` or `SerialClientSession`.
+    """Interface of a client session: `TcpClientSession` or `SerialClientSession`.
 
     Attributes:
         counters: counters of the link.
@@ -63,7 +63,7 @@ class ClientSession(Protocol):
         """Send a call at once and return its frame; None if it has to be queued with `submit`."""
 
     def serve_units_in_turn(self) -> None:
-        """Serve the units of each caller in turn."""
+        """Serve the units of each caller in turn, instead of its calls in order."""
 
     def cancel(self, call: Call) -> bool:
         """Cancel a call. Returns whether some of its requests are in flight."""
@@ -75,16 +75,18 @@ class ClientSession(Protocol):
         """Report the end of the connection; ``lost`` is False if the client itself closed an unused one."""
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """No connection could be opened: fail waiting calls; ``keep_repeated`` spares those about to be repeated."""
+        """Report that no connection could be opened: waiting calls fail; ``keep_repeated`` spares those about to be
+        repeated.
+        """
 
     def transmit(self, now: float) -> list[bytes]:
-        """The frames to send now."""
+        """The frames to send now, in order."""
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
-        """Process the first ``size`` bytes of ``buffer``."""
+        """Process the received first ``size`` bytes of ``buffer``."""
 
     def deadline(self) -> float | None:
-        """When `tick` or `transmit` has something to do."""
+        """When `tick` or `transmit` has something to do, in the clock of ``now``; None for never."""
 
     def tick(self, now: float) -> None:
         """Handle timeouts and deadlines that have passed."""
@@ -93,7 +95,7 @@ class ClientSession(Protocol):
 def client_session_for(
     settings: LinkSettings, shared_places: Places | None = None
 ) -> TcpClientSession | SerialClientSession:
-    """Create the session for an endpoint, without a connection. Raises `ConfigError`.
+    """Create the client session for an endpoint, without a connection. Raises `ConfigError`.
 
     ``shared_places`` are the slots for requests in flight that all links of a client share with ``scope=client``.
     """
@@ -130,7 +132,7 @@ def client_session_for(
 
 
 def reconnect_for(settings: LinkSettings) -> Reconnect:
-    """States and pauses of the connections of a link: a serial port is opened again after pauses of its own."""
+    """Create the reconnecting state of a link with its pauses; a serial port has pauses of its own."""
     if settings.line is not None and settings.line.port is not None:
         opening = settings.line.opening
         return Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)

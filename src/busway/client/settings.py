@@ -25,7 +25,7 @@ CALL_DEFAULTS: Final = tuple(name for name, one in declared(ClientParameters).it
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """Additional settings of a link with the framing of a serial line.
+    """Additional settings of a link that uses RTU or ASCII framing.
 
     Attributes:
         conversation: turnaround, gaps, drain.

@@ -41,7 +41,7 @@ _OF_TIME: Final = (FailureKind.EXPIRED, FailureKind.NOT_YET_VALID)
 
 
 class TlsConnector:
-    """Opens TLS connections over TCP.
+    """Opens TLS connections of a link.
 
     Raises:
         ConfigError: a file cannot be used, or the authority is missing.
@@ -71,7 +71,7 @@ class TlsConnector:
             raise self._down(error) from error
 
     async def _agree(self, context: ssl.SSLContext, protocol: Callable[[], "asyncio.BufferedProtocol"]) -> "TlsLayer":
-        """Connect and complete the handshake. Raises `TlsFailure`, `OSError`, `ValueError`."""
+        """Connect under asyncio and complete the TLS handshake. Raises `TlsFailure`, `OSError`, `ValueError`."""
         import asyncio  # here: blocking programs, and every start of the command line, do without it
 
         from ..transport.tls.layer import TlsLayer
@@ -132,7 +132,7 @@ class TlsConnector:
             raise self._down(error) from error
 
     def _agree_now(self, context: ssl.SSLContext) -> "TlsSocket":
-        """Connect and complete the handshake. Raises `TlsFailure`, `OSError`, `ValueError`."""
+        """Connect, blocking, and complete the TLS handshake. Raises `TlsFailure`, `OSError`, `ValueError`."""
         from ..transport.tls.socket import TlsSocket
 
         connection = socket.create_connection((self._host, self._port), self._sockets.connect_timeout, self._local)
@@ -141,7 +141,7 @@ class TlsConnector:
         return TlsSocket(connection, context, server_name=self._server_name, timeout=self._security.handshake_timeout)
 
     def _look_at_date_now(self, failure: TlsFailure) -> TlsFailure:
-        """As `_look_at_date`, blocking."""
+        """Add the date of the refused certificate to a failure, blocking (as `_look_at_date`)."""
         try:
             connection = self._agree_now(timeless_context(self._security))
         except (OSError, ValueError):
@@ -151,7 +151,7 @@ class TlsConnector:
         return failure if certificate is None else dated(failure, certificate, time.time())
 
     def release(self) -> None:
-        """Nothing to free."""
+        """Do nothing: a TLS connector holds no resources."""
 
     def _context_now(self) -> ssl.SSLContext:
         if self._security.verify is Verify.OFF_INSECURE:
@@ -165,7 +165,7 @@ class TlsConnector:
         return context
 
     def _look_at_own(self) -> None:
-        """Log a warning if the own certificate expires soon or has expired."""
+        """Log a warning if the client's own certificate has expired or expires soon."""
         name = self._security.certificate
         if name is None or self._looked_at == self._context.generation:
             return

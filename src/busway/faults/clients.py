@@ -32,7 +32,7 @@ class ClientFaultProfile:
 
 
 def _slow_loris(size: int = 3) -> bytes:
-    """Args: size: bytes of the request that are sent, 1…11."""
+    """The first ``size`` bytes of a request, 1…11, after which the client falls silent."""
     return bytes.fromhex("0001 0000 0006 01 03 0000 0001")[:size]
 
 

@@ -15,24 +15,24 @@ from typing import Protocol
 
 
 class Timer(Protocol):
-    """A scheduled callback."""
+    """A callback scheduled with a clock."""
 
     def cancel(self) -> None:
-        """Cancel the callback."""
+        """Cancel the scheduled callback."""
 
 
 class Clock(Protocol):
-    """A source of time that also calls functions at a time."""
+    """A source of time that also schedules callbacks."""
 
     def now(self) -> float:
-        """Seconds, monotonic."""
+        """The current time in seconds, monotonic."""
 
     def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
         """Call ``callback`` once, when ``now()`` has reached ``when``."""
 
 
 class LoopClock:
-    """The clock of an event loop.
+    """The clock of an asyncio event loop.
 
     Args:
         loop: the loop in whose thread callbacks run.
@@ -42,11 +42,11 @@ class LoopClock:
         self._loop = loop
 
     def now(self) -> float:
-        """Seconds of the loop's clock."""
+        """The current time of the event loop, in seconds."""
         return self._loop.time()
 
     def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
-        """As `Clock.call_at`."""
+        """Call ``callback`` once, when the event loop's time has reached ``when``."""
         return self._loop.call_at(when, callback)
 
 
@@ -66,7 +66,7 @@ class FakeTimer:
         self.cancelled: bool = False
 
     def cancel(self) -> None:
-        """As `Timer.cancel`."""
+        """Cancel the scheduled callback."""
         self.cancelled = True
 
 
@@ -84,11 +84,13 @@ class FakeClock:
         self._timers: list[tuple[float, int, FakeTimer]] = []
 
     def now(self) -> float:
-        """Seconds."""
+        """The current time of the fake clock, in seconds."""
         return self._now
 
     def call_at(self, when: float, callback: Callable[[], object]) -> FakeTimer:
-        """As `Clock.call_at`; a callback that is due already is called at the next `advance`."""
+        """Call ``callback`` once when the clock has reached ``when``; one that is already due, at the next
+        `advance`.
+        """
         timer = FakeTimer(when, callback)
         with self._lock:
             heapq.heappush(self._timers, (when, next(self._order), timer))

@@ -20,7 +20,8 @@ _CONNECTED = frozenset({"tcp", "tls"})
 
 
 class FaultyTap:
-    """The open connections of a server with faults, or of several that share them. Give it to a server as ``tap``.
+    """The connection tap of a faulty server, or of several that share faults: keeps their open connections. Pass it as
+    ``tap``.
 
     Args:
         faults: the faults to apply.
@@ -63,7 +64,7 @@ class FaultyTap:
     # What the server tells.
 
     def connection_opened(self, connection: TappedConnection) -> None:
-        """As `busway.server.connection_tap.ConnectionTap.connection_opened`."""
+        """Keep a newly opened connection, and close it if a fault does not admit it."""
         loop = asyncio.get_running_loop()
         clock = LoopClock(loop) if self._clock is None else self._clock
         faulty = FaultyConnection(connection, self._faults, clock, loop, others=len(self._faulty), moved=self._moved)
@@ -73,7 +74,7 @@ class FaultyTap:
         self._changed()
 
     def connection_closed(self, connection: TappedConnection) -> None:
-        """As `ConnectionTap.connection_closed`. It is counted until its socket is closed, just after this call."""
+        """Forget a closed connection; it is counted until its socket is closed, just after this call."""
         faulty = self._faulty.get((connection.listener, connection.peer))
         if faulty is not None and faulty.connection is connection:
             faulty.end()
@@ -145,7 +146,7 @@ class FaultyConnection:
             self._loop.call_soon(self.pump)
 
     def pump(self) -> None:
-        """Send what is due, and set the timer for the next reply or close."""
+        """Send the replies that are due, and set the timer for the next reply or close."""
         self._is_due = False
         if self._has_ended:
             return
@@ -181,7 +182,7 @@ class FaultyConnection:
         self._moved(self)
 
     def end(self) -> None:
-        """Send nothing more."""
+        """Stop sending on this connection, for good."""
         self._has_ended = True
         self._stop_timer()
         self._moved(self)

@@ -49,7 +49,7 @@ EVERYWHERE = frozenset(Carrier)
 
 @dataclass(slots=True, eq=False, weakref_slot=True)
 class Contact:
-    """One connection, as faults see it. Times are seconds in the clock of ``now``.
+    """One connection as faults see it. Times are seconds in the clock of ``now``.
 
     Attributes:
         opened: when it was made.
@@ -93,17 +93,17 @@ class Exchange:
 
     @property
     def function(self) -> int:
-        """Function code as received, 0…255."""
+        """Function code of the request as received, 0…255."""
         return self.pdu[0]
 
     @property
     def spans(self) -> tuple[Span, ...]:
-        """The ranges that the request names; none where it is malformed or unknown."""
+        """The item ranges that the request names; none if it is malformed or unknown."""
         return self.request.spans() if isinstance(self.request, Request) else ()
 
     @property
     def is_write(self) -> bool:
-        """Whether the request may change something."""
+        """Whether the request may change data of the device."""
         return (isinstance(self.request, Request) and self.request.is_write) or any(one.writes for one in self.spans)
 
 
@@ -170,7 +170,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """When a fault is active, in seconds and requests since it was switched on.
+    """When a fault is active: seconds and numbers of requests, counted since it was switched on.
 
     Args:
         after: seconds until it begins.
@@ -204,7 +204,7 @@ class Schedule:
         return self.lasts is None or elapsed < self.lasts
 
     def is_turn(self, chosen: int) -> bool:
-        """Whether the fault strikes the next request after ``chosen`` selected ones."""
+        """Whether the fault strikes the next request, after ``chosen`` matching ones."""
         return chosen >= self.skip and (self.times is None or chosen < self.skip + self.times)
 
 
@@ -296,7 +296,7 @@ class AppliedFault:
 
     @property
     def name(self) -> str:
-        """The name of its fault profile."""
+        """Name of the fault profile that the fault was made from."""
         return self.fault.name
 
     def on(self) -> None:
@@ -307,7 +307,7 @@ class AppliedFault:
         self._changed()
 
     def off(self) -> None:
-        """Switch the fault off. Replies that it has suppressed or delayed already stay so."""
+        """Switch the fault off. Replies that it has suppressed or delayed are not restored."""
         self.enabled = False
         self._changed()
 
@@ -320,7 +320,9 @@ class AppliedFault:
         return self.selection.schedule.is_time(now - self._since)
 
     def strikes(self, exchange: Exchange) -> Exchange | None:
-        """The exchange as this fault sees it, if it strikes; None if not. Counts the request for its schedule."""
+        """The exchange as this fault sees it, if the fault applies; otherwise None. Counts the request for its
+        schedule.
+        """
         if not self.is_on(exchange.now) or not self.fault.is_met(exchange.contact):
             return None
         if not self.selection.means(exchange):
@@ -334,7 +336,7 @@ class AppliedFault:
 
 
 class Faults:
-    """All faults of one server, in the order in which they act. Changed from any thread.
+    """All faults of one server, in the order in which they act. Can be changed from any thread.
 
     Args:
         seed: seed of random choices.
@@ -389,7 +391,7 @@ class Faults:
         return applied
 
     def remove(self, applied: AppliedFault) -> None:
-        """Remove a fault; a fault that is not there is ignored."""
+        """Remove a fault; no effect if it was removed before."""
         with self._lock:
             self._applied = tuple(one for one in self._applied if one is not applied)
         self._changed()
@@ -400,7 +402,7 @@ class Faults:
             self._watchers = (*self._watchers, changed)
 
     def unwatch(self, changed: Callable[[], None]) -> None:
-        """Stop calling ``changed``."""
+        """Stop calling ``changed`` after changes of the faults."""
         with self._lock:
             self._watchers = tuple(one for one in self._watchers if one != changed)
 
@@ -431,7 +433,7 @@ class Faults:
     # What a conversation asks.
 
     def admit(self, contact: Contact) -> bool:
-        """Whether a new connection may stay."""
+        """Whether a new connection may stay open, or a fault closes it."""
         for one in self._applied:
             if one.fault.admits is None or not one.fault.is_met(contact) or not one.is_on(contact.opened):
                 continue
@@ -450,11 +452,11 @@ class Faults:
         return found
 
     def closes_at(self, contact: Contact, now: float) -> float | None:
-        """When a connection is to be closed because it is idle; None for never."""
+        """When a fault will close a connection because it is idle; None for never."""
         return min((when for when, _ in self._closing(contact, now)), default=None)
 
     def closes(self, contact: Contact, now: float) -> bool:
-        """Whether a connection is to be closed now because it is idle; counts it as struck."""
+        """Whether a fault closes a connection now because it is idle; counts the fault as applied."""
         due = [one for when, one in self._closing(contact, now) if when <= now + SAME_MOMENT]
         for one in due[:1]:
             one.struck += 1

@@ -1,4 +1,4 @@
-"""One connection of a faulty device, without IO: requests go in, bytes and their times come out.
+"""One connection of a faulty device, without IO: takes requests, and plans which bytes are sent when.
 
 Knows frames, the faults and ``now``; knows no socket, no clock and no device: its driver asks the device.
 
@@ -44,7 +44,7 @@ class _Due:
 
 
 class FaultyConversation:
-    """The planned replies of one connection with faults.
+    """Plans the replies of one connection of a device with faults.
 
     Args:
         faults: the faults to apply.
@@ -117,7 +117,7 @@ class FaultyConversation:
     # Time.
 
     def tick(self, now: float) -> list[bytes]:
-        """The bytes that are due now, one item per write."""
+        """The bytes that are due to be sent now, one item per write."""
         writes: list[bytes] = []
         glued = False
         while self._outbox and self._outbox[0].when <= now + SAME_MOMENT and not self.closed:

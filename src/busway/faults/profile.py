@@ -25,7 +25,7 @@ LONGEST = 86_400.0
 
 @dataclass(frozen=True, slots=True)
 class Says:
-    """Meaning and range of an option of a fault profile; used in its annotation.
+    """Annotation of an option of a fault profile: its meaning and range.
 
     Attributes:
         meaning: in words, with the unit of measure.
@@ -38,7 +38,7 @@ class Says:
 
 
 def in_seconds(meaning: str) -> Says:
-    """The annotation of an option that is a time, 0 s to a day; ``meaning`` follows the word seconds."""
+    """The annotation of an option that is a time of 0 s to a day; ``meaning`` follows the word seconds."""
     return Says(f"seconds {meaning}", 0.0, LONGEST)
 
 
@@ -47,7 +47,7 @@ _TYPE_WORDS = {float: "a number", int: "a whole number", bool: "true or false"}
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One option of a fault profile.
+    """One option of a fault profile with its type, default and range.
 
     Attributes:
         name, default: from the signature.
@@ -64,7 +64,7 @@ class Parameter:
 
     @property
     def range_text(self) -> str:
-        """``0…86400``, ``at least 1``; empty without a range."""
+        """The range of the option as text: ``0…86400``, ``at least 1``; empty without a range."""
         least, most = self.says.least, self.says.most
         if least is None:
             return ""
@@ -95,7 +95,7 @@ def _parameter(declared: inspect.Parameter) -> Parameter:
 
 @dataclass(frozen=True, slots=True)
 class FaultProfile:
-    """A named way in which devices misbehave; call it with its options to make the fault.
+    """A named way in which devices misbehave; called with its options it creates the fault.
 
     Attributes:
         name: as in the documentation.
@@ -115,16 +115,16 @@ class FaultProfile:
 
     @property
     def options(self) -> Mapping[str, Any]:  # Any: an option has the type of its default
-        """The options with their defaults."""
+        """The options of the profile with their defaults."""
         return {name: one.default for name, one in self.parameters.items()}
 
     @property
     def parameters(self) -> Mapping[str, Parameter]:
-        """The declarations of the options, by name."""
+        """The declarations of the profile's options, by name."""
         return {name: _parameter(one) for name, one in inspect.signature(self.make).parameters.items()}
 
     def __call__(self, **options: Any) -> Fault:  # Any: as `options` says
-        """Make the fault. Raises `ConfigError` for an unknown option or an invalid value; its key names the option."""
+        """Create the fault with these options. Raises `ConfigError` for an unknown option or an invalid value."""
         parameters = self.parameters
         for name, value in options.items():
             if name not in parameters:
@@ -136,7 +136,7 @@ class FaultProfile:
 
 
 class FaultyTable(Mapping[str, FaultProfile]):
-    """Fault profiles by name, in the order of the documentation. Raises `ConfigError` for two of one name."""
+    """A table of fault profiles by name, in the order of the documentation. Raises `ConfigError` for equal names."""
 
     __slots__ = ("_by_name",)
 
@@ -148,7 +148,7 @@ class FaultyTable(Mapping[str, FaultProfile]):
             self._by_name[one.name] = one
 
     def with_fault_profiles(self, *fault_profiles: FaultProfile) -> "FaultyTable":
-        """A new table with more fault profiles."""
+        """A new table with additional fault profiles."""
         return FaultyTable(*self.values(), *fault_profiles)
 
     def named(self, name: str) -> FaultProfile:

@@ -1,4 +1,4 @@
-"""A responder that applies faults to the answers of another responder, which answers correctly.
+"""A responder that wraps another one and applies faults to its replies.
 
 Knows requests, faults and faulty connections; knows no socket.
 
@@ -53,12 +53,14 @@ class FaultyResponder:
 
     @property
     def functions(self) -> FunctionTable:
-        """The functions of the wrapped responder."""
+        """The table of functions of the wrapped responder."""
         return self.inner.functions
 
     @property
     def generation(self) -> int:
-        """A number that changes with the faults, with the wrapped responder, and when all delayed replies are sent."""
+        """A number that changes with the faults, with the wrapped responder, and when the last delayed reply
+        was sent.
+        """
         return self.inner.generation + self._faults.generation + self._tap.drained
 
     @property
@@ -66,12 +68,12 @@ class FaultyResponder:
         return not (self._faults.is_any_on or self._heard or self._tap.has_any_unsent)
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """As the wrapped responder; while a fault is on, no request takes the fast path."""
+        """The served unit of the wrapped responder; without the fast path while a fault is on."""
         served = self.inner.serves(unit)
         return served if served is None or self._is_aside else replace(served, is_direct=False)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Answer a request, changed by the faults that strike it."""
+        """Answer a request with the faults that apply to it."""
         faulty = self._tap.find(context.listener, context.peer)
         if faulty is None or self._is_aside:
             return self.inner.answer(context, request)
@@ -92,7 +94,7 @@ class FaultyResponder:
 
 
 class _Turn:
-    """One request whose reply is sent by its `FaultyConnection`."""
+    """One request whose reply is planned and sent by its `FaultyConnection`."""
 
     def __init__(self, faulty: FaultyConnection, exchange: Exchange, struck: Struck) -> None:
         self._faulty = faulty
@@ -100,13 +102,13 @@ class _Turn:
         self._struck = struck
 
     def say(self, answer: bytes) -> None:
-        """Plan the bytes to send for a reply PDU; an empty PDU is no reply."""
+        """Plan the bytes to send for a reply PDU; an empty PDU means no reply."""
         faulty = self._faulty
         faulty.conversation.answered(self._exchange, self._struck, answer, faulty.clock.now())
         faulty.pump_soon()
 
     def take(self, context: RequestContext, perform: Callable[[RequestContext], Outcome]) -> Outcome:
-        """Let the wrapped responder answer, now or later, and send its answer through the faulty connection."""
+        """Let the wrapped responder answer, now or later, and send its reply through the faulty connection."""
         inside = context.inside(lambda _, reply: self._later(context, reply))
         try:
             outcome = perform(inside)

@@ -30,7 +30,7 @@ from .responder import FaultyResponder
 
 @dataclass(frozen=True, slots=True)
 class FaultStatus:
-    """The status of one fault.
+    """The status of one fault: its profile, options, whether it is on, and how often it applied.
 
     Attributes:
         name: the name of the fault.

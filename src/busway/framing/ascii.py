@@ -1,4 +1,4 @@
-"""ASCII: frames between a colon and the end delimiter, two characters for each byte (Serial Line V1.02 §2.5.2).
+"""ASCII framing: between a colon and the end delimiter, two characters for each byte (Serial Line V1.02 §2.5.2).
 
 Knows characters and the times at which they were read; knows no port and no function's length.
 
@@ -39,13 +39,15 @@ _NEVER: Final = float("-inf")
 
 
 def encode_ascii(unit: int, pdu: bytes, delimiter: int = LF) -> bytes:
-    """The frame of a PDU of 1…253 bytes for ``unit`` 0…255, ended by CR and ``delimiter`` 0…127 (§2.5.2.1)."""
+    """Encode the ASCII frame of a PDU of 1…253 bytes for ``unit`` 0…255, ended by CR and ``delimiter`` 0…127
+    (§2.5.2.1).
+    """
     body = bytes((unit,)) + pdu
     return b":%b%02X\r%c" % (body.hex().upper().encode(), lrc(body), delimiter)
 
 
 class AsciiState(Enum):
-    """Where the receiver is (figure 18)."""
+    """States of the ASCII receiver (figure 18)."""
 
     IDLE = "idle"
     LISTENER_CONTEXT = "reception"
@@ -53,7 +55,7 @@ class AsciiState(Enum):
 
 
 class AsciiReceiver:
-    """Characters and times in, frames and damaged chunks out.
+    """Receiver of ASCII frames: takes characters with their times, returns frames and damaged chunks.
 
     Attributes:
         state: where the receiver is.
@@ -153,15 +155,15 @@ class AsciiReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """Expect the reply of ``unit`` to ``function``."""
+        """Note that a master's request went to ``unit`` and that a reply with ``function`` is expected."""
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:
-        """Expect no reply any more."""
+        """Note that no reply is expected any more."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Note that our frame is on the line until ``ends``; its echo is removed."""
+        """Note that a frame sent by this station occupies the line until ``ends``; its echo is removed."""
         self._sent_until = ends
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
@@ -176,7 +178,7 @@ class AsciiReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Decide about everything now: at a response timeout, or at the end."""
+        """Decide all pending characters now: at a response timeout, or at the end."""
         found: list[Received] = []
         released = self.echo.release()
         if released:
@@ -203,7 +205,7 @@ class AsciiReceiver:
             at += len(part) + 1
 
     def _colon(self, time: float, found: list[Received]) -> None:
-        """Begin a frame at a colon at ``time``; a frame in progress is lost."""
+        """Begin a frame at a colon received at ``time``; an unfinished frame is lost."""
         if self.state is AsciiState.WAITING_FOR_DELIMITER and self.delimiter == COLON:
             self._complete(time + self.timing.character, found)
             return
@@ -260,7 +262,7 @@ class AsciiReceiver:
             self._text.clear()
 
     def _direction(self, content: bytes, now: float) -> Direction:
-        """The likeliest direction whose length fits; what RTU calls its length counts one byte more."""
+        """The likeliest direction of a frame by its length; RTU lengths count one byte more."""
         frame = bytearray(content) + b"\0"
         length_of_frame = len(content) - 2 + AROUND_PDU
         for direction in self.conversation.order(content[0], content[1], now):
@@ -269,7 +271,7 @@ class AsciiReceiver:
         return self.conversation.guess(content[0], content[1], now)
 
     def _discard(self, reason: Damage, ended: float, found: list[Received], *, overrun: bool = False) -> None:
-        """Discard the frame in progress; bytes are skipped until the next colon."""
+        """Discard the unfinished frame; characters are skipped until the next colon."""
         in_frame = self.state is not AsciiState.IDLE
         raw = b":" + bytes(self._text) if in_frame else b""
         began = self._began if in_frame else ended

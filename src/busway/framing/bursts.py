@@ -1,4 +1,4 @@
-"""Times at which the bytes of a stream were on the line, as far as the reads tell.
+"""Estimates when each byte of a stream was on the line, from the times of the reads.
 
 Knows places in a stream and times; knows no bytes. What was read at once is taken as sent without gaps.
 """
@@ -13,7 +13,7 @@ NEVER: Final = float("-inf")
 
 @dataclass(frozen=True, slots=True)
 class _Burst:
-    """Bytes of one read: place of the first in the stream, its time, and seconds per byte."""
+    """The bytes of one read: position of the first in the stream, its time, and seconds per byte."""
 
     place: int
     began: float
@@ -24,7 +24,7 @@ _place = attrgetter("place")
 
 
 class Bursts:
-    """The reads of a stream, the oldest forgotten as it is consumed. Places count from the first byte kept."""
+    """The reads of a stream with their times; positions count from the first byte kept."""
 
     __slots__ = ("_bursts", "_forgotten")
 
@@ -34,26 +34,28 @@ class Bursts:
 
     @property
     def latest(self) -> float:
-        """The time at which the first byte of the latest read began."""
+        """The time at which the first byte of the latest read was on the line."""
         return self._bursts[-1].began
 
     def add(self, place: int, began: float, each: float) -> None:
-        """Note a read whose first byte is at ``place`` and began at ``began``, with ``each`` seconds per byte."""
+        """Note a read whose first byte is at position ``place`` and began at ``began``, with ``each`` seconds
+        per byte.
+        """
         self._bursts.append(_Burst(self._forgotten + place, began, each))
 
     def forget(self, count: int) -> None:
-        """Forget the first ``count`` bytes; places count from the byte after them."""
+        """Forget the first ``count`` bytes; positions count from the byte after them."""
         self._forgotten += count
         del self._bursts[: bisect_right(self._bursts, self._forgotten, key=_place) - 1]
 
     def began(self, place: int) -> float:
-        """The time in seconds at which the byte at ``place`` began."""
+        """The time in seconds at which the byte at position ``place`` began."""
         place += self._forgotten
         burst = self._bursts[max(bisect_right(self._bursts, place, key=_place) - 1, 0)]
         return burst.began + (place - burst.place) * burst.each
 
     def ended(self, place: int) -> float:
-        """The time in seconds at which the byte before ``place`` ended."""
+        """The time in seconds at which the byte before position ``place`` ended."""
         place += self._forgotten
         burst = self._bursts[max(bisect_left(self._bursts, place, key=_place) - 1, 0)]
         return burst.began + (place - burst.place) * burst.each

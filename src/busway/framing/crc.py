@@ -39,7 +39,7 @@ _WORD_TABLE: Final = array("H", (high ^ low for high in _HIGH for low in _LOW))
 
 
 def crc16(data: bytes | bytearray, state: int = PRESET) -> int:
-    """The CRC of ``data``, 0…65535; ``state`` is the result for the bytes before it.
+    """The CRC-16 of ``data``, 0…65535; ``state`` is the result for preceding bytes.
 
     0 for a whole frame with its CRC behind it (Serial Line V1.02 §6.2.2).
     """
@@ -52,7 +52,7 @@ def crc16(data: bytes | bytearray, state: int = PRESET) -> int:
 
 
 def crc_bytes(data: bytes | bytearray) -> bytes:
-    """The two bytes that follow ``data`` on the wire, low byte first."""
+    """The two CRC bytes that follow ``data`` on the wire, low byte first."""
     return crc16(data).to_bytes(2, "little")
 
 
@@ -77,19 +77,19 @@ class SpanCheck:
         self.high: list[int] = _combinations(images[8:])[::-1]
 
     def fits(self, before: int, after: int) -> bool:
-        """Whether the CRC fits."""
+        """Whether the CRC of the span between two running states is right."""
         return self.low[before & 0xFF] ^ self.high[before >> 8] == after
 
 
 @cache
 def span_check(length: int) -> SpanCheck:
-    """The check for spans of ``length`` bytes; made at the first use of that length."""
+    """The CRC check for spans of ``length`` bytes; created at its first use."""
     return SpanCheck(_images(length))
 
 
 @cache
 def _images(length: int) -> list[int]:
-    """The register after ``length`` zero bytes, for each single bit."""
+    """The CRC register after ``length`` zero bytes, for each single bit set at the start."""
     if length == 0:
         return [1 << bit for bit in range(16)]
     if length > 1:
@@ -107,7 +107,7 @@ def _apply(images: list[int], state: int) -> int:
 
 
 def _combinations(images: list[int]) -> list[int]:
-    """The image of each value 0…255, combined from the images of its bits."""
+    """The CRC image of each value 0…255, combined from the images of its bits."""
     values = [0]
     for image in images:
         values += [value ^ image for value in values]

@@ -1,4 +1,4 @@
-"""One frame per datagram: which datagrams are a whole frame and nothing else.
+"""Checks whether a datagram is exactly one whole frame.
 
 Knows bytes; knows no socket. On UDP there is no stream to come back into step with, so what is not whole is dropped.
 """
@@ -18,7 +18,7 @@ _SHORTEST_ASCII: Final = 9
 
 
 def is_whole_mbap(data: bytes) -> bool:
-    """Whether the length field fits the datagram (Messaging on TCP/IP V1.0b §3.1.3)."""
+    """Whether a datagram is one MBAP frame: its length field fits (Messaging on TCP/IP V1.0b §3.1.3)."""
     if len(data) <= HEADER_SIZE:
         return False
     length = data[4] << 8 | data[5]
@@ -26,7 +26,7 @@ def is_whole_mbap(data: bytes) -> bool:
 
 
 def is_whole_rtu(data: bytes) -> bool:
-    """Whether the CRC fits over the whole datagram (Serial Line V1.02 §2.5.1).
+    """Whether a datagram is one RTU frame: the CRC fits over all of it (Serial Line V1.02 §2.5.1).
 
     Zeros behind a frame leave its CRC at 0, so that a frame whose function tells a shorter length has something behind
     it.
@@ -42,7 +42,9 @@ def is_whole_rtu(data: bytes) -> bool:
 
 
 def is_whole_ascii(data: bytes) -> bool:
-    """Whether it begins with the only colon, and CR and one character end it (Serial Line V1.02 §2.5.2)."""
+    """Whether a datagram is one ASCII frame: one colon at its start, CR and one character at its end (Serial Line V1.02
+    §2.5.2).
+    """
     return (
         _SHORTEST_ASCII <= len(data) <= ASCII_ADU_LIMIT
         and data[:1] == b":"

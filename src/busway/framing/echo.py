@@ -1,4 +1,4 @@
-"""The echo of a two-wire line: our own bytes come back first, and exactly one copy of them is taken out.
+"""Removes the echo of a two-wire serial line: a station first receives the bytes that it sent itself.
 
 Knows bytes and times; knows no frame.
 
@@ -20,7 +20,7 @@ ECHO_WINDOW: Final = 0.050
 
 
 class Echo(Word):
-    """Whether the line echoes our characters. AUTOMATIC finds out from the first exchange."""
+    """Option whether the line echoes what this station sends. AUTOMATIC finds out from the first exchange."""
 
     OFF = "off"
     ON = "on"
@@ -28,7 +28,7 @@ class Echo(Word):
 
 
 class EchoFilter:
-    """Takes the copy of each sent frame out of the stream.
+    """Removes the echo of each sent frame from the received bytes.
 
     Attributes:
         mode: what was configured.
@@ -49,7 +49,7 @@ class EchoFilter:
 
     @property
     def pending(self) -> bool:
-        """Whether bytes are held back."""
+        """Whether received bytes are held back, because they may be an echo."""
         return bool(self._held)
 
     def deadline(self) -> float | None:
@@ -57,14 +57,16 @@ class EchoFilter:
         return self._until if self._held and len(self._held) < len(self._awaited) else None
 
     def sent(self, raw: bytes, ends: float, *, may_be_reply: bool) -> None:
-        """Note that our frame is on the line until ``ends``; ``may_be_reply``: the answer may look the same."""
+        """Note that a frame sent by this station is on the line until ``ends``; ``may_be_reply``: the reply may look
+        the same.
+        """
         if self.mode is Echo.OFF:
             return
         self._awaited, self._held, self._until = raw, b"", ends + self.window
         self._may_be_reply = may_be_reply
 
     def receive(self, data: bytes, now: float) -> bytes:
-        """Remove the echo from ``data``. Held bytes that turn out to be no echo come first."""
+        """Remove the echo from received ``data``. Held bytes that turn out to be no echo come first."""
         awaited = self._awaited
         if not awaited:
             return data
@@ -85,12 +87,12 @@ class EchoFilter:
         return b""
 
     def tick(self, now: float) -> bytes:
-        """Release held bytes if the rest of the echo does not come; empty if it is still early."""
+        """Release held bytes if the rest of the echo has not come in time; empty before."""
         deadline = self.deadline()
         return b"" if deadline is None or now < deadline else self._no_copy(self._held)
 
     def release(self) -> bytes:
-        """Release all held bytes: no more come, so they were no echo."""
+        """Release all held bytes, because no more will come that could complete the echo."""
         if not self._held:
             self._awaited = b""
             return b""

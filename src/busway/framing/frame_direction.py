@@ -1,4 +1,4 @@
-"""Direction of the next frame on a shared line: request or reply.
+"""Tells whether the next frame on a shared serial line is a request or a reply.
 
 Knows units, functions and the request that was seen last; knows no bytes of a frame beyond its first two.
 
@@ -29,7 +29,7 @@ _REPLY_FIRST = (Direction.REPLY, Direction.REQUEST)
 
 
 class LineRole(Enum):
-    """LineRole of the receiver's owner on the line."""
+    """Role of a station on a serial line: master, server or observer."""
 
     MASTER = "master"
     SERVER = "server"
@@ -47,7 +47,7 @@ class Due:
     until: float = float("inf")
 
     def answers(self, unit: int, code: int, now: float) -> bool:
-        """Whether a frame with this beginning, at ``now``, may be this reply."""
+        """Whether a frame with this unit and function code, at ``now``, may be the expected reply."""
         return unit == self.unit and code & 0x7F == self.function and now <= self.until
 
 
@@ -70,7 +70,7 @@ class Conversation:
         self.reply_window: float = reply_window
 
     def order(self, unit: int, code: int, now: float) -> tuple[Direction, ...]:
-        """The directions that a frame beginning with these two bytes may have, the likeliest first."""
+        """The directions that a frame beginning with this unit and function code may have, the likeliest first."""
         if code & 0x80:
             return _REPLY_ONLY
         if self.role is LineRole.MASTER:
@@ -83,7 +83,7 @@ class Conversation:
         return _REPLY_FIRST if due is not None and due.answers(unit, code, now) else _REQUEST_FIRST
 
     def guess(self, unit: int, code: int, now: float) -> Direction:
-        """The direction of a whole frame whose length fits no rule."""
+        """The direction of a whole frame whose length fits no length rule."""
         if code & 0x80 or (self.due is not None and self.due.answers(unit, code, now)):
             return Direction.REPLY
         if self.role is LineRole.SERVER and (unit == BROADCAST_UNIT or self.is_own(unit)):
@@ -95,7 +95,7 @@ class Conversation:
         return self.role is LineRole.SERVER and unit in self.units
 
     def follow(self, unit: int, code: int, direction: Direction, now: float) -> None:
-        """Note a frame that ended at ``now``."""
+        """Note a frame of the line that ended at ``now``, to predict the next one."""
         if self.role is LineRole.MASTER:
             return
         if direction is Direction.REPLY or unit == BROADCAST_UNIT or self.is_own(unit):

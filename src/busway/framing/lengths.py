@@ -1,4 +1,5 @@
-"""Length rules of a function table, flattened: one look-up gives the length of an RTU frame.
+"""Lengths of frames by function code, precomputed from a function table so that one look-up gives the length of an RTU
+frame.
 
 Knows the table; knows no stream. The functions say themselves how long their messages are (`busway.pdu`); what they
 say is turned here into one number per function code, because a receiver asks for every byte of a noisy line.
@@ -36,12 +37,12 @@ LengthRule = Callable[[bytes, int, int], int]
 
 @cache
 def lengths_of(functions: FunctionTable) -> "FrameLengths":
-    """The flattened length rules of a function table, computed once for all receivers that use it."""
+    """The frame lengths of a function table, computed once for all receivers that use it."""
     return FrameLengths(functions)
 
 
 class FrameLengths:
-    """Lengths of the frames of a `FunctionTable`, by direction.
+    """Lengths of the frames of a function table, by direction and function code.
 
     Attributes:
         requests, replies: the flattened rule of each byte 0…255 in the place of the function code.
@@ -82,7 +83,7 @@ class FrameLengths:
 
 
 class AskedLengths:
-    """Lengths that depend on more than one byte, asked from the table for each frame of one direction.
+    """Frame lengths of one direction that depend on more than one byte, computed for each frame.
 
     Attributes:
         answers: what it said lately, by the first three bytes of the PDU.
@@ -98,7 +99,7 @@ class AskedLengths:
         self._rules: dict[int, LengthRule] = {}
 
     def length(self, data: bytearray, at: int, end: int) -> int:
-        """Length of the frame whose PDU is at ``at``, as `FrameLengths.length` gives it.
+        """Length of the frame whose PDU starts at ``at``, as `FrameLengths.length` gives it.
 
         Three bytes decide for all but the objects of function 43. There the rule is kept instead of the answer: a line
         full of what looks like such replies is asked at every one of them.
@@ -131,7 +132,7 @@ def _around(length: int) -> int:
 
 
 def shape_of(rule: int) -> tuple[int, int] | None:
-    """Convert a rule to (place of the byte count or 0, bytes that it does not count).
+    """Convert a length rule to (offset of the byte count or 0, bytes that it does not count); None if impossible.
 
     (0, 0) where the table has to be asked; None where the function is unknown.
     """
@@ -143,7 +144,7 @@ def shape_of(rule: int) -> tuple[int, int] | None:
 
 
 def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
-    """Find the rule of one code by asking the table with longer and longer beginnings of a message."""
+    """Find the length rule of one function code by asking the table with longer and longer beginnings of a message."""
     if code & 0x7F == 0:
         return 0
     known = code in functions
@@ -163,7 +164,7 @@ def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
 
 
 def _counted(code: int, shown: int, length: LengthRule) -> int:
-    """The place of the byte count, if the byte that decided counts exactly what follows it; else `ASK`."""
+    """The offset of the byte count, if that byte counts exactly the bytes after it; else `ASK`."""
     for count in _SAMPLES:
         for filler in (0x00, 0x5A, 0xFF):
             message = bytes((code,)) + bytes((filler,)) * (shown - 2) + bytes((count,))

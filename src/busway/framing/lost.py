@@ -1,4 +1,4 @@
-"""Collects one disturbance of a serial line while it lasts: its bytes, times, and why it is no frame.
+"""Collects the bytes of one disturbance on a serial line: what was received, when, and why it is no frame.
 
 Knows bytes and times; knows no framing. However long it lasts, it keeps no more bytes than a frame has, and it is
 reported once.
@@ -14,7 +14,7 @@ _NEVER: Final = float("-inf")
 
 
 class LostBytes:
-    """One disturbance, while it lasts.
+    """Bytes of one disturbance on a serial line, collected while it lasts.
 
     Attributes:
         reason: why the bytes are no frame; that no CRC fits, until a better reason is known.
@@ -42,7 +42,7 @@ class LostBytes:
             self._raw += data[:room]
 
     def mark(self, reason: Damage, now: float) -> None:
-        """Add an error that the port marked."""
+        """Add an error that the port marked in the received bytes."""
         if self._began == _NEVER:
             self._began = now
         self._ended = now
@@ -51,7 +51,7 @@ class LostBytes:
         self.is_marked = True
 
     def report(self) -> Damaged:
-        """The disturbance as one damaged chunk."""
+        """The whole disturbance as one damaged chunk."""
         reason = self.reason
         if reason is None:
             reason = Damage.TOO_LONG if self.size > RTU_ADU_LIMIT else Damage.CHECKSUM

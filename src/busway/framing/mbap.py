@@ -1,4 +1,4 @@
-"""MBAP: the seven bytes before a PDU on TCP (Messaging on TCP/IP V1.0b §3.1.3).
+"""MBAP framing: the seven-byte header before a PDU on TCP (Messaging on TCP/IP V1.0b §3.1.3).
 
 Knows headers and streams of them; knows no socket, no transaction table and no function.
 
@@ -27,7 +27,7 @@ HEAD_AND_FUNCTION = struct.Struct(">HHHBB")
 
 
 class FrameKind(Enum):
-    """Kinds of what a receiver finds."""
+    """Kinds of results of the MBAP receiver: a valid, foreign or broken frame."""
 
     FRAME = "frame"
     FOREIGN_PROTOCOL = "foreign protocol"
@@ -47,12 +47,12 @@ class MbapFrame:
 
 
 def encode_mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
-    """The ADU of a PDU of 1…253 bytes; ``transaction`` 0…65535, ``unit`` 0…255."""
+    """Encode the ADU of a PDU of 1…253 bytes; ``transaction`` 0…65535, ``unit`` 0…255."""
     return HEAD.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
 
 def impossible_length(length: int) -> str:
-    """The message for an invalid length field."""
+    """The error text for an invalid length field."""
     return f"length field {length}, where {MIN_LENGTH}…{MAX_LENGTH} can be"
 
 
@@ -92,7 +92,7 @@ class MbapReceiver:
 
     @property
     def pending(self) -> int:
-        """Bytes of an unfinished frame."""
+        """Number of bytes of an unfinished frame."""
         return len(self._buffer.kept)
 
     def receive(self, data: bytes | bytearray, now: float = 0.0) -> list[MbapFrame]:
@@ -120,9 +120,9 @@ class MbapReceiver:
         return frames
 
     def tick(self, now: float) -> list[MbapFrame]:
-        """Always empty: silence decides nothing on a stream."""
+        """Always empty: on a stream, silence completes no frame."""
         return []
 
     def deadline(self) -> float | None:
-        """None: only bytes can change anything."""
+        """Always None: on a stream, only received bytes matter."""
         return None

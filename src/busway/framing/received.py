@@ -1,4 +1,4 @@
-"""Results of the receivers of a serial line, and the interfaces of all receivers.
+"""Results of the receivers of serial lines (frames, damaged chunks), and the interfaces of all receivers.
 
 Knows values; knows no framing.
 
@@ -22,7 +22,7 @@ class Direction(Enum):
 
 
 class Damage(Enum):
-    """Why a chunk is no frame."""
+    """Reasons why received bytes are no frame."""
 
     TOO_SHORT = "too few bytes for a frame"
     TOO_LONG = "more bytes than a frame has"
@@ -38,7 +38,7 @@ class Damage(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SerialFrame:
-    """A frame whose check fits.
+    """A received frame whose CRC or LRC is right.
 
     Attributes:
         unit: address byte, 0…255.
@@ -60,7 +60,7 @@ class SerialFrame:
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """Bytes that were no frame.
+    """Received bytes that are no valid frame.
 
     Attributes:
         raw: the bytes, at most the first 256 (RTU) or 513 (ASCII) of them.
@@ -100,16 +100,18 @@ class SerialReceiver(Receiver[Received], Protocol):
     """Interface of the receivers of serial lines: RTU, strict RTU and ASCII."""
 
     def expect(self, unit: int, function: int, size: int) -> None:
-        """A master's request went to ``unit``; a reply of ``size`` bytes of PDU (or `UNKNOWN_LENGTH`) is due."""
+        """Note that a master's request went to ``unit`` and a reply PDU of ``size`` bytes (or `UNKNOWN_LENGTH`) is
+        expected.
+        """
 
     def expect_nothing(self) -> None:
-        """No reply is due any more."""
+        """Note that no reply is expected any more."""
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """These bytes of ours are on the line until ``ends``."""
+        """Note that bytes sent by this station occupy the line until ``ends``."""
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """The port marks an error at this place of the stream (S14)."""
+        """Note that the port marked an error at this position of the stream (S14)."""
 
     def flush(self, now: float) -> list[Received]:
         """Decide about all pending bytes now, as after a long silence."""

@@ -49,13 +49,14 @@ _SILENCES_KEPT: Final = 4
 
 
 def encode_rtu(unit: int, pdu: bytes) -> bytes:
-    """The frame of a PDU of 1…253 bytes for ``unit`` 0…255: address, PDU, CRC (Serial Line V1.02 §2.5.1)."""
+    """Encode the RTU frame of a PDU of 1…253 bytes for ``unit`` 0…255: address, PDU, CRC (Serial Line V1.02 §2.5.1)."""
     body = bytes((unit,)) + pdu
     return body + crc_bytes(body)
 
 
 class RtuReceiver:
-    """Bytes and times in, frames and damaged chunks out. Lenient about gaps inside a frame (rule 3).
+    """Receiver of RTU frames: takes bytes with their times, returns frames and damaged chunks. Lenient about gaps (rule
+    3).
 
     Attributes:
         conversation: role, own units, and the reply that is due.
@@ -98,7 +99,7 @@ class RtuReceiver:
         echo: Echo = Echo.OFF,
         started: float | None = None,
     ) -> None:
-        """A receiver that has seen nothing yet.
+        """Create a receiver that has received nothing yet.
 
         Args:
             role: master, server or observer.
@@ -153,7 +154,7 @@ class RtuReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """What the silence until ``now`` decides."""
+        """The frames and damaged chunks that the silence until ``now`` completes."""
         found: list[Received] = []
         released = self.echo.tick(now)
         if released:
@@ -172,7 +173,7 @@ class RtuReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """Tell that a master's request went to ``unit`` 0…255 and a reply with ``function`` 1…127 is expected.
+        """Note that a master's request went to ``unit`` 0…255 and a reply with ``function`` 1…127 is expected.
 
         ``size`` is the length of its PDU in bytes where the request tells it (`Request.reply_shape`), which is also
         what makes replies of functions with unknown length end at once; otherwise `UNKNOWN_LENGTH`.
@@ -181,18 +182,21 @@ class RtuReceiver:
         self._scan = self._at + 1  # what was rejected was rejected for another reply
 
     def expect_nothing(self) -> None:
-        """No reply is due any more."""
+        """Note that no reply is expected any more."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """These bytes of ours are on the line until ``ends``: to be taken out if they echo; t3.5 counts from there."""
+        """Note that bytes sent by this station occupy the line until ``ends``: their echo is removed; t3.5 counts from
+        there.
+        """
         self._sent_until = ends
         code = raw[1] if len(raw) > 1 else 0
         may_be_reply = self.conversation.role is LineRole.MASTER and self._answers_itself(code)
         self.echo.sent(raw, ends, may_be_reply=may_be_reply)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """The port marks a parity or framing error, or lost characters, at this place of the stream (S14).
+        """Note that the port marked a parity or framing error, or lost characters, at this position of the stream
+        (S14).
 
         The frame in progress is discarded; it is reported with the rest of the disturbance. Gives what the silence
         before the mark decided.
@@ -240,7 +244,7 @@ class RtuReceiver:
             self._in_step = True
 
     def _due_has_begun(self) -> bool:
-        """Whether the undecided bytes are the beginning of the reply that a master waits for (rule 3)."""
+        """Whether the undecided bytes are the beginning of the reply that a master expects (rule 3)."""
         due = self.conversation.due
         at, size = self._at, len(self._buffer)
         if not self._patient or due is None or at == size or self._buffer[at] != due.unit:
@@ -282,7 +286,7 @@ class RtuReceiver:
     # Decisions that need no silence (rule 1).
 
     def _follow(self, found: list[Received]) -> None:
-        """Take every frame that can be taken at once, and give up a chunk that has become too long."""
+        """Report each frame that is complete, and give up a chunk that has become too long."""
         server = self.conversation.role is LineRole.SERVER
         while self._at < len(self._buffer):
             end, direction = self._look(self._at)
@@ -294,7 +298,9 @@ class RtuReceiver:
                 self._give_up_beginning(found)
 
     def _look(self, at: int) -> tuple[int, Direction]:
-        """The end of the frame at ``at``, or `WAITS` while it may become one, or `DEAD`; and its direction."""
+        """The end of the frame that starts at ``at``, or `WAITS` while it may become one, or `DEAD`; and its
+        direction.
+        """
         buffer = self._buffer
         size = len(buffer)
         if size - at < 2:
@@ -313,7 +319,7 @@ class RtuReceiver:
         return DEAD, Direction.UNKNOWN
 
     def _length(self, direction: Direction, at: int, end: int) -> int:
-        """The length of a frame of this direction; where only the request tells the length of its reply, that one."""
+        """The length of a frame of this direction; that of the expected reply if only its request determines it."""
         length = self._lengths.length(direction, self._buffer, at, end)
         if length == UNKNOWN_LENGTH and direction is Direction.REPLY:
             due = self.conversation.due
@@ -325,7 +331,7 @@ class RtuReceiver:
         return span_check(end - at).fits(self._states[at], self._states[end])
 
     def _give_up_beginning(self, found: list[Received]) -> None:
-        """The chunk is longer than a frame: no frame begins where it begins."""
+        """Drop the first byte of a chunk that is longer than a frame: no frame begins there."""
         if self.conversation.role is LineRole.SERVER:
             later = next((place for place in self._silences if place > self._at), None)
             self._lose(len(self._buffer) if later is None else later)
@@ -341,7 +347,7 @@ class RtuReceiver:
     # Decisions at a silence (rules 2, 4 and 5).
 
     def _after_silence(self, found: list[Received]) -> None:
-        """Decide what t3.5 of silence decides (rules 2, 4 and 5)."""
+        """Decide pending bytes after a silence of t3.5 (rules 2, 4 and 5)."""
         self._skipping = False
         while self._at < len(self._buffer):
             self._follow(found)
@@ -352,7 +358,7 @@ class RtuReceiver:
         self._report_lost(found)
 
     def _after_limit(self, found: list[Received]) -> None:
-        """Give up unfinished frames: ``gap_limit`` has passed."""
+        """Give up unfinished frames after a silence of ``gap_limit``."""
         while self._at < len(self._buffer):
             self._follow(found)
             if not self._take_divided(self._at, found) and not self._take_inner(found, at_limit=True):
@@ -373,7 +379,7 @@ class RtuReceiver:
         return True
 
     def _divide(self, at: int) -> list[tuple[int, Direction]]:
-        """Ends and directions of the frames that fill the buffer from ``at`` on; empty where they do not."""
+        """Ends and directions of the frames that fill the buffer from ``at`` on; empty if no such division exists."""
         size = len(self._buffer)
         # Zeros behind a frame leave its CRC at 0: where a rule fits, it decides, and not the whole.
         if SHORTEST <= size - at <= RTU_ADU_LIMIT and self._fits(at, size) and not self._end_of_known(at, size):
@@ -392,7 +398,7 @@ class RtuReceiver:
         return pieces if at == size else []
 
     def _end_of_known(self, at: int, size: int) -> int:
-        """The end of the frame at ``at`` by the length rule of either direction; or 0."""
+        """The end of the frame at ``at`` by the length rules of either direction; 0 if none fits."""
         if size - at < SHORTEST:
             return 0
         for direction in self.conversation.order(self._buffer[at], self._buffer[at + 1], self._bursts.latest):
@@ -402,7 +408,7 @@ class RtuReceiver:
         return 0
 
     def _end_of_unknown(self, at: int, size: int) -> int:
-        """The first place where the CRC fits, for a function without a length rule; or 0."""
+        """The first position where the CRC fits, for a function without a length rule; 0 if none does."""
         if size - at < SHORTEST or self._look(at)[0] == WAITS:
             return 0
         first = self._prefix_end if at == self._at else SHORTEST
@@ -423,7 +429,7 @@ class RtuReceiver:
         return self.conversation.guess(unit, code, self._bursts.latest)
 
     def _take_inner(self, found: list[Received], *, at_limit: bool) -> bool:
-        """Take a frame that begins inside the chunk: after a silence for a server, anywhere for the others."""
+        """Report a frame that begins inside a damaged chunk: after a silence for a server, anywhere for the others."""
         if self.conversation.role is LineRole.SERVER:
             return any(self._take_divided(place, found) for place in self._silences if place > self._at)
         end, direction = self._search(at_limit=at_limit)
@@ -441,7 +447,7 @@ class RtuReceiver:
     # Looking for a frame inside a damaged chunk (rules 5 and 6).
 
     def _search(self, *, at_limit: bool) -> tuple[int, Direction]:
-        """Move ``_scan`` to the first place behind the chunk's beginning where a frame begins, or may begin.
+        """Move ``_scan`` to the first later position where a frame begins or may begin.
 
         Gives the frame's end and direction; `WAITS` where it may become one; `DEAD` with ``_scan`` at the end of the
         buffer. ``at_limit``: what is unfinished is rejected too.
@@ -458,7 +464,7 @@ class RtuReceiver:
     # Giving and losing.
 
     def _give(self, end: int, direction: Direction, found: list[Received], *, recovered: bool) -> None:
-        """Report what was lost before the frame, then the frame; the chunk begins behind it."""
+        """Report the lost bytes before a frame, then the frame; the rest of the chunk begins after it."""
         self._report_lost(found)
         raw = bytes(self._buffer[self._at : end])
         ended = self._bursts.ended(end)
@@ -468,7 +474,7 @@ class RtuReceiver:
         self._in_step = True
 
     def _lose(self, end: int) -> None:
-        """The bytes up to ``end`` are no frame."""
+        """Collect the bytes up to ``end`` as lost: they are no frame."""
         if end > self._at:
             self._lost.add(self._buffer[self._at : end], self._bursts.began(self._at), self._bursts.ended(end))
             self._move_to(end)
@@ -490,6 +496,6 @@ class RtuReceiver:
             self._lost = LostBytes()
 
     def _answers_itself(self, code: int) -> bool:
-        """Whether a reply may be a copy of its request: their lengths are alike, or not known."""
+        """Whether a reply of this function may equal its request: their lengths are equal or unknown."""
         request = self._lengths.requests[code]
         return request == 0 or request == self._lengths.replies[code]

@@ -1,4 +1,4 @@
-"""Search for the next frame inside a damaged chunk of RTU: the only work that grows with the noise on a line.
+"""Search for the next frame inside damaged RTU bytes: the only work that grows with the noise on a line.
 
 Knows bytes, running CRC states and length rules; knows no time and no conversation. A place is rejected once and for
 all, and costs one comparison: the caller begins behind it the next time.
@@ -29,7 +29,7 @@ Place = tuple[int, int]
 def find_reply(
     buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, due: Due | None, *, at_limit: bool
 ) -> Place:
-    """Find the first place from ``start`` on where the expected reply, or its exception, begins or may begin.
+    """Find the first position from ``start`` on where the expected reply, or its exception, begins or may begin.
 
     Args:
         buffer: bytes received from the line.
@@ -73,7 +73,7 @@ def find_reply(
 
 
 def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool) -> Place:
-    """As `find_reply`, for any request or reply whose length one look-up gives; all others need a silence."""
+    """Find the first position from ``start`` on where any request or reply begins whose length one look-up gives."""
     size = len(buffer)
     shapes, checks = lengths.shapes, _checks()
     for at, code in enumerate(buffer[start + 1 : size - SHORTEST + 2], start):
@@ -95,13 +95,15 @@ def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: Fram
 
 
 def _to_end(start: int, size: int, *, at_limit: bool) -> Place:
-    """No place fits; the last bytes, too few to tell, may still begin a frame."""
+    """The result if no position fits: the last bytes, too few to decide, may still begin a frame."""
     place = max(start, size if at_limit else size - SHORTEST + 1)
     return place, DEAD if place == size else WAITS
 
 
 def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
-    """The shape of the reply and of its exception, by function code; (0, 0) where the table has to be asked."""
+    """The length rules of the expected reply and its exception, by function code; (0, 0) if the table has to be
+    asked.
+    """
     function, exception = due.function, due.function | 0x80
     shapes = {code: shape_of(lengths.replies[code]) for code in (function, exception)}
     if due.size > 0:
@@ -111,7 +113,7 @@ def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
 
 @cache
 def _checks() -> list[tuple[list[int], list[int]]]:
-    """The tables of `span_check` by length: a search asks for them at every byte of a noisy line.
+    """The CRC tables of `span_check` by length, cached because a search uses them at every byte.
 
     Lengths that no frame has never fit.
     """

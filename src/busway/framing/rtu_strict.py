@@ -1,4 +1,4 @@
-"""RTU to the letter: the state diagram of the document (Serial Line V1.02 §2.5.1.1).
+"""Strict RTU receiver: the state diagram of the specification to the letter (Serial Line V1.02 §2.5.1.1).
 
 Knows bytes and the times at which they came; knows no length rule beyond a hint at the direction.
 
@@ -26,7 +26,7 @@ from .timing import SerialTiming
 
 
 class LineState(Enum):
-    """The states of figure 14."""
+    """The states of the line in figure 14."""
 
     INITIAL = "initial"
     IDLE = "idle"
@@ -36,7 +36,7 @@ class LineState(Enum):
 
 
 class LineEvent(Enum):
-    """What moves the line from state to state."""
+    """Events that change the state of the line."""
 
     CHARACTER = "character"
     T1_5 = "t1.5 expired"
@@ -59,7 +59,7 @@ _NEXT: Final = {
 
 
 class StrictRtuReceiver:
-    """Bytes and times in, frames and damaged chunks out, by the state diagram.
+    """Receiver of RTU frames by the state diagram: takes bytes with their times, returns frames and damaged chunks.
 
     Attributes:
         state: where the line is.
@@ -81,7 +81,9 @@ class StrictRtuReceiver:
         echo: Echo = Echo.OFF,
         started: float | None = None,
     ) -> None:
-        """As `RtuReceiver`; ``started`` None leaves the state "initial" at once, where the line is known to be idle."""
+        """Create a receiver, as `RtuReceiver`; ``started`` None leaves the state "initial" at once, if the line is
+        known to be idle.
+        """
         self.conversation: Conversation = Conversation(role, units, reply_window)
         self.echo: EchoFilter = EchoFilter(echo)
         self.timing: SerialTiming = timing
@@ -92,7 +94,9 @@ class StrictRtuReceiver:
         self._began = self._last = float("-inf") if started is None else started
 
     def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
-        """What the silence before ``data`` decided; ``data`` is taken as characters without gaps, read at ``now``."""
+        """The frames that the silence before ``data`` completes; ``data``, read at ``now``, count as characters without
+        gaps.
+        """
         if not data:
             return []
         began = max(self._last, now - len(data) * self.timing.character)
@@ -104,7 +108,7 @@ class StrictRtuReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """The frame, or damaged chunk, that the silence until ``now`` ends."""
+        """The frame, or damaged chunk, that the silence until ``now`` completes."""
         released = self.echo.tick(now)
         if released:
             self._characters(released, self._last, self._last)
@@ -119,7 +123,7 @@ class StrictRtuReceiver:
         return self._processed_or_deleted() if received else []
 
     def deadline(self) -> float | None:
-        """When t3.5 expires; None in idle."""
+        """When t3.5 expires; None while the line is idle."""
         echo = self.echo.deadline()
         if self.state is LineState.IDLE:
             return echo
@@ -127,15 +131,15 @@ class StrictRtuReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """A master's request went to ``unit``; the reply to ``function`` is due."""
+        """Note that a master's request went to ``unit`` and a reply with ``function`` is expected."""
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:
-        """No reply is due any more."""
+        """Note that no reply is expected any more."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """These bytes of ours are on the line until ``ends``; the line is idle again t3.5 after that.
+        """Note that bytes sent by this station occupy the line until ``ends``; the line is idle again t3.5 later.
 
         Raises:
             ValueError: the line is not idle: emission begins only there.
@@ -148,7 +152,7 @@ class StrictRtuReceiver:
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """The port marks a parity or framing error, or lost characters: the frame is not OK."""
+        """Note that the port marked a parity or framing error, or lost characters: the frame is not valid."""
         found = self.tick(now)
         self._characters(b"", now, now)
         self._lost.mark(Damage.OVERRUN if overrun else Damage.CHARACTER, now)
@@ -156,7 +160,7 @@ class StrictRtuReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Decide about everything as t3.5 of silence would."""
+        """Decide all pending bytes as t3.5 of silence would."""
         released = self.echo.release()
         if released:
             self._characters(released, self._last, self._last)

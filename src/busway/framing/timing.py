@@ -21,7 +21,7 @@ NETWORK_SILENCE: Final = 0.020
 
 
 class Parity(Word):
-    """The parity bit of each character; its first letter stands for it too, as on data sheets: ``N``, ``E``, ``O``."""
+    """The parity bit of characters; also accepted as its first letter, as on data sheets: ``N``, ``E``, ``O``."""
 
     EVEN = "even"
     ODD = "odd"
@@ -40,7 +40,7 @@ def stop_bits_for(parity: Parity) -> int:
 
 
 def character_bits(data_bits: int = 8, parity: Parity = Parity.EVEN, stop_bits: float | None = None) -> float:
-    """Bits of a character on the line.
+    """Number of bits of a character on the line.
 
     Args:
         data_bits: 7 (ASCII) or 8 (RTU).
@@ -60,7 +60,7 @@ def character_bits(data_bits: int = 8, parity: Parity = Parity.EVEN, stop_bits: 
 
 @dataclass(frozen=True, slots=True)
 class SerialTiming:
-    """The times of one line, in seconds.
+    """The times of one serial line, in seconds: character, t1.5 and t3.5.
 
     Attributes:
         character: one character, start and stop bits included; 0 where characters have no duration (networks).
@@ -85,7 +85,7 @@ class SerialTiming:
         parity: Parity = Parity.EVEN,
         stop_bits: float | None = None,
     ) -> "SerialTiming":
-        """The times of a line of ``baud`` bit/s (1 and above); the rest as in `character_bits`.
+        """The times of a serial line of ``baud`` bit/s (1 and above); other arguments as in `character_bits`.
 
         Raises:
             ValueError: a rate, data or stop bits that cannot be.
@@ -99,7 +99,7 @@ class SerialTiming:
 
     @classmethod
     def of_network(cls, silence: float = NETWORK_SILENCE) -> "SerialTiming":
-        """The times where a serial framing travels over a network: ``silence`` seconds end a frame."""
+        """The times for serial framing over a network, where ``silence`` seconds end a frame."""
         return cls(0.0, silence, silence)
 
     def duration(self, characters: int) -> float:

@@ -1,4 +1,4 @@
-"""Values of options that are words, such as ``even``: written in lower case, and taken in capitals too."""
+"""Base of options whose values are words, such as ``even``: written in lower case, accepted in capitals too."""
 
 from enum import Enum
 from typing import Self

@@ -1,1 +1,1 @@
-"""Observation of links and listeners: log lines, capture files, the dissector, metrics."""
+"""Observation of links and listeners: traces as log lines, capture files, a dissector of frames, and metrics."""

@@ -55,14 +55,14 @@ def is_capture(head: bytes) -> bool:
 
 
 class Capture:
-    """One capture file; a context manager. May be fed from several threads.
+    """One capture file; a context manager. Can be used from several threads.
 
     Attributes:
         failure: why writing ended; empty while it works.
     """
 
     def __init__(self, stream: BinaryIO, *, clock: Callable[[], float] = time.time) -> None:
-        """Begin a file in ``stream``, which `close` closes.
+        """Begin a capture file in ``stream``, which `close` closes.
 
         Args:
             stream: where to write, opened in binary mode.
@@ -87,15 +87,15 @@ class Capture:
 
     @property
     def packets(self) -> int:
-        """Packets written so far."""
+        """Number of packets written so far."""
         return self._writer.packets
 
     def stream(self, local: object, peer: object) -> "StreamCapture":
-        """A TCP connection, between what ``getsockname`` and ``getpeername`` gave."""
+        """Capture a TCP connection between two addresses, as ``getsockname`` and ``getpeername`` gave them."""
         return StreamCapture(self, Node.of(local), Node.of(peer))
 
     def connection(self, ends: SocketAddresses) -> "StreamCapture | DatagramCapture":
-        """Open the capture of a TCP or UDP connection between these ends."""
+        """Capture a TCP or UDP connection between two socket addresses."""
         return DatagramCapture(self, ends) if ends.is_datagram else self.stream(ends.local, ends.peer)
 
     def datagram(self, local: object, peer: object, data: bytes, *, is_outgoing: bool) -> None:
@@ -105,7 +105,9 @@ class Capture:
         self.ip_packet(udp_packet(source, destination, data), is_outgoing=is_outgoing)
 
     def line(self, name: str) -> "LineCapture":
-        """A serial line by the name of its endpoint; one interface of the file, however often it is asked for."""
+        """Capture a serial line with the name of its endpoint; one interface of the file, however often it is
+        called.
+        """
         with self._lock:
             number = self._lines.get(name)
         if number is None:
@@ -115,7 +117,7 @@ class Capture:
         return LineCapture(self, number)
 
     def close(self) -> None:
-        """End the file, with what is undecided on lines. May be called twice; later packets are dropped."""
+        """End the file with the undecided bytes of lines. May be called twice; later packets are dropped."""
         TRACE.settle()
         with self._lock:
             self.failure = self.failure or "closed"
@@ -127,7 +129,7 @@ class Capture:
     # What the connections and lines of this file hand in.
 
     def ip_packet(self, packet: bytes, *, is_outgoing: bool) -> None:
-        """An IP packet."""
+        """Write an IP packet."""
 
         def write() -> int:
             if self._ip_interface is None:
@@ -139,7 +141,7 @@ class Capture:
         self._guarded(write)
 
     def line_packet(self, interface: int, packet: bytes, at: float | None, flow: Flow, comment: str) -> None:
-        """A frame of a line, seen at ``at`` (seconds since 1970), now if it is None."""
+        """Write a frame of a serial line, seen at ``at`` (seconds since 1970), now if it is None."""
 
         def write() -> int:
             self._writer.add_packet(interface, packet, self._clock() if at is None else at, flow=flow, comment=comment)
@@ -148,7 +150,7 @@ class Capture:
         self._guarded(write)
 
     def _guarded(self, write: Callable[[], int]) -> int:
-        """Write under the lock; the first failure ends the file."""
+        """Write under the lock; the first failure ends the capture file."""
         with self._lock:
             if self.failure:
                 return 0
@@ -161,7 +163,7 @@ class Capture:
 
 
 class StreamCapture:
-    """One TCP connection in a capture file. Fed by one thread at a time."""
+    """The capture of one TCP connection in a file. Used by one thread at a time."""
 
     __slots__ = ("_capture", "_local", "_peer", "_received", "_sent")
 
@@ -172,7 +174,7 @@ class StreamCapture:
         self._received = self._sent = 1  # sequence numbers behind a handshake that was not seen
 
     def received(self, data: bytes) -> None:
-        """Bytes that came in."""
+        """Write received bytes as TCP packets."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._peer, self._local, piece, self._received, self._sent)
@@ -180,7 +182,7 @@ class StreamCapture:
             self._capture.ip_packet(packet, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
-        """Bytes that went out."""
+        """Write sent bytes as TCP packets."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._local, self._peer, piece, self._sent, self._received)
@@ -189,7 +191,7 @@ class StreamCapture:
 
 
 class DatagramCapture:
-    """The datagrams between two ends in a capture file."""
+    """The capture of datagrams between two addresses in a file."""
 
     __slots__ = ("_capture", "_ends")
 
@@ -198,16 +200,16 @@ class DatagramCapture:
         self._ends = ends
 
     def received(self, data: bytes) -> None:
-        """A datagram that came in."""
+        """Write a received datagram."""
         self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
-        """A datagram that went out."""
+        """Write a sent datagram."""
         self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=True)
 
 
 class LineCapture:
-    """One serial line in a capture file."""
+    """The capture of one serial line in a file."""
 
     __slots__ = ("_capture", "_interface")
 
@@ -223,7 +225,7 @@ class LineCapture:
         direction: Direction | None = None,
         is_outgoing: bool = False,
     ) -> None:
-        """A frame or damaged chunk that a receiver found.
+        """Write a frame or damaged chunk that a receiver found.
 
         Args:
             found: what it found.

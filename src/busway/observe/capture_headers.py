@@ -1,4 +1,4 @@
-"""Headers for a capture file around Modbus bytes: IP, TCP and UDP, and the tag that names a line's dissector.
+"""Builds the headers around Modbus bytes in capture files: IP, TCP, UDP, and the tag that names a line's dissector.
 
 Knows the layouts; knows no file and no Modbus. A program sees payloads, not packets, so the headers are made from
 the addresses of the connection.
@@ -35,14 +35,14 @@ _PROTOCOL_COLUMN, _INFO_COLUMN = 33, 36
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One end of a connection: an address and a port, 0…65535."""
+    """One end of a captured connection: an address and a port, 0…65535."""
 
     address: IPv4Address | IPv6Address
     port: int
 
     @classmethod
     def of(cls, socket_address: object) -> "Node":
-        """The node of what ``getsockname`` or ``getpeername`` gave; 0.0.0.0:0 for what has no address."""
+        """The node of an address from ``getsockname`` or ``getpeername``; 0.0.0.0:0 if there is no address."""
         if isinstance(socket_address, tuple) and len(socket_address) >= 2:
             host, port = socket_address[:2]
             try:
@@ -53,7 +53,7 @@ class Node:
 
 
 def _unmapped(address: IPv4Address | IPv6Address) -> IPv4Address | IPv6Address:
-    """A listener on every interface names IPv4 clients in IPv6; on the wire they are IPv4."""
+    """An IPv4 address instead of its mapped IPv6 form, which listeners on every interface report."""
     mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
     return mapped or address
 
@@ -83,7 +83,7 @@ def udp_packet(source: Node, destination: Node, payload: bytes) -> bytes:
 def _ip_packet(
     source: Node, destination: Node, protocol: int, header: bytes, checksum_at: int, payload: bytes
 ) -> bytes:
-    """The packet; the checksum of the inner header is put in its place."""
+    """Build an IP packet, with the checksum of the inner header filled in."""
     size = len(header) + len(payload)
     pseudo = source.address.packed + destination.address.packed + struct.pack(">II", size, protocol)
     total = checksum(pseudo + header + payload) or 0xFFFF
@@ -107,7 +107,8 @@ def checksum(data: bytes) -> int:
 
 
 def line_pdu(dissector: str, source: Node, destination: Node, frame: bytes, *, info: str = "") -> bytes:
-    """A frame of a line as an upper PDU for ``dissector``, between two IPv4 nodes that stand for master and unit.
+    """A frame of a serial line as an exported PDU for ``dissector``, between two IPv4 nodes that stand for master and
+    unit.
 
     ``info`` is what the list of packets shows where the dissector shows nothing.
     """

@@ -40,7 +40,7 @@ _SINGLE: Final = ("host", "content-length", "authorization")
 
 
 class HttpError(Exception):
-    """A request that is answered with an error: a status and a sentence."""
+    """Error that is answered with an HTTP status and a sentence."""
 
     def __init__(self, status: int, sentence: str) -> None:
         super().__init__(sentence)
@@ -49,7 +49,7 @@ class HttpError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class HttpRequest:
-    """A request as received.
+    """A received HTTP request.
 
     Attributes:
         method: ``GET``, ``POST``, …
@@ -66,7 +66,7 @@ class HttpRequest:
 
 @dataclass(frozen=True, slots=True)
 class HttpResponse:
-    """A response.
+    """An HTTP response to send.
 
     Attributes:
         body: its bytes, of the type ``content_type``.
@@ -80,7 +80,7 @@ class HttpResponse:
 
 @dataclass(frozen=True, slots=True)
 class HttpLimits:
-    """Limits of the connections.
+    """Limits of the connections to the HTTP service: number, times and sizes.
 
     Attributes:
         request_seconds: from the accepted connection to the last byte of the request.
@@ -127,12 +127,12 @@ class HttpService(ThreadingHTTPServer):
         self._thread = threading.Thread(target=self.serve_forever, args=(_TURN,), name=name, daemon=True)
 
     def start(self) -> None:
-        """Listen, and answer from now on."""
+        """Start to listen and to answer."""
         self.socket.listen(_BACKLOG)
         self._thread.start()
 
     def stop(self) -> None:
-        """Cut off all connections. Blocks until the threads have ended; a second call does nothing."""
+        """Close all connections. Blocks until the threads have ended; a second call does nothing."""
         if self._thread.ident is not None:
             self.shutdown()
             self._thread.join()
@@ -141,14 +141,16 @@ class HttpService(ThreadingHTTPServer):
         self.server_close()
 
     def heard(self, accepted: socket.socket) -> None:
-        """The whole request of a connection has been received: it has more time now, and its place for sure."""
+        """Note that a connection's whole request was received: it gets more time, and is no longer closed for
+        others.
+        """
         self._unheard.pop(accepted, None)
         self._deadlines[accepted] += self._limits.seconds - self._limits.request_seconds
 
     # Called by the standard library.
 
     def get_request(self) -> tuple[socket.socket, Any]:  # Any: the address of a peer has the shape of its family
-        """Accept a connection."""
+        """Accept an HTTP connection."""
         try:
             return super().get_request()
         except OSError:
@@ -156,7 +158,7 @@ class HttpService(ThreadingHTTPServer):
             raise
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Whether an accepted connection may stay; where there are too many, make room or answer 503."""
+        """Whether an accepted connection may stay; if there are too many, close another or answer 503."""
         if is_reserved(request.fileno()) or not self._admit(request):
             return False
         most = self._limits.connections
@@ -171,34 +173,36 @@ class HttpService(ThreadingHTTPServer):
         return True
 
     def service_actions(self) -> None:
-        """Cut off the connections whose time is over."""
+        """Close the connections whose time is over."""
         now = time.monotonic()
         for accepted, deadline in list(self._deadlines.items()):
             if now >= deadline:
                 self._cut(accepted)
 
     def shutdown_request(self, request: Any) -> None:
-        """Close a connection."""
+        """Close an HTTP connection."""
         self._unheard.pop(request, None)
         self._deadlines.pop(request, None)
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Log the exception that is being handled, once a minute."""
+        """Log the current exception, at most once a minute."""
         now = time.monotonic()
         if now >= self._silent_until:
             self._silent_until = now + _LOG_PAUSE
             _log.exception("a request failed; further failures within a minute are not logged")
 
     def _cut(self, accepted: socket.socket) -> None:
-        """End a connection: its thread, if it waits for the peer, wakes up and closes it."""
+        """End an HTTP connection: its thread, if it waits for the peer, wakes up and closes it."""
         self._unheard.pop(accepted, None)
         with contextlib.suppress(OSError):
             accepted.shutdown(socket.SHUT_RDWR)
 
 
 def _drained(accepted: socket.socket, last: bytes = b"") -> None:
-    """Send the last bytes and take what is there, without waiting: what is unread at its end resets a connection."""
+    """Send the last bytes and read what was received, without waiting: unread bytes would reset the connection at its
+    close.
+    """
     with contextlib.suppress(OSError):
         accepted.setblocking(False)
         accepted.send(last)
@@ -206,20 +210,20 @@ def _drained(accepted: socket.socket, last: bytes = b"") -> None:
 
 
 class _Connection(BaseHTTPRequestHandler):
-    """One connection: its request, and the response to it."""
+    """Handler of one HTTP connection: its request and the response."""
 
     protocol_version = "HTTP/1.1"
     wbufsize = -1  # head and body leave together
     server: HttpService
 
     def handle(self) -> None:
-        """Receive the request and send the response; a peer that has gone or is too slow gets none."""
+        """Receive the request and send the response; a peer that disconnected or is too slow gets none."""
         with contextlib.suppress(OSError, EOFError):
             self._send(self._response())
             _drained(self.connection)
 
     def finish(self) -> None:
-        """Flush what was written."""
+        """Flush the written response."""
         with contextlib.suppress(OSError):
             super().finish()
 
@@ -237,7 +241,7 @@ class _Connection(BaseHTTPRequestHandler):
             return HttpResponse(b"the request failed; the log says why\n", status=HTTPStatus.INTERNAL_SERVER_ERROR)
 
     def _request(self) -> HttpRequest:
-        """The request. Raises `HttpError` if it is malformed or too large, `EOFError` if it is incomplete."""
+        """Read the request. Raises `HttpError` if it is malformed or too large, `EOFError` if it is incomplete."""
         received, head = self.rfile, _Head(self.rfile)
         self.raw_requestline = head.readline()
         self.rfile = cast("Any", head)  # Any: of which the standard library reads lines, and does no more
@@ -278,19 +282,19 @@ class _Connection(BaseHTTPRequestHandler):
         self.wfile.flush()
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> NoReturn:
-        """Called by the standard library where it cannot parse a request."""
+        """Raise `HttpError`; called by the standard library for a request that it cannot parse."""
         raise HttpError(code, message or HTTPStatus(code).phrase)
 
 
 class _Head:
-    """The lines of a request's head, together at most `HEAD_LIMIT` bytes."""
+    """Reader of the lines of a request's head, together at most `HEAD_LIMIT` bytes."""
 
     def __init__(self, received: Any) -> None:  # Any: any buffered reader
         self._received = received
         self._left = HEAD_LIMIT
 
     def readline(self, limit: int = -1) -> bytes:
-        """The next line. Raises `HttpError` where the head is too long, `EOFError` where it ends too soon."""
+        """The next line of the head. Raises `HttpError` if the head is too long, `EOFError` if it ends too soon."""
         line: bytes = self._received.readline(self._left + 1)
         self._left -= len(line)
         if self._left < 0:
@@ -301,7 +305,7 @@ class _Head:
 
 
 def parse_host_port(text: str, key: str) -> tuple[str, int]:
-    """Host and port of ``127.0.0.1:9502`` or ``[::1]:9502``; port 0 takes a free one. Raises `ConfigError`."""
+    """Split ``127.0.0.1:9502`` or ``[::1]:9502`` into host and port; port 0 takes a free one. Raises `ConfigError`."""
     host, colon, port = text.rpartition(":")
     is_bare = host.count(":") == 0 or (host.startswith("[") and host.endswith("]"))
     if not (colon and host and is_bare and port.isascii() and port.isdigit() and int(port) <= 65_535):
@@ -310,7 +314,7 @@ def parse_host_port(text: str, key: str) -> tuple[str, int]:
 
 
 def bind_tcp(host: str, port: int) -> socket.socket:
-    """A bound TCP socket. Raises `LinkDown` where that cannot be."""
+    """Create a bound TCP socket. Raises `LinkDown` if the address cannot be used."""
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         bound = socket.socket(family, socket.SOCK_STREAM)
@@ -327,6 +331,6 @@ def bind_tcp(host: str, port: int) -> socket.socket:
 
 
 def bound_name(bound: socket.socket) -> str:
-    """``127.0.0.1:9502``, as a TCP socket is bound."""
+    """The address of a bound TCP socket as text: ``127.0.0.1:9502``."""
     host, port = bound.getsockname()[:2]
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

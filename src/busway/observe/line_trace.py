@@ -1,4 +1,4 @@
-"""Traffic of RTU and ASCII lines as log lines, and into a capture file; the levels are those of `busway.observe.trace`.
+"""Trace of RTU and ASCII lines: log lines, and packets in a capture file; levels as in `busway.observe.trace`.
 
 Knows frames and messages; knows no port: a driver passes in what it received and sent. It follows the line as an
 observer does, so frames of other masters are shown too.
@@ -31,30 +31,30 @@ _SOONEST: Final = 0.001
 
 
 class ConnectionTrace(Protocol):
-    """Trace of one connection."""
+    """Interface of the trace of one connection."""
 
     def received(self, data: bytes) -> None:
-        """Show received bytes."""
+        """Log received bytes."""
 
     def sent(self, data: bytes) -> None:
-        """Show sent bytes."""
+        """Log sent bytes."""
 
     def note(self, text: str) -> None:
-        """Show an event that the frames do not contain."""
+        """Log an event that the frames do not show."""
 
 
 class SilenceTimer(Protocol):
-    """A timer that was set: `threading.Timer`."""
+    """Interface of a timer, such as `threading.Timer`."""
 
     def start(self) -> None:
-        """Start it."""
+        """Start the timer."""
 
     def cancel(self) -> None:
-        """Stop it before it calls."""
+        """Cancel the timer before it fires."""
 
 
 def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = None) -> ConnectionTrace:
-    """The trace of a connection whose framing is ``mbap``, ``rtu`` or ``ascii``.
+    """Create the trace of a connection whose framing is ``mbap``, ``rtu`` or ``ascii``.
 
     ``carrier`` is its socket or transport, from which a capture file has its addresses.
     """
@@ -70,7 +70,7 @@ def _timer(delay: float, call: Callable[[], None]) -> SilenceTimer:
 
 
 class LineTrace:
-    """Trace of one line. Its methods may be called from several threads."""
+    """Trace of one serial line. Its methods may be called from several threads."""
 
     __slots__ = (
         "__weakref__",
@@ -95,7 +95,7 @@ class LineTrace:
         clock: Callable[[], float] = time.monotonic,
         make_timer: Callable[[float, Callable[[], None]], SilenceTimer] = _timer,
     ) -> None:
-        """A line of which nothing was seen yet.
+        """Create the trace of a line on which nothing was seen yet.
 
         Args:
             framing: ``rtu`` or ``ascii``.
@@ -118,14 +118,14 @@ class LineTrace:
         self._timer: SilenceTimer | None = None
 
     def received(self, data: bytes) -> None:
-        """Show received bytes, as far as they are decided."""
+        """Log the received bytes that form decided frames."""
         with self._lock:
             now = self._heard("<", data)
             self._take("<", self._receiver.receive(data, now), now)
             self._wait(now)
 
     def sent(self, data: bytes) -> None:
-        """Show sent bytes: one or several whole frames."""
+        """Log sent bytes: one or several whole frames."""
         with self._lock:
             self.settle()
             now = self._heard(">", data)
@@ -133,12 +133,12 @@ class LineTrace:
             self._take(">", found, now)
 
     def note(self, text: str) -> None:
-        """Show an event that the frames do not contain."""
+        """Log an event that the frames do not show."""
         if TRACE.level >= TraceLevel.MESSAGE:
             _log.debug("%s %s", self._name, text)
 
     def tick(self) -> None:
-        """Show what silence has ended by now."""
+        """Log the frames that silence has ended by now."""
         with self._lock:
             self._timer = None
             now = self._clock()
@@ -146,7 +146,7 @@ class LineTrace:
             self._wait(now)
 
     def settle(self) -> None:
-        """Decide all received bytes, as a long silence would."""
+        """Decide all received bytes now, as a long silence would."""
         with self._lock:
             if self._timer is not None:
                 self._timer.cancel()
@@ -161,7 +161,7 @@ class LineTrace:
         return self._clock()
 
     def _wait(self, now: float) -> None:
-        """Come back when silence will have decided."""
+        """Set the timer for when silence will decide the received bytes."""
         due = self._receiver.deadline()
         if due is None:
             TRACE.undecided.discard(self)

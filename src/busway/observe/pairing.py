@@ -1,4 +1,4 @@
-"""What passes on a line, as a conversation: which reply answers which request, which came not, how long it took.
+"""Pairs the frames heard on a serial line: which reply answers which request, which is missing, how long it took.
 
 Knows frames and times; knows no port and no clock. The frames come from a receiver in the role of an observer.
 
@@ -31,7 +31,7 @@ NEVER_LATE_BEFORE: Final = 0.1
 
 
 class Kind(Enum):
-    """What was heard."""
+    """Kinds of events on a line that is listened to."""
 
     REQUEST = "request"
     BROADCAST = "broadcast"
@@ -43,7 +43,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """One thing that was heard, or the silence where a reply was due.
+    """One event on a line: a request, a reply, a damaged chunk, or the lack of a reply.
 
     Attributes:
         kind: what it is.
@@ -66,7 +66,7 @@ class Heard:
 
     @property
     def at(self) -> float:
-        """When its first byte began; of `Kind.UNANSWERED`, when the waiting ended."""
+        """Time at which the first byte began; for `Kind.UNANSWERED` the time when waiting ended."""
         if self.kind is Kind.UNANSWERED and self.frame is not None and self.response_time is not None:
             return self.frame.ended + self.response_time
         found = self.frame if self.frame is not None else self.damaged
@@ -76,7 +76,7 @@ class Heard:
 
 @dataclass(slots=True)
 class ResponseTimes:
-    """How long replies took, in seconds."""
+    """Statistics of response times, in seconds."""
 
     count: int = 0
     total: float = 0.0
@@ -84,7 +84,7 @@ class ResponseTimes:
     slowest: float = 0.0
 
     def add(self, seconds: float) -> None:
-        """One more reply."""
+        """Add the response time of one more reply."""
         self.fastest = min(self.fastest, seconds) if self.count else seconds
         self.slowest = max(self.slowest, seconds)
         self.total += seconds
@@ -92,13 +92,13 @@ class ResponseTimes:
 
     @property
     def mean(self) -> float:
-        """The mean; 0 without any."""
+        """The mean response time; 0 without any."""
         return self.total / self.count if self.count else 0.0
 
 
 @dataclass(slots=True)
 class UnitStatistics:
-    """What was heard of one unit.
+    """Statistics of what was heard of one unit.
 
     Attributes:
         requests: asked of it, repeats included.
@@ -123,7 +123,7 @@ class UnitStatistics:
 
 @dataclass(slots=True)
 class LineStatistics:
-    """What was heard on a line.
+    """Statistics of what was heard on a line.
 
     Attributes:
         frames: good ones.
@@ -144,12 +144,12 @@ class LineStatistics:
     units: dict[int, UnitStatistics] = field(default_factory=dict)
 
     def unit(self, number: int) -> UnitStatistics:
-        """The statistics of a unit 0…255; new ones where it was not heard of."""
+        """The statistics of a unit 0…255, created at its first use."""
         return self.units.setdefault(number, UnitStatistics())
 
 
 class Pairing:
-    """Follows one line.
+    """Pairs requests and replies of one line.
 
     Attributes:
         statistics: what was heard so far.
@@ -159,7 +159,7 @@ class Pairing:
     __slots__ = ("_asked", "_damage", "_functions", "_last_end", "_missed", "_sure", "reply_window", "statistics")
 
     def __init__(self, reply_window: float = REPLY_WINDOW, *, functions: FunctionTable = STANDARD) -> None:
-        """A line of which nothing was heard; ``reply_window`` in seconds, above 0, as the receiver's."""
+        """Start on a line of which nothing was heard; ``reply_window`` in seconds, above 0, as the receiver's."""
         self.statistics: LineStatistics = LineStatistics()
         self.reply_window: float = reply_window
         self._functions = functions
@@ -170,7 +170,7 @@ class Pairing:
         self._sure = ResponseTimes()
 
     def heard(self, found: Received) -> list[Heard]:
-        """What a frame or damaged chunk means; before it, what it decides about the request that waits."""
+        """Process a frame or damaged chunk. Returns the events that it means, first those about the open request."""
         events = self.tick(found.began)
         gap = None if self._last_end is None else max(found.began - self._last_end, 0.0)
         self._last_end = found.ended
@@ -184,12 +184,12 @@ class Pairing:
         return events
 
     def tick(self, now: float) -> list[Heard]:
-        """Give up the request whose reply has not come until ``now``."""
+        """Give up the open request if its reply has not come until ``now``."""
         deadline = self.deadline()
         return [] if deadline is None or now < deadline else [self._unanswered(deadline)]
 
     def deadline(self) -> float | None:
-        """When the request that waits is given up."""
+        """When the open request is given up; None without one."""
         return None if self._asked is None else self._asked.ended + self.reply_window
 
     # Inside.
@@ -215,7 +215,7 @@ class Pairing:
         return frame.direction is Direction.REPLY
 
     def _may_reply(self, frame: SerialFrame) -> bool:
-        """Whether the bytes of a request are a right reply too."""
+        """Whether the bytes of the open request are also a valid reply to it."""
         try:
             self._functions.decode_reply(frame.pdu)
         except MalformedPdu:
@@ -223,7 +223,7 @@ class Pairing:
         return True
 
     def _reply_limit(self) -> float:
-        """Seconds within which a frame that is alike is a reply (rule 4)."""
+        """Seconds within which a frame that equals its request counts as its reply (rule 4)."""
         if self._sure.count < SURE_REPLIES:
             return self.reply_window
         return min(max(MUCH_LATER * self._sure.slowest, NEVER_LATE_BEFORE), self.reply_window)
@@ -259,7 +259,7 @@ class Pairing:
         return Heard(Kind.DAMAGED, damaged=found, gap=gap)
 
     def _unanswered(self, until: float) -> Heard:
-        """The request that waits gets no reply any more."""
+        """End the open request without a reply."""
         asked, damage = self._asked, self._damage
         assert asked is not None
         unit = self.statistics.unit(asked.unit)
@@ -271,5 +271,5 @@ class Pairing:
 
 
 def _answers(reply: SerialFrame, asked: SerialFrame) -> bool:
-    """Whether unit and function of a reply fit a request."""
+    """Whether unit and function of a reply fit the open request."""
     return reply.unit == asked.unit and reply.pdu[0] & 0x7F == asked.pdu[0]

@@ -1,4 +1,4 @@
-"""Capture files in the pcapng format (draft-ietf-opsawg-pcapng), which Wireshark and tshark read.
+"""Writes capture files in the pcapng format (draft-ietf-opsawg-pcapng), which Wireshark and tshark read.
 
 Knows blocks and options; knows nothing of what packets contain. `busway.observe.capture` decides what is written.
 
@@ -44,7 +44,7 @@ class Flow(IntEnum):
 
 
 class PcapngWriter:
-    """Writes one capture file into a binary stream, which stays the caller's. Errors of the stream are `OSError`."""
+    """Writes one capture file into a binary stream that the caller owns. Errors of the stream are `OSError`."""
 
     __slots__ = ("_interfaces", "_stream", "packets")
 
@@ -56,7 +56,7 @@ class PcapngWriter:
         self._write(_SECTION, struct.pack("<IHHq", _BYTE_ORDER, 1, 0, _UNKNOWN_LENGTH), options)
 
     def add_interface(self, link_type: LinkType, name: str, description: str = "") -> int:
-        """A new interface; its number is what `add_packet` takes."""
+        """Add an interface to the file; the returned number is for `add_packet`."""
         options = _text(_NAME, name) + _text(_DESCRIPTION, description)
         options += _option(_TIME_RESOLUTION, bytes((_MICROSECONDS,)))
         self._write(_INTERFACE, struct.pack("<HHI", link_type, 0, 0), options)
@@ -66,7 +66,7 @@ class PcapngWriter:
     def add_packet(
         self, interface: int, data: bytes, time: float, *, flow: Flow = Flow.UNKNOWN, comment: str = ""
     ) -> None:
-        """A packet that was seen at ``time`` (seconds since 1970)."""
+        """Write a packet that was seen at ``time`` (seconds since 1970)."""
         microseconds = max(round(time * 1e6), 0)
         head = struct.pack("<IIIII", interface, microseconds >> 32, microseconds & 0xFFFF_FFFF, len(data), len(data))
         options = _text(_COMMENT, comment)
@@ -84,7 +84,7 @@ class PcapngWriter:
 
 
 def _text(code: int, text: str) -> bytes:
-    """A text option; nothing where there is no text."""
+    """Encode a text option of a pcapng block; empty if there is no text."""
     if not text:
         return b""
     encoded = text.encode("utf-8")

@@ -1,4 +1,4 @@
-"""Passive listening to a line: opened to receive, never to send.
+"""Sniffing: passive listening to a serial line, which is opened to receive and never to send.
 
 Knows ports, and sockets to device servers that mirror a line; knows no Modbus beyond its receiver and `Pairing`.
 
@@ -40,20 +40,20 @@ _LAST_READS: Final = 64
 
 
 class Ear(Protocol):
-    """A source of received bytes; `BlockingSerialPort` and `SocketEar` are such sources."""
+    """Interface of a source of received bytes, such as `BlockingSerialPort` and `SocketEar`."""
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Bytes within ``timeout`` seconds, and how many are damaged. Raises `LinkDown`."""
+        """Received bytes within ``timeout`` seconds, and how many of them are damaged. Raises `LinkDown`."""
 
     def close(self) -> None:
         """Stop listening. May be called twice."""
 
 
 class SocketEar:
-    """A TCP connection to a device server that passes on what is on its line."""
+    """A TCP connection to a device server that passes on the bytes of its line."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
-        """Connect. Raises `LinkDown`."""
+        """Connect to the device server. Raises `LinkDown`."""
         self._name = endpoint.url
         address = endpoint.host or "127.0.0.1", endpoint.port or 0
         try:
@@ -63,7 +63,7 @@ class SocketEar:
             raise link_down(error, endpoint=self._name) from error
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Bytes within ``timeout`` seconds; none of them is ever marked as damaged. Raises `LinkDown`."""
+        """Received bytes within ``timeout`` seconds; none is ever marked as damaged. Raises `LinkDown`."""
         try:
             self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
             data = self._socket.recv(_READ_SIZE)
@@ -76,7 +76,7 @@ class SocketEar:
         return data, 0
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the connection to the device server."""
         self._socket.close()
 
 
@@ -84,7 +84,7 @@ class DatagramEar:
     """A local UDP port that receives the datagrams of a device server, from any address."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
-        """Bind. Raises `LinkDown`."""
+        """Bind the local UDP port. Raises `LinkDown`."""
         self._name = endpoint.url
         try:
             places = socket.getaddrinfo(
@@ -103,7 +103,7 @@ class DatagramEar:
 
     @property
     def port(self) -> int:
-        """The port that is bound."""
+        """Number of the bound UDP port."""
         return int(self._socket.getsockname()[1])
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
@@ -117,7 +117,7 @@ class DatagramEar:
             raise LinkDown(network_reason(error), endpoint=self._name) from error
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the UDP socket."""
         self._socket.close()
 
     def _not_here(self, error: OSError) -> LinkDown:
@@ -128,7 +128,7 @@ class DatagramEar:
 
 @dataclass(frozen=True, slots=True)
 class LineToHear:
-    """A line as a URL describes it, not opened yet. Made by `line_to_hear`.
+    """A line to listen to as its URL describes it, not opened yet. Created by `line_to_hear`.
 
     Attributes:
         endpoint: where it is.
@@ -146,11 +146,13 @@ class LineToHear:
 
     @property
     def timing(self) -> SerialTiming:
-        """The times of the line; of a network where there is no port."""
+        """Character times of the line; those of a network if there is no port."""
         return SerialTiming.of_network() if self.port is None else self.port.timing
 
     def open(self) -> Ear:
-        """Open port or connection. Raises `LinkDown`, and `ConfigError` where this process has the port already."""
+        """Open the port or connection to listen to. Raises `LinkDown`, and `ConfigError` if this process uses
+        the port.
+        """
         if self.port is None:
             ear = DatagramEar if self.endpoint.carrier == "udp" else SocketEar
             return ear(self.endpoint, self.sockets)
@@ -158,7 +160,7 @@ class LineToHear:
 
 
 class _ClaimedPort:
-    """Open a serial port that no other user in this process can open meanwhile."""
+    """An open serial port that no other user in this process can open meanwhile."""
 
     def __init__(self, path: str, settings: SerialSettings) -> None:
         self._claim = Claim(path, "a listener to the line")
@@ -175,7 +177,8 @@ class _ClaimedPort:
 
 
 def line_to_hear(url: str | Endpoint) -> LineToHear:
-    """The line of a URL: ``rtu:///dev/…``, ``rtu+tcp://host:port``, ``rtu+udp://:port``, and the same of ``ascii``.
+    """Parse the URL of a line to listen to: ``rtu:///dev/…``, ``rtu+tcp://host:port``, ``rtu+udp://:port``, or with
+    ``ascii``.
 
     Options behind ``?`` are ``preset``, fields of `FramingParameters`, and those of `SerialSettings` with
     ``reopen_first`` and ``reopen_most`` of `OpeningParameters`; over TCP those of `SocketParameters`, over UDP only its
@@ -203,7 +206,7 @@ def line_to_hear(url: str | Endpoint) -> LineToHear:
 
 
 class Listening:
-    """Listens to one line; a context manager that closes the ear.
+    """Listens to one line; a context manager that closes it.
 
     Attributes:
         pairing: what is made of the frames, with the statistics.
@@ -220,7 +223,7 @@ class Listening:
         vanished: Callable[[LinkDown], None] | None = None,
         returned: Callable[[], None] = lambda: None,
     ) -> None:
-        """Open the line.
+        """Open a line and start listening.
 
         Args:
             line: where to listen.
@@ -259,7 +262,7 @@ class Listening:
         self.close()
 
     def hear(self, until: float) -> list[Heard]:
-        """What is heard next; empty where nothing was, or nothing that is whole, before ``until`` (clock seconds).
+        """The next events on the line; empty if nothing complete was heard before ``until`` (clock seconds).
 
         It comes back after a fifth of a second at the latest, also while a port is waited for.
 
@@ -279,7 +282,7 @@ class Listening:
         return self._understand(data, damaged, now)
 
     def finish(self) -> list[Heard]:
-        """At the end: what has come and was not read yet, and what is made of bytes that are still undecided.
+        """The last events: from received bytes that were not processed yet, and from undecided ones.
 
         Raises:
             LinkDown: the port vanished and is not waited for, or the connection ended.
@@ -303,7 +306,7 @@ class Listening:
         self._ear.close()
 
     def _lose(self, error: LinkDown) -> list[Heard]:
-        """The port has gone; what was heard of a frame is all there will be of it."""
+        """Handle the loss of the port: the unfinished frame is reported as it is."""
         if self._vanished is None:
             raise error
         self.lost = error

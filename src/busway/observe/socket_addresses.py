@@ -12,7 +12,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class SocketAddresses:
-    """Both ends of a connection, as ``getsockname`` and ``getpeername`` return them; None if unknown."""
+    """Local and remote address of a connection, as ``getsockname`` and ``getpeername`` return them; None if unknown."""
 
     local: object = None
     peer: object = None

@@ -1,4 +1,4 @@
-"""Traffic as log lines, at three levels that can be switched while the program runs; and into a capture file.
+"""Trace: traffic as log lines, at three levels that can be switched at run time, and into a capture file.
 
 Knows frames and messages; knows no connection: a driver passes in what it received and sent.
 
@@ -24,7 +24,7 @@ _log = logging.getLogger("busway.trace")
 
 
 class TraceLevel(IntEnum):
-    """Detail of the trace."""
+    """Levels of detail of the trace."""
 
     CAPTURE = -1
     """Nothing, but what passes goes into a capture file."""
@@ -35,41 +35,41 @@ class TraceLevel(IntEnum):
 
 
 class ConnectionRecorder(Protocol):
-    """Takes the bytes of one connection."""
+    """Interface that records the bytes of one connection."""
 
     def received(self, data: bytes) -> None:
-        """Bytes that came in."""
+        """Record received bytes."""
 
     def sent(self, data: bytes) -> None:
-        """Bytes that went out."""
+        """Record sent bytes."""
 
 
 class LineRecorder(Protocol):
-    """Takes what is heard on one serial line, or on a connection with its framing."""
+    """Interface that records the frames of one serial line, or of a connection with serial framing."""
 
     def heard(self, found: "Received", *, at: float | None = None, is_outgoing: bool = False) -> None:
-        """A frame or damaged chunk, begun at ``at`` (seconds since 1970)."""
+        """Record a frame or damaged chunk that began at ``at`` (seconds since 1970)."""
 
 
 class Recorder(Protocol):
-    """Destination of traffic: a capture file (`busway.observe.capture.Capture`), or another object that keeps it."""
+    """Interface of a destination for traffic: a capture file (`busway.observe.capture.Capture`), or another store."""
 
     def connection(self, ends: SocketAddresses) -> ConnectionRecorder:
-        """A connection between these ends."""
+        """Start to record a connection between these addresses."""
 
     def line(self, name: str) -> LineRecorder:
-        """A line by its name."""
+        """Start to record a line with this name."""
 
 
 class Undecided(Protocol):
-    """A line with received bytes that are not decided yet."""
+    """Interface of a line trace with received bytes that no silence has decided yet."""
 
     def settle(self) -> None:
-        """Decide about it now."""
+        """Decide the received bytes now."""
 
 
 class Trace:
-    """The switch of the trace. One for the process: `TRACE`.
+    """Switches the trace of all connections on and off. There is one in the process: `TRACE`.
 
     Attributes:
         level: detail; what drivers test.
@@ -85,7 +85,7 @@ class Trace:
         self.undecided: set[Undecided] = set()
 
     def set(self, level: TraceLevel) -> None:
-        """Show traffic from now on; the logger ``busway.trace`` must let DEBUG pass."""
+        """Log traffic at this level from now on; the logger ``busway.trace`` must let DEBUG pass."""
         if level is TraceLevel.OFF and self.capture is not None:
             level = TraceLevel.CAPTURE
         self.level = level
@@ -93,7 +93,7 @@ class Trace:
             _log.setLevel(logging.DEBUG)
 
     def capture_into(self, capture: Recorder | None) -> None:
-        """Record the traffic of connections that are made from now on in this file or recorder; None ends it."""
+        """Record the traffic of connections opened from now on into a capture file or recorder; None ends it."""
         self.settle()
         self.capture = capture
         self.set(TraceLevel.OFF if self.level is TraceLevel.CAPTURE else self.level)
@@ -108,7 +108,7 @@ TRACE = Trace()
 
 
 class StreamTrace:
-    """Trace of one MBAP connection; `socket_addresses_of` finds its addresses by ``carrier``."""
+    """Trace of one MBAP connection, whose addresses `socket_addresses_of` finds by ``carrier``."""
 
     __slots__ = ("_capture", "_functions", "_incoming", "_is_server", "_name", "_outgoing")
 
@@ -123,7 +123,7 @@ class StreamTrace:
         self._outgoing = MbapReceiver()
 
     def received(self, data: bytes) -> None:
-        """Show received bytes."""
+        """Log received bytes."""
         if self._capture is not None:
             self._capture.received(data)
         if TRACE.level < TraceLevel.MESSAGE:
@@ -134,7 +134,7 @@ class StreamTrace:
             self._show("<", frame, is_request=self._is_server)
 
     def sent(self, data: bytes) -> None:
-        """Show sent bytes."""
+        """Log sent bytes."""
         if self._capture is not None:
             self._capture.sent(data)
         if TRACE.level < TraceLevel.MESSAGE:
@@ -145,7 +145,7 @@ class StreamTrace:
             self._show(">", frame, is_request=not self._is_server)
 
     def note(self, text: str) -> None:
-        """Show an event that the frames do not contain."""
+        """Log an event that the frames do not show."""
         if TRACE.level >= TraceLevel.MESSAGE:
             _log.debug("%s %s", self._name, text)
 

@@ -1,4 +1,4 @@
-"""A PDU as one line of text, for lists of frames.
+"""Describes a PDU in one line of text, for lists of frames.
 
 Knows the describer of PDUs; knows no frame and no connection.
 """
@@ -12,7 +12,7 @@ from ..pdu.message import Message
 def described(
     pdu: bytes, direction: Direction, *, request: Message | None = None, functions: FunctionTable = STANDARD
 ) -> Description:
-    """The description of a PDU of this direction; ``request``, if it is known, tells what a reply answers."""
+    """The description of a PDU; ``request``, if known, tells what a reply answers."""
     if direction is Direction.REPLY:
         return describe_reply(pdu, functions, request=request)
     return describe_request(pdu, functions)

@@ -15,7 +15,7 @@ half a second less than its clients wait."""
 
 
 class MismatchPolicy(Enum):
-    """What a client does with a reply whose transaction or unit is not the one asked.
+    """How a client treats a reply with another transaction identifier or unit than it asked: accept or drop.
 
     Attributes:
         STRICT: a foreign transaction is dropped and counted; a foreign unit is a broken reply.
@@ -29,7 +29,7 @@ class MismatchPolicy(Enum):
 
 
 class TransactionScope(Enum):
-    """Scope of a client's limit of transactions.
+    """What a client's limit of requests in flight applies to: each connection, or all of a client.
 
     Attributes:
         CONNECTION: the limit applies to each connection.
@@ -144,7 +144,7 @@ LONGEST_HOLD = 86_400
 
 
 class Hold(Enum):
-    """Hold times of an unused connection other than a number of seconds.
+    """Words for the hold time of an unused connection: ``forever`` and ``request``.
 
     Attributes:
         FOREVER: until its last user closes the link, as Messaging on TCP/IP V1.0b §4.2.1.1 advises.
@@ -217,7 +217,7 @@ class ManagementParameters:
 
 
 def selection(name: "str | LinkSelection | None") -> LinkSelection | None:
-    """The selection rule of a name, as `busway.open` takes it. Raises `ConfigError`."""
+    """The selection rule with a given name, as `busway.open` takes it. Raises `ConfigError`."""
     if name is None or isinstance(name, LinkSelection):
         return name
     try:

@@ -38,7 +38,7 @@ class Range:
     """Whether ``low`` itself is out of range."""
 
     def has(self, value: object) -> bool:
-        """Whether a value is a number in the range."""
+        """Whether a value is a number in this range."""
         if not isinstance(value, int | float):
             return False
         return (self.low < value if self.above else self.low <= value) and value <= self.high
@@ -49,12 +49,12 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """The only numbers that there are."""
+    """A list of the allowed numbers of an option."""
 
     values: tuple[int, ...]
 
     def has(self, value: object) -> bool:
-        """Whether a value is one of them."""
+        """Whether a value is one of the allowed numbers."""
         return value in self.values
 
     def __str__(self) -> str:
@@ -63,12 +63,12 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A text that must not be empty: the name of something."""
+    """Mark of an option whose text must not be empty, such as the name of a user."""
 
     words: str
 
     def has(self, value: object) -> bool:
-        """Whether a value is a name."""
+        """Whether a value is a text that is not empty."""
         return bool(value)
 
     def __str__(self) -> str:
@@ -92,13 +92,13 @@ class Strict:
 
 @dataclass(frozen=True, slots=True)
 class ByFraming:
-    """Other defaults by the framing of an endpoint."""
+    """Mark of an option whose default depends on the framing of the endpoint."""
 
     defaults: Mapping[str, Any]  # the type depends on the option
 
 
 class On:
-    """Where the option has an effect: each place is words of a role, a framing and a carrier, all of which must fit.
+    """Mark that says where an option has an effect: roles, framings and carriers, all of which must fit.
 
     ``On("client", "server rtu")``: for every client, and for servers with RTU. Roles are ``client``, ``server`` and
     ``monitor``, which only listens to a line.
@@ -110,11 +110,11 @@ class On:
         self._places = tuple(frozenset(place.split()) for place in places)
 
     def fits(self, role: str, framing: str, carrier: str) -> bool:
-        """Whether a place is there for a role and an endpoint."""
+        """Whether the option has an effect for a role (client, server) at an endpoint."""
         return any(place <= {role, framing, carrier} for place in self._places)
 
     def fits_role(self, role: str) -> bool:
-        """Whether there is an endpoint for which a place is there for a role."""
+        """Whether the option has an effect for a role at any kind of endpoint."""
         return any(not place & (ROLES - {role}) for place in self._places)
 
 
@@ -123,13 +123,13 @@ ROLES: Final = frozenset({"client", "server", "monitor"})
 
 @dataclass(frozen=True, slots=True)
 class Alias:
-    """Another name of the option."""
+    """Mark that gives an option another name."""
 
     name: str
 
 
 class Mark(Enum):
-    """Marks without a value.
+    """Marks of an option that have no value of their own.
 
     Attributes:
         PER_CALL: each user of a shared link may choose another value; the rest belongs to the connection.
@@ -142,7 +142,7 @@ class Mark(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """One declared option.
+    """One declared option: its name, type, range, default and help.
 
     Attributes:
         name: its name, in URLs, keywords and files.
@@ -172,12 +172,12 @@ class Option:
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """The words that it may be: the values of its enums."""
+        """The words that are values of the option, those of its enums."""
         return tuple(one.value for kind in self.kinds if issubclass(kind, Enum) for one in kind)
 
     @property
     def expected(self) -> str:
-        """What a value must be, in words."""
+        """A description of valid values, for error messages."""
         numbers = str(self.limits) if self.limits is not None else ""
         words = list(map(str, self.choices))
         if numbers:
@@ -186,7 +186,7 @@ class Option:
 
     @property
     def values(self) -> str:
-        """What it can be, for tables and help."""
+        """The possible values as text, for tables and help."""
         if self.kinds == (bool,):
             text = "on, off"
         elif self.choices:
@@ -199,7 +199,7 @@ class Option:
 
     @property
     def default_text(self) -> str:
-        """Its default as a person writes it, with the framings that have another."""
+        """The default as text, with the framings that have another one."""
         if not self.by_framing:
             return _shown(self.default)
         names: dict[str, list[str]] = {}
@@ -208,7 +208,7 @@ class Option:
         return "; ".join(f"{text} ({', '.join(framings)})" for text, framings in names.items())
 
     def check(self, value: object) -> None:
-        """Raises `ConfigError` where a value of the right type is out of range, or an enum is not one."""
+        """Raise `ConfigError` if a value of the right type is out of range, or is no member of the enum."""
         if value is None and self.is_optional:
             return
         if self.choices and isinstance(value, Enum):

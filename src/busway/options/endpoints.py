@@ -1,4 +1,4 @@
-"""Endpoints: where a peer or a line is, as a URL.
+"""Endpoints: URLs that say where a peer or a serial line is, and how it is spoken to.
 
 Knows the grammar of the URLs and the schemes; knows no transport. The component that takes an option checks it, and
 reports an option that it does not have.
@@ -67,7 +67,7 @@ _HOST = re.compile(r"^[A-Za-z0-9._~%-]*$|^\[[0-9A-Fa-f:.%\w]+\]$")
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """A parsed URL.
+    """A parsed endpoint URL.
 
     Attributes:
         scheme: one of the keys of `SCHEMES`.
@@ -85,12 +85,12 @@ class Endpoint:
 
     @property
     def framing(self) -> str:
-        """``mbap``, ``rtu`` or ``ascii``."""
+        """Framing that the scheme of the URL means: ``mbap``, ``rtu`` or ``ascii``."""
         return SCHEMES[self.scheme].framing
 
     @property
     def carrier(self) -> str:
-        """``tcp``, ``tls``, ``udp`` or ``serial``."""
+        """Transport that the scheme of the URL means: ``tcp``, ``tls``, ``udp`` or ``serial``."""
         return SCHEMES[self.scheme].carrier
 
     @property
@@ -164,7 +164,9 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
 
 
 def _with_scheme(text: str) -> str:
-    """Add the scheme to a text that can mean only one. Raises `ConfigError` with a suggestion otherwise."""
+    """Add the scheme to an endpoint without one, if only one is possible. Raises `ConfigError` with a suggestion
+    otherwise.
+    """
     place, mark, query = text.strip().partition("?")
     if re.fullmatch(_ADDRESS, place):
         return f"tcp://{place}{mark}{query}"

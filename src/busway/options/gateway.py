@@ -1,4 +1,4 @@
-"""Options of a gateway: of all of it, of its listeners, and of the links that it forwards to, beside those of links."""
+"""Options of a gateway: of the whole gateway, of its listeners, and of its upstreams."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -10,7 +10,7 @@ from .declaration import Range, check
 
 @dataclass(frozen=True, slots=True)
 class UpstreamParameters:
-    """Options of a link that a gateway forwards to, in addition to those of links."""
+    """Options of an upstream of a gateway, in addition to those of links."""
 
     connections: Annotated[
         int,
@@ -45,7 +45,7 @@ class GatewayListenerParameters:
 
 @dataclass(frozen=True, slots=True)
 class GatewayParameters:
-    """Options of a whole gateway."""
+    """Options that apply to a whole gateway."""
 
     own_unit: Annotated[int | None, Range(1, 255), "unit of the gateway itself; None: it is no device."] = (
         TCP_DEVICE_UNIT

@@ -1,4 +1,4 @@
-"""Options of a serial conversation: the master, the frames, and units that do not answer."""
+"""Options of serial lines: the master's timing, the framing, and circuit breakers of units."""
 
 from dataclasses import dataclass
 from typing import Annotated, ClassVar

@@ -21,7 +21,7 @@ _MAPPED_LENGTH: Final = 96
 
 
 class Networks:
-    """Addresses and networks; a host is in it, or not: ``"10.0.0.7" in networks``. Two with the same entries are equal.
+    """A set of IP addresses and networks: ``"10.0.0.7" in networks``. Sets with the same entries are equal.
 
     Args:
         entries: texts such as ``10.0.0.7``, ``10.0.0.0/8``, ``fe80::/64``, ``fe80::1%eth0``.
@@ -47,14 +47,14 @@ class Networks:
 
     @classmethod
     def parse(cls, entries: Iterable[str], *, key: str | None = None) -> "Networks":
-        """The same as ``Networks(entries)``."""
+        """Create a set of networks from its entries; the same as ``Networks(entries)``."""
         return cls(entries, key=key)
 
     def __contains__(self, host: object) -> bool:
         return isinstance(host, str) and self.find(host) is not None
 
     def find(self, host: str) -> str | None:
-        """The most specific entry that a numeric address is in, as it was written; None if it is in none."""
+        """The most specific entry that contains a numeric address, as it was written; None if none does."""
         found = self._found.get(host, "")
         if found != "":
             return found
@@ -94,7 +94,7 @@ class Networks:
 
 
 class NetworkIndex:
-    """Which of many `Networks` a host is in, found without asking each of them.
+    """Finds which of many `Networks` contain a host, without asking each of them.
 
     Args:
         networks: the networks, each with its number.
@@ -111,7 +111,7 @@ class NetworkIndex:
                     found.setdefault(network, []).append(number)
 
     def find(self, host: str) -> set[int]:
-        """The numbers of the networks that a numeric address is in; none of what is no address."""
+        """The numbers of the networks that contain a numeric address; empty for other texts."""
         try:
             version, address, zone = _number_of(host)
         except ValueError:
@@ -128,7 +128,7 @@ class NetworkIndex:
 
 
 def host_of_peer(peer: str) -> str:
-    """The host of a peer's name, ``10.0.0.7:50012`` or ``[fe80::1%eth0]:50012``; the text itself where it has no port.
+    """The host part of a peer's name, ``10.0.0.7:50012`` or ``[fe80::1%eth0]:50012``; the whole text if it has no port.
 
     An IPv4-mapped address is given as the IPv4 address, so that one host has one name.
     """
@@ -147,7 +147,7 @@ def host_of_peer(peer: str) -> str:
 
 
 def _number_of(host: str) -> tuple[int, int, str]:
-    """Version, number and zone of a numeric address. Raises `ValueError`."""
+    """Version, number and zone of a numeric IP address. Raises `ValueError`."""
     plain, _, zone = host.partition("%")
     address = ipaddress.ip_address(plain)
     number = int(address)
@@ -157,7 +157,7 @@ def _number_of(host: str) -> tuple[int, int, str]:
 
 
 def _parsed(entry: str, key: str | None) -> tuple[int, int, int, str]:
-    """Version, length, network and zone of an entry."""
+    """Version, prefix length, network and zone of an entry such as ``10.0.0.0/8``."""
     if not isinstance(entry, str):
         raise ConfigError(f"{shown(entry)} is no text such as '10.0.0.0/8'", key=key)
     text = entry.strip()

@@ -1,4 +1,4 @@
-"""Which options a component takes, and parameter objects made of those that are given.
+"""Which options a component accepts, and the parameter objects built from given ones.
 
 Knows the parameter classes; knows no component. An option that has no effect with a scheme is refused there, because it
 would be believed to work.
@@ -46,7 +46,7 @@ SERVERS: Final[Kinds] = (UnitParameters, ServerParameters, ListenerParameters, S
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """The options that a component takes, by the class that holds them.
+    """The options that a component accepts, grouped by the parameter class that holds them.
 
     Attributes:
         kinds: the options of each class, by name.
@@ -69,22 +69,22 @@ class Offer:
 
     @classmethod
     def of(cls, *kinds: type[Any], role: str = "") -> "Offer":
-        """The options of some classes; with a role only those that have an effect for it at one endpoint or another."""
+        """The options of some parameter classes; with a role only those that have an effect for that role."""
         return cls({kind: options_for(role, kind) for kind in kinds})
 
     @property
     def options(self) -> dict[str, Option]:
-        """The options by name."""
+        """The accepted options by name."""
         return {name: option for options in self.kinds.values() for name, option in options.items()}
 
     @property
     def names(self) -> frozenset[str]:
-        """The names of the options, and ``preset`` where there are any."""
+        """The names of the accepted options, and ``preset`` if there are any."""
         names = frozenset(self.options)
         return names | {OPTION} if names else names
 
     def chosen(self, given: Mapping[str, object], *, of: str = "") -> "ChosenOptions":
-        """The parameter objects that given options make.
+        """Sort given options by their parameter class and check their names.
 
         Args:
             given: values or their texts by name, ``preset`` among them or not.
@@ -105,7 +105,7 @@ class Offer:
 
 @dataclass(frozen=True, slots=True)
 class ChosenOptions:
-    """Options that were given, sorted by the class that takes them.
+    """Given options, sorted by the parameter class that takes them.
 
     Attributes:
         offer: what could be given.
@@ -116,7 +116,9 @@ class ChosenOptions:
     values: Mapping[type[Any], dict[str, object]]
 
     def build(self, kind: type[Parameters]) -> Parameters:
-        """The parameter object of a class; with the defaults where it is not on offer. Raises `ConfigError`."""
+        """Build the parameter object of a class; with its defaults if the component does not accept it. Raises
+        `ConfigError`.
+        """
         return build_parameters(kind, self.values.get(kind, {}), framing=self.offer.framing)
 
 
@@ -136,7 +138,7 @@ def canonical(options: Mapping[str, object]) -> dict[str, object]:
 
 
 def options_for(role: str, kind: type[Any]) -> dict[str, Option]:
-    """The options of a class by name; with a role only those that have an effect for it at one endpoint or another."""
+    """The options of a parameter class by name; with a role only those that have an effect for that role."""
     options = declared(kind).items()
     return {name: one for name, one in options if not role or all(on.fits_role(role) for on in one.on)}
 

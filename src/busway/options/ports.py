@@ -1,4 +1,4 @@
-"""Options of a serial port: what its line is set to, and how the port is opened.
+"""Options of a serial port: its line settings, and how it is opened.
 
 Knows the characters of a line and the wires that switch its direction; knows no port and no Modbus.
 
@@ -28,7 +28,7 @@ _DIRECTION_DELAY = Range(0, LONGEST_DIRECTION_DELAY, "seconds")
 
 
 class Rs485(Word):
-    """Who switches the direction of an RS-485 driver.
+    """What switches the direction of an RS-485 driver.
 
     OFF: the adapter does it itself, or the line is RS-232 or 4-wire. KERNEL: the port's driver, in its
     RS-485 mode, which is exact. RTS: this program, by the RTS wire; the operating system's delays add to it.
@@ -87,7 +87,7 @@ class SerialSettings:
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], *, binary: bool = True) -> Self:
-        """The settings that options of a URL or keywords ask for.
+        """Build the settings from options of a URL or keywords.
 
         Args:
             options: names of the fields above, with values or their texts. Nothing else: an unknown name is refused.
@@ -104,7 +104,7 @@ class SerialSettings:
 
     @property
     def stop_bits_on_line(self) -> int:
-        """The stop bits that each character has, given or by rule."""
+        """Stop bits of each character, as given or by the rule for the parity."""
         return stop_bits_for(self.parity) if self.stop_bits is None else self.stop_bits
 
     @property
@@ -119,19 +119,19 @@ class SerialSettings:
 
     @property
     def timing(self) -> SerialTiming:
-        """Character time, t1.5 and t3.5."""
+        """Character time, t1.5 and t3.5 of a line with these settings."""
         return SerialTiming.of_line(
             self.baud, data_bits=self.data_bits, parity=self.parity, stop_bits=self.stop_bits_on_line
         )
 
     def __str__(self) -> str:
-        """The short form that panels and data sheets use, as in ``19200 8E1``."""
+        """The settings in the short form of data sheets, such as ``19200 8E1``."""
         return f"{self.baud} {self.data_bits}{self.parity.name[0]}{self.stop_bits_on_line}"
 
 
 @dataclass(frozen=True, slots=True)
 class OpeningParameters:
-    """How a port is opened and waited at."""
+    """Options of opening a serial port, and of waiting for one that is missing."""
 
     on: ClassVar[On] = On("serial")
 

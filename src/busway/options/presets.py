@@ -24,7 +24,7 @@ OPTION: Final = "preset"
 
 
 class Preset(Word):
-    """The presets. STANDARD: the defaults. STRICT: every "must" of the specifications."""
+    """The presets of options. STANDARD: the defaults. STRICT: every "must" of the specifications."""
 
     STANDARD = "standard"
     STRICT = "strict"
@@ -44,7 +44,7 @@ def preset_of(value: object) -> Preset:
 
 
 def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> dict[str, object]:
-    """Replace the option ``preset`` by the options that it sets.
+    """Replace the option ``preset`` by the options that the preset sets; explicit options stay.
 
     Args:
         given: values by name, with or without ``preset``.
@@ -69,12 +69,13 @@ def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> d
 
 
 def strict_settings(options: Mapping[str, Option]) -> dict[str, Strict]:
-    """What the preset ``strict`` sets, by the name of the option."""
+    """The values that the preset ``strict`` sets, by the name of the option."""
     return {name: option.strict for name, option in options.items() if option.strict is not None}
 
 
 def _characters(given: Mapping[str, object], options: Mapping[str, Option]) -> dict[str, Strict]:
-    """Character settings of a serial line: seven data bits in ASCII (recognised by ``upper_case_only``); stop bits.
+    """What ``strict`` sets for characters of a serial line: seven data bits in ASCII (known by ``upper_case_only``);
+    stop bits.
 
     The required stop bits depend on the parity (Serial Line V1.02 §2.5.1), so they are set only where given.
     """
@@ -86,7 +87,7 @@ def _characters(given: Mapping[str, object], options: Mapping[str, Option]) -> d
 
 
 def _agrees(name: str, given: object, wanted: object) -> bool:
-    """Whether a value, or its text, equals the value of the preset."""
+    """Whether a given value, or its text, equals the value that the preset sets."""
     if isinstance(given, Enum):
         given = given.value
     return bool(converted(name, given, type(wanted)) == wanted)

@@ -1,4 +1,4 @@
-"""Options of a server: its units, the conversation, and the limits and timeouts of its connections."""
+"""Options of a server: its units, its sessions, and the limits and timeouts of its connections."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -14,21 +14,21 @@ _SLOTS = Range(1, 1_000_000)
 
 
 class Scope(Enum):
-    """Scope of a server's limit of transactions."""
+    """What a server's limit of requests in work applies to: each connection, or the whole server."""
 
     CONNECTION = "connection"
     SERVER = "server"
 
 
 class UnitPolicy(Enum):
-    """Which units a server on TCP answers."""
+    """Which unit identifiers a server on TCP answers."""
 
     LISTED = "listed"
     ANY = "any"
 
 
 class UnlistedUnit(Enum):
-    """What a unit that is not listed gets."""
+    """How a server treats a request for a unit that it does not have."""
 
     EXCEPTION = "exception"
     SILENCE = "silence"
@@ -36,7 +36,7 @@ class UnlistedUnit(Enum):
 
 @dataclass(frozen=True, slots=True)
 class UnitParameters:
-    """Which units a server answers, and whether it listens on the standard port."""
+    """Options of a server's units, and of its listener on the standard port."""
 
     standard_port: Annotated[
         bool | None,

@@ -15,7 +15,7 @@ _DIALLED = On("client", "monitor tcp")
 
 @dataclass(frozen=True, slots=True)
 class SocketParameters:
-    """Parameters of a connection (Messaging on TCP/IP V1.0b §4.3.2).
+    """Options of a TCP or UDP connection (Messaging on TCP/IP V1.0b §4.3.2).
 
     The guide names 2 hours, 75 seconds and 8 probes for keepalive, the defaults of many systems; they would keep a
     half-open connection for more than two hours, so ours are shorter.
@@ -75,7 +75,7 @@ class SocketParameters:
 
     @property
     def effective_user_timeout(self) -> float | None:
-        """The user timeout as it is set, in seconds; None leaves it to the system.
+        """The TCP user timeout to set, in seconds; None leaves it to the system.
 
         Linux asks it, and not the number of lost probes, when a probe is due on an idle connection: with 30 s, two
         probes of one second would end a half-open connection after 30 s. So it is over before the last probe's time is,

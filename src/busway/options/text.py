@@ -1,4 +1,4 @@
-"""Options given as text (URLs, command line) or as keywords, turned into the fields of a parameter class.
+"""Converts options given as text (URLs, command line) or keywords into the fields of a parameter class.
 
 Knows the types that parameter classes use; knows no particular parameter. A type with a method ``parse`` is built by
 it from a list of texts.
@@ -45,7 +45,7 @@ def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigEr
 
 
 def build_parameters(kind: type[Parameters], options: Mapping[str, object], *, framing: str = "") -> Parameters:
-    """Build the frozen dataclass ``kind`` from values or their texts. Raises `ConfigError` with the key.
+    """Build a parameter object of the class ``kind`` from values or their texts. Raises `ConfigError` with the key.
 
     An option that ``kind`` does not have is an error that lists the known ones.
 
@@ -65,7 +65,9 @@ def build_parameters(kind: type[Parameters], options: Mapping[str, object], *, f
 
 
 def option_value(option: Option, value: object) -> object:
-    """A value of an option, or its text, as its type. Raises `ConfigError` with the option as its key."""
+    """Convert a value of an option, or its text, to the option's type. Raises `ConfigError` with the option as
+    its key.
+    """
     if option.is_optional and (value is None or value == NONE):
         return None
     return _of_kinds(option.name, value, option.kinds)
@@ -109,7 +111,7 @@ def _of_kind(name: str, value: object, kind: Any) -> object:  # a type
 
 
 def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``parse``, which shares no base
-    """Build a class that has ``parse`` from a list of texts, or from one text separated by commas."""
+    """Build an object of a class with a ``parse`` method, from a list of texts or one text separated by commas."""
     texts = [one.strip() for one in value.split(",") if one.strip()] if isinstance(value, str) else value
     if not isinstance(texts, list | tuple) or not all(isinstance(one, str) for one in texts):
         raise ConfigError(f"must be a list of texts, not {value!r}", key=name)

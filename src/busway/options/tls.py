@@ -1,4 +1,4 @@
-"""Options of Modbus/TCP Security: certificates, versions, suites, deadlines (port 802, ``tls://``).
+"""Options of Modbus/TCP Security: certificates, TLS versions, cipher suites and deadlines (port 802, ``tls://``).
 
 Knows names and ranges; opens no file and no connection, and does not load ``ssl``: every start of a program sees this.
 
@@ -26,14 +26,14 @@ NULL_SUITES: Final = ("NULL-SHA256",)
 
 
 class TlsVersion(Enum):
-    """A version that may be spoken; older ones do not exist here."""
+    """The TLS versions that may be used; older ones cannot be chosen."""
 
     TLS_1_2 = "1.2"
     TLS_1_3 = "1.3"
 
 
 class Curve(Enum):
-    """The curve over which keys are agreed on."""
+    """The elliptic curves for the key agreement of TLS."""
 
     P_256 = "P-256"
     ANY = "any"
@@ -41,7 +41,7 @@ class Curve(Enum):
 
 
 class Verify(Enum):
-    """Whether a client verifies that the server is the one it claims to be."""
+    """Whether and how a client verifies the certificate of the server."""
 
     ALWAYS = "always"
     OFF_INSECURE = "off-insecure"
@@ -50,7 +50,7 @@ class Verify(Enum):
 
 @dataclass(frozen=True, slots=True)
 class TlsParameters:
-    """Parameters of a secure connection or listener."""
+    """Options of a TLS connection or listener."""
 
     on: ClassVar[On] = On("tls")
 
@@ -127,20 +127,20 @@ class TlsParameters:
 
     @property
     def suites(self) -> tuple[str, ...]:
-        """The suites of TLS 1.2 that may be agreed on, by OpenSSL's names."""
+        """The allowed cipher suites of TLS 1.2, by OpenSSL's names."""
         if self.ciphers is None:
             return SUITES
         return tuple(one.strip().upper() for one in self.ciphers.replace(":", ",").split(",") if one.strip())
 
     def check_server(self) -> None:
-        """Raises `ConfigError` where a listener lacks something."""
+        """Raise `ConfigError` if an option is missing that a listener needs."""
         if self.certificate is None:
             raise ConfigError("a tls:// listener needs a certificate", key="certificate")
         if self.authority is None:
             raise ConfigError("a tls:// listener needs the authority that its clients come from", key="authority")
 
     def check_client(self) -> None:
-        """Raises `ConfigError` where a client lacks something."""
+        """Raise `ConfigError` if an option is missing that a client needs."""
         if self.authority is None and self.verify is Verify.ALWAYS:
             raise ConfigError(
                 "the authority that the server's certificate comes from is needed; "

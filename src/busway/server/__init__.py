@@ -1,4 +1,4 @@
-"""Being a device: stores and hooks, the responder of local devices, connection management, listeners.
+"""The Modbus server: devices with their tables and hooks, listeners, and the management of their connections.
 
 Where it is decided: how many connections there may be, also per host, and which is closed for a new one:
 `connection_slots`. Which host may connect: `listener_context`. Timeouts of connections: `deadlines`. Requests at once:

@@ -1,4 +1,4 @@
-"""Runs of items in wire order: the memory of a device.
+"""Runs: the memory of a device's tables, as items at consecutive addresses in wire order.
 
 Knows bytes, positions and the lock that writers share; knows no table, no address rule, no hook and no request.
 
@@ -27,35 +27,35 @@ _UNPACK: Final = tuple(copy.unpack_from for copy in _COPIES)
 
 
 class Run(Protocol):
-    """Items of consecutive addresses."""
+    """Registers or bits at consecutive addresses of a device: the memory that Modbus and the application share."""
 
     @property
     def first(self) -> int:
-        """Address of the first item."""
+        """Address of the first item of the run."""
 
     @property
     def count(self) -> int:
-        """Number of items."""
+        """Number of registers or bits in the run."""
 
     @property
     def memory(self) -> "RegisterRun | BitRun":
-        """The run that holds the bytes: this one, or the one that this one is another view of."""
+        """The run that owns the bytes: this one, or the run of registers that this one shows as bits."""
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """The items out of ``data``, the bytes of ``memory`` or a copy of them."""
+        """Copy items out of ``data``, which is the bytes of ``memory`` or a copy of them."""
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Put the items into ``data``, the bytes of ``memory`` or a copy of them, in one assignment."""
+        """Write items into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
 
     def get(self, position: int, count: int) -> bytes:
-        """The items as they are now, in wire order."""
+        """The current items of a range, in wire order."""
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace items, safely from any thread."""
+        """Replace the items of a range; safe from any thread."""
 
 
 class RegisterRun:
-    """Registers of consecutive addresses, big-endian.
+    """Registers at consecutive addresses, stored big-endian.
 
     Args:
         first: address of the first register.
@@ -73,23 +73,23 @@ class RegisterRun:
 
     @property
     def memory(self) -> "RegisterRun":
-        """The run itself."""
+        """This run: registers own their bytes."""
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """As `Run.fetch`."""
+        """Copy registers out of ``data``, which is the bytes of ``memory`` or a copy of them."""
         return bytes(data[2 * position : 2 * (position + count)])
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """As `Run.patch`."""
+        """Write registers into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
         data[2 * position : 2 * (position + count)] = items
 
     def get(self, position: int, count: int) -> bytes:
-        """As `Run.get`."""
+        """The current registers of a range, big-endian."""
         return bytes(self.data[2 * position : 2 * (position + count)])
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """As `Run.put`."""
+        """Replace the registers of a range; safe from any thread."""
         if count <= _PACKED:
             with self._lock:
                 _PACK[count](self.data, 2 * position, data)
@@ -98,7 +98,7 @@ class RegisterRun:
                 self.data[2 * position : 2 * (position + count)] = data
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
-        """As `busway.pdu.fast_answers.ExchangingBlock.exchange`."""
+        """Replace the registers of a range and return the old ones, in one step for all threads."""
         start = 2 * position
         with self._lock:
             items = self.data
@@ -109,7 +109,7 @@ class RegisterRun:
 
 
 class BitRun:
-    """Bits of consecutive addresses, packed from the lowest bit of the first byte.
+    """Coils or discrete inputs at consecutive addresses, packed from the lowest bit of the first byte.
 
     Args:
         first: address of the first bit.
@@ -128,28 +128,28 @@ class BitRun:
 
     @property
     def memory(self) -> "BitRun":
-        """The run itself."""
+        """This run: its bits own their bytes."""
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """As `Run.fetch`."""
+        """Copy bits out of ``data``, which is the bytes of ``memory`` or a copy of them."""
         return slice_bits(data, position, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """As `Run.patch`."""
+        """Write bits into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
         splice_bits(data, position, count, items)
 
     def get(self, position: int, count: int) -> bytes:
-        """As `Run.get`."""
+        """The current bits of a range, packed from the lowest bit of the first byte."""
         return slice_bits(self.data, position, count)
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """As `Run.put`."""
+        """Replace the bits of a range; safe from any thread."""
         with self._lock:
             splice_bits(self.data, position, count, data)
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
-        """As `busway.pdu.fast_answers.ExchangingBlock.exchange`."""
+        """Replace the bits of a range and return the old ones, in one step for all threads."""
         with self._lock:
             old = slice_bits(self.data, position, count)
             splice_bits(self.data, position, count, data)
@@ -157,7 +157,7 @@ class BitRun:
 
 
 class RegisterBits:
-    """The bits of some registers as items of their own: bit ``n`` is bit ``n % 16`` of register ``n // 16``.
+    """A run of registers shown as bits: bit ``n`` is bit ``n % 16`` of register ``n // 16``.
 
     Bit 0 of a register is its least significant (Application Protocol V1.1b3 §4.3, figure 7: one block for all).
 
@@ -178,33 +178,33 @@ class RegisterBits:
         self._lock = lock
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """As `Run.fetch`."""
+        """Copy bits out of ``data``, which is the bytes of the registers or a copy of them."""
         low, high = self._bytes_of(position, count)
         return slice_bits(_bytes_swapped(data[low:high]), position & 15, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """As `Run.patch`."""
+        """Write bits into ``data``, which is the bytes of the registers or a copy of them, in one assignment."""
         low, high = self._bytes_of(position, count)
         words = _bytes_swapped(data[low:high])
         splice_bits(words, position & 15, count, items)
         data[low:high] = _bytes_swapped(words)
 
     def get(self, position: int, count: int) -> bytes:
-        """As `Run.get`."""
+        """The current bits of a range of the registers, packed from the lowest bit of the first byte."""
         return self.fetch(self.memory.data, position, count)
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """As `Run.put`."""
+        """Replace the bits of a range in the registers; safe from any thread."""
         with self._lock:
             self.patch(self.memory.data, position, count, data)
 
     def _bytes_of(self, position: int, count: int) -> tuple[int, int]:
-        """Where the registers that hold some bits begin and end, in bytes."""
+        """First byte and byte after the last of the registers that contain a range of bits."""
         return 2 * (self._start + position // 16), 2 * (self._start + (position + count + 15) // 16)
 
 
 def replace_all(fresh: Mapping[RegisterRun | BitRun, bytearray]) -> None:
-    """Give each run its new bytes, all at once for every reader; the caller holds the lock.
+    """Replace the bytes of several runs so that every reader sees all changes or none; the caller holds the lock.
 
     Readers hold no lock, so between two Python statements one of them could see the first run new and the second
     old. ``deque`` draws ``map`` dry inside one call of C code, during which no other thread runs Python.
@@ -213,7 +213,7 @@ def replace_all(fresh: Mapping[RegisterRun | BitRun, bytearray]) -> None:
 
 
 def _bytes_swapped(words: bytearray) -> bytearray:
-    """Registers with their two bytes exchanged: big-endian ⇄ bits packed from the lowest."""
+    """Registers with the two bytes of each swapped: converts between big-endian and bits packed from the lowest."""
     swapped = bytearray(len(words))
     swapped[0::2] = words[1::2]
     swapped[1::2] = words[0::2]

@@ -1,4 +1,4 @@
-"""Bound sockets of a listener, the names that they go by, and who can reach them.
+"""The bound sockets of a listener, their URLs, and whether other hosts can reach them.
 
 Knows endpoints and sockets; knows no connection.
 """
@@ -13,7 +13,7 @@ from .listener_settings import ListenerSettings
 
 
 async def listening_sockets(loop: asyncio.AbstractEventLoop, settings: ListenerSettings) -> list[socket.socket]:
-    """The sockets of an endpoint, bound.
+    """Open and bind the sockets of a listener's endpoint, one for each address that its host name stands for.
 
     Raises:
         OSError: one cannot be had, or the host is not known; then none is bound.
@@ -30,18 +30,18 @@ async def listening_sockets(loop: asyncio.AbstractEventLoop, settings: ListenerS
 
 
 def bound_name(scheme: str, bound: socket.socket) -> str:
-    """The URL of a bound socket."""
+    """The URL of a bound socket, with its real port."""
     host, port = bound.getsockname()[:2]
     return f"{scheme}://[{host}]:{port}" if bound.family == socket.AF_INET6 else f"{scheme}://{host}:{port}"
 
 
 def is_everywhere(url: str) -> bool:
-    """Whether a bound URL stands for every address of this host."""
+    """Whether a bound URL means every address of this host, such as ``0.0.0.0``."""
     return urlsplit(url).hostname in ("0.0.0.0", "::")
 
 
 def is_loopback(url: str) -> bool:
-    """Whether only programs of this host can reach a bound URL."""
+    """Whether a bound URL can be reached only by programs of this host."""
     host = urlsplit(url).hostname or ""
     try:
         return ipaddress.ip_address(host.partition("%")[0]).is_loopback

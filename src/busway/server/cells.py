@@ -1,4 +1,4 @@
-"""Which items a table or file of a device has, as its user declares them.
+"""Reads a user's declaration of the items of a table or file: addresses, initial values, read-only ranges.
 
 Knows numbers, sequences and mappings; knows no lock, no store and no request.
 
@@ -21,7 +21,7 @@ Ranges = Iterable[tuple[int, int]]
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """The items of one table, or the records of one file.
+    """The declared items of one table, or the declared records of one file: values by address, or a count.
 
     Args:
         first: address of the first item, 0-based.
@@ -44,27 +44,29 @@ TableLike = int | Values | Cells | None
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Values of consecutive addresses."""
+    """Initial values of items at consecutive addresses."""
 
     first: int
     values: list[int]
 
     @property
     def end(self) -> int:
-        """The address after the last one."""
+        """The address after the last item of the piece."""
         return self.first + len(self.values)
 
 
 @dataclass(frozen=True, slots=True)
 class CellLayout:
-    """What a declaration comes to: pieces and read-only ranges (first address, address after the last), ascending."""
+    """The checked declaration of a table: pieces and read-only ranges (first address, address after the last),
+    ascending.
+    """
 
     pieces: tuple[Piece, ...]
     read_only: tuple[tuple[int, int], ...]
 
 
 def lay_out(declared: TableLike, *, key: str, bits: bool = False, size: int = TABLE_SIZE) -> CellLayout:
-    """The layout of a declaration.
+    """Check the declaration of a table or file and turn it into pieces and read-only ranges.
 
     Args:
         declared: the items.
@@ -108,7 +110,9 @@ def _as_cells(declared: TableLike, key: str) -> Cells:
 
 
 def _pieces(cells: Cells, key: str, bits: bool, size: int) -> list[Piece]:
-    """The declared values as they stand, or, where a count is given, that many items with the values put in."""
+    """The declared values as pieces; where a count was declared, one piece of that many items with the values filled
+    in.
+    """
     first = _whole("the first address", cells.first, key)
     values = cells.values
     if cells.count is None:
@@ -144,7 +148,7 @@ def _piece(address: int, values: int | Sequence[int], key: str, bits: bool) -> P
 
 
 def _value(address: int, value: object, key: str, bits: bool) -> int:
-    """The value as an ``int``, of whatever integer type it is."""
+    """A declared value as an ``int``, whatever integer type the user gave."""
     try:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
@@ -156,7 +160,7 @@ def _value(address: int, value: object, key: str, bits: bool) -> int:
 
 
 def _merged(pieces: list[Piece], key: str) -> list[Piece]:
-    """The pieces in ascending order, adjacent ones as one."""
+    """Sort pieces by address and join adjacent ones."""
     found: list[Piece] = []
     for piece in sorted(pieces, key=lambda each: each.first):
         if not piece.values:

@@ -37,7 +37,7 @@ _MANY_BYTES: Final = 512
 
 
 class ServerConnection(asyncio.BufferedProtocol):
-    """The driver of one connection.
+    """The asyncio driver of one accepted connection: an `asyncio` protocol that feeds a server session.
 
     Args:
         management: gives it a slot and a session.
@@ -120,7 +120,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     # What the event loop calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Accepted: ask connection management for a place."""
+        """Handle a new connection: ask connection management for a slot, and close it if there is none."""
         self._transport = transport
         address = transport.get_extra_info("peername")
         self.peer, self.host = peer_name(address), host_of(address)
@@ -133,7 +133,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def get_buffer(self, sizehint: int) -> memoryview:
-        """Where the event loop, or TLS, receives into."""
+        """The buffer that the event loop or the TLS layer writes received bytes into."""
         return self._window
 
     def buffer_updated(self, nbytes: int) -> None:
@@ -204,7 +204,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     # Turns.
 
     def _must_wait(self, session: Session, nbytes: int) -> bool:
-        """While other connections wait: whether the received bytes must wait too; then they are queued."""
+        """Whether received bytes must wait, and are queued, because other connections are waiting for their turn."""
         if self.is_priority or not (self.is_greedy or not self._management.turns.has_time):
             return False
         session.put_off(self._buffer, nbytes)
@@ -213,7 +213,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         return True
 
     def _look_at_share(self, session: Session, nbytes: int) -> None:
-        """It was given, or has asked, more than the least: whether it has to wait for its next turn."""
+        """Make the connection wait for its next turn if it has used more than its share of the event loop."""
         session.spent = 0
         self._management.turns.worked()
         self.is_greedy = bool(session.rest) or nbytes == len(self._window)
@@ -227,7 +227,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._management.turns.wait(self)
 
     def take_turn(self) -> bool:
-        """Work through a share of what waits; whether more of it waits for the next turn."""
+        """Answer a share of the queued requests. Returns whether more remain for the next turn."""
         try:
             more = self._work_on()
         except (SystemExit, KeyboardInterrupt):
@@ -261,7 +261,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     # What connection management and the session ask.
 
     def deliver(self, adu: bytes) -> None:
-        """Send a late reply; an empty one says that there is none to wait for any more.
+        """Send a late reply; an empty one means that a request in progress ended without a reply.
 
         Those that come in one turn of the event loop leave together: a gateway gets many at once from the line behind,
         and a segment for each costs more than all the rest of the way.
@@ -277,7 +277,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self.deliver_together(late or [])
 
     def deliver_together(self, late: list[bytes]) -> None:
-        """Send late replies at once: all that there will be of them for now."""
+        """Send several late replies in one write."""
         if self.session is not None and not self._transport.is_closing():
             if late:
                 self._write(late)
@@ -285,7 +285,7 @@ class ServerConnection(asyncio.BufferedProtocol):
                 self._transport.close()
 
     def attend(self) -> None:
-        """The session has come to something by itself, after a silence."""
+        """Handle what the session reports without new bytes, such as a frame that ended by silence."""
         session = self.session
         if session is not None and session.deferred:
             self._start_waiting(session)
@@ -293,11 +293,11 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._report(session)
 
     def hold(self) -> None:
-        """Read nothing more, until `go_on`."""
+        """Stop reading from the client until `go_on`."""
         self._transport.pause_reading()
 
     def go_on(self) -> None:
-        """Work on and read again, unless there is another reason not to."""
+        """Resume work and reading, unless the connection must stay paused for another reason."""
         if self._is_stuck or self._is_queued or self._transport.is_closing():
             return
         if self.session is not None and self.session.rest:
@@ -310,51 +310,51 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._transport.resume_reading()
 
     def close(self) -> None:
-        """Close after what is written, or was given in this turn, has gone out."""
+        """Close the connection after all replies given so far have been sent."""
         if self._late:
             self._send_late()
         if self._transport is not None:
             self._transport.close()
 
     def abort(self) -> None:
-        """Close at once."""
+        """Close the connection at once; unsent replies are lost."""
         if self._transport is not None:
             self._transport.abort()
 
     def make_room(self) -> None:
-        """Close: its slot was given to another connection."""
+        """Close the connection because its slot was given to another one."""
         self._management.evict(self)
 
     @property
     def is_busy(self) -> bool:
-        """Whether a request is in progress or a reply unsent."""
+        """Whether a request of the client is in progress or a reply is unsent."""
         if self.session is None:
             return False
         return bool(self.session.waiting or self.session.rest or self.unsent or self._late)
 
     @property
     def has_ended(self) -> bool:
-        """Whether its other end is known to have closed, with nothing left to be read."""
+        """Whether the client is known to have closed the connection, with nothing left to read."""
         return self._transport.is_closing() or peer_has_ended(self._transport.get_extra_info("socket"))
 
     @property
     def is_idle(self) -> bool:
-        """Whether a timeout may close it for not being used."""
+        """Whether the idle timeout may close the connection."""
         return not (self.is_priority or self.is_busy or self.unfinished or self._management.is_held(self))
 
     @property
     def unfinished(self) -> int:
-        """Bytes of a request that has begun and not ended."""
+        """Number of received bytes that belong to an incomplete request."""
         return self.session.unfinished if self.session is not None else 0
 
     @property
     def unsent(self) -> int:
-        """Bytes of replies that wait to be taken."""
+        """Number of reply bytes that the socket has not taken yet."""
         return int(self._transport.get_write_buffer_size())
 
     @property
     def state(self) -> ServedConnectionState:
-        """What it does."""
+        """State of the connection for the status, such as closing or held back."""
         if self.session is None or self._transport.is_closing():
             return ServedConnectionState.CLOSING
         if self._is_stuck or self._management.is_held(self):
@@ -366,7 +366,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     # Inside.
 
     def _limit_receiving(self) -> None:
-        """Where its host has a rate, take no more at once than about a second of it: what has come is answered."""
+        """If the host has a request rate, limit one receive to about a second's worth of requests."""
         rates = self._management.rates
         if rates is not None and not self.is_priority:
             self._is_rated = True

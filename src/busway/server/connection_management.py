@@ -46,7 +46,7 @@ _COUNTED_AS: Final = {one: f"{one.value}s" for one in _SENTENCES}
 
 
 class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
-    """A connection, as its management knows it.
+    """A connection as its connection management sees it.
 
     Attributes:
         charged: requests that its host's rate was charged with.
@@ -55,20 +55,20 @@ class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
     charged: int
 
     def hold(self) -> None:
-        """Read nothing more, until `go_on`."""
+        """Stop reading from the client until `go_on`."""
 
     def go_on(self) -> None:
-        """Work on and read again, unless there is another reason not to."""
+        """Resume work and reading, unless the connection must stay paused for another reason."""
 
     def abort(self) -> None:
-        """Close at once."""
+        """Close the connection at once; unsent replies are lost."""
 
     def make_room(self) -> None:
-        """Its slot was given to another connection."""
+        """Close the connection because its slot was given to another one."""
 
 
 class HandshakeAcceptor(Protocol):
-    """What runs the TLS handshakes of a listener, as its management knows it."""
+    """The runner of a listener's TLS handshakes, as its connection management sees it."""
 
     def end_unauthorized(self) -> int:
         """Abort the handshakes of hosts that may no longer connect; returns their number."""
@@ -84,7 +84,7 @@ class HandshakeAcceptor(Protocol):
 
 
 class ConnectionManagement:
-    """The connections of one listener.
+    """All connections of one listener: admission, limits, timeouts and closing.
 
     Args:
         listener_context: access list, limits and counters of the listener.
@@ -121,17 +121,17 @@ class ConnectionManagement:
 
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
-        """The event loop they live on."""
+        """The event loop that the connections run on."""
         return self.listener_context.loop
 
     @property
     def listener(self) -> str:
-        """URL of the listener, as it is bound."""
+        """URL of the listener with its bound address and port."""
         return self.listener_context.listener
 
     @property
     def parameters(self) -> ListenerParameters:
-        """Limits of the connections."""
+        """Options of the listener: limits and timeouts of its connections."""
         return self.listener_context.parameters
 
     @property
@@ -141,7 +141,7 @@ class ConnectionManagement:
 
     @property
     def framing(self) -> str:
-        """``mbap``, ``rtu`` or ``ascii``."""
+        """Framing of the connections: ``mbap``, ``rtu`` or ``ascii``."""
         return self.listener_context.framing
 
     @property
@@ -210,7 +210,7 @@ class ConnectionManagement:
         connection.abort()
 
     def leave(self, connection: ManagedConnection, session: Session, error: Exception | None) -> None:
-        """Remove an ended connection."""
+        """Remove an ended connection and free its slot."""
         self.pools.leave(connection)
         self._connections.pop(connection, None)
         self._deadlines.forget(connection)
@@ -281,7 +281,7 @@ class ConnectionManagement:
         self._set_timer_by(self._deadlines.next_due(now, has_connections=bool(self._connections)), now)
 
     def _set_timer_by(self, due: float | None, now: float) -> None:
-        """Set the timer to ``due``, unless it is set to an earlier time."""
+        """Set the timer for deadlines to ``due``, unless it is set to an earlier time."""
         if due is None or (self._timer is not None and self._timer_at <= due):
             return
         self._stop_timer()
@@ -319,12 +319,12 @@ class ConnectionManagement:
     # What is shown.
 
     def status(self) -> list[ConnectionStatus]:
-        """The status of each connection, the oldest first."""
+        """The status of each open connection, the oldest first."""
         now = time.monotonic()
         return [self.listener_context.connected_peer_status(one, now) for one in self._connections]
 
     def listener_status(self) -> ListenerStatus:
-        """The status of the listener."""
+        """The status of the listener: its indicators, counters and limits."""
         diagnosis = self.diagnosis
         diagnosis.traffic = max((one.last_used for one in self._connections), default=diagnosis.traffic)
         pools = [one.pool for one in self._connections]
@@ -346,7 +346,7 @@ class ConnectionManagement:
             connection.hold()
 
     async def wait_until_empty(self) -> None:
-        """Wait until no connection is left."""
+        """Wait until all connections of the listener have ended."""
         if self._connections:
             self._emptied = asyncio.Event()
             await self._emptied.wait()

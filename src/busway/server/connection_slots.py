@@ -31,14 +31,14 @@ _LOOKS: Final = 64
 
 
 class Pool(Enum):
-    """The two pools of connection slots."""
+    """One of the two pools of connection slots: that of priority hosts, or that of all others."""
 
     PRIORITY = "priority"
     OTHER = "other"
 
 
 class PoolMember(Protocol):
-    """What the pools need to know of a connection.
+    """A connection as the slot pools see it.
 
     Attributes:
         host: host of the client.
@@ -56,7 +56,7 @@ class PoolMember(Protocol):
 
     @property
     def is_busy(self) -> bool:
-        """Whether a request is in progress or a reply unsent."""
+        """Whether a request of the connection is in progress or a reply is unsent."""
 
     @property
     def has_ended(self) -> bool:
@@ -68,7 +68,7 @@ One = TypeVar("One", bound=PoolMember)
 
 @dataclass(frozen=True, slots=True)
 class PoolLimits:
-    """Numbers of connection slots.
+    """Limits of the slot pools: numbers of slots in total and per host.
 
     Attributes:
         priority: slots of the priority pool.
@@ -95,7 +95,7 @@ class PoolLimits:
 
 @dataclass(frozen=True, slots=True)
 class Admission(Generic[One]):
-    """The decision about a new connection.
+    """The decision about a new connection: whether it gets a slot, and which connection is closed for it.
 
     Attributes:
         accepted: whether it got a slot.
@@ -145,7 +145,7 @@ class Pools(Generic[One]):
         return Admission(True, evicted)
 
     def leave(self, member: One) -> None:
-        """Free the slot of an ended connection; no effect if it was evicted already."""
+        """Free the slot of an ended connection; no effect if it was evicted before."""
         if member in self._other:
             self._remove(member)
         elif member in self._priority:
@@ -158,7 +158,7 @@ class Pools(Generic[One]):
     # Who goes.
 
     def _of_same_device(self, candidate: One) -> One | None:
-        """The oldest connection of the same host, if the host is at its limit."""
+        """The oldest connection of the new connection's host, if that host is at its limit."""
         limit = self.limits.per_device
         if limit is None or candidate.is_priority:
             return None
@@ -166,7 +166,9 @@ class Pools(Generic[One]):
         return next(iter(own)) if len(own) >= limit else None
 
     def _silent_one(self, candidate: One) -> One | None:
-        """A connection that has sent nothing and is closed by its client or older than `SECONDS_TO_SPEAK`."""
+        """A connection to close first: it has sent nothing, and its client closed it or `SECONDS_TO_SPEAK` have
+        passed.
+        """
         for member in list(islice(self._silent, _LOOKS)):
             if member.received:
                 del self._silent[member]
@@ -175,7 +177,7 @@ class Pools(Generic[One]):
         return None
 
     def _longest_unused(self) -> One | None:
-        """Of those that are not marked: the one unused longest, or the oldest if all are busy."""
+        """The connection without priority that was unused longest, or the oldest one if all are busy."""
         found = self._first_idle()
         if found is None:
             # Sorted once for many new connections: what has not been used since then stands in its order still, and all
@@ -202,7 +204,7 @@ class Pools(Generic[One]):
         return found
 
     def _oldest_priority(self, candidate: One) -> One | None:
-        """Rule 4; every connection in the other pool is marked."""
+        """The oldest priority connection, to be closed if the other pool has priority connections only (rule 4)."""
         if not candidate.is_priority:
             return None
         own = (member for member in self._other if member.host == candidate.host)

@@ -45,4 +45,4 @@ class ConnectionTap(Protocol):
 
 
 def stay() -> None:
-    """Do nothing: `TappedConnection.close` of UDP peers and serial ports."""
+    """Do nothing: UDP peers and serial ports cannot be closed by a tap (`TappedConnection.close`)."""

@@ -1,4 +1,4 @@
-"""What a server counts."""
+"""The counters of a server: connections, requests, refusals and bytes."""
 
 from dataclasses import dataclass, field, fields, replace
 from typing import Self
@@ -6,7 +6,7 @@ from typing import Self
 
 @dataclass(slots=True)
 class ClassCounters:
-    """Connections of one class of devices, marked ones or the others, and what they did; sizes are bytes."""
+    """Counters of the connections of priority hosts, or of all other hosts; sizes are bytes."""
 
     accepted: int = 0
     closed: int = 0
@@ -17,7 +17,7 @@ class ClassCounters:
 
 @dataclass(slots=True)
 class ServerCounters:
-    """What happened on a server since it was made; ``requests`` and what follows is complete when a connection ends.
+    """Counters of a server since its creation; ``requests`` and the following are complete when a connection ends.
 
     Attributes:
         accepted, closed: connections, and peers over UDP.
@@ -60,11 +60,11 @@ class ServerCounters:
     other: ClassCounters = field(default_factory=ClassCounters)
 
     def of_class(self, *, is_priority: bool) -> ClassCounters:
-        """The counters of a class of devices."""
+        """The counters of priority hosts, or those of all others."""
         return self.priority if is_priority else self.other
 
     def take_off(self, counted: "ServerCounters") -> None:
-        """Subtract these counts: what is left happened after them."""
+        """Subtract earlier counts, so that only later events remain."""
         for mine, theirs in ((self, counted), (self.priority, counted.priority), (self.other, counted.other)):
             for one in fields(mine):
                 value = getattr(mine, one.name)
@@ -72,5 +72,5 @@ class ServerCounters:
                     setattr(mine, one.name, value - getattr(theirs, one.name))
 
     def copy(self) -> Self:
-        """A copy that does not change any more."""
+        """A copy of the counters that does not change any more."""
         return replace(self, priority=replace(self.priority), other=replace(self.other))

@@ -1,4 +1,4 @@
-"""The times of a listener's connections: what is overdue, and when to look again.
+"""Timeouts of a listener's connections: which are overdue, and when to check again.
 
 Pure: knows connections by name and times handed in; closes nothing and has no timer. One look serves all connections.
 
@@ -22,28 +22,28 @@ _LOOKS: Final = 16
 
 
 class Timed(Protocol):
-    """What is to be known of a connection."""
+    """A connection as its deadlines see it."""
 
     last_used: float
 
     @property
     def unfinished(self) -> int:
-        """Bytes of a frame that has begun and not ended."""
+        """Number of received bytes that belong to an incomplete frame."""
 
     @property
     def unsent(self) -> int:
-        """Bytes of replies that wait to be taken."""
+        """Number of reply bytes that the socket has not taken yet."""
 
     @property
     def is_idle(self) -> bool:
-        """Whether nothing is in work, on its way or held back, and a timeout may close it."""
+        """Whether the idle timeout may close the connection: no request in progress, no reply unsent, not paused."""
 
 
 One = TypeVar("One", bound=Timed)
 
 
 class Overdue(Enum):
-    """What has come to an end."""
+    """The kind of time that is over for a connection: frame timeout, write timeout, idle timeout or pause."""
 
     HEADER = "header_timeout"
     FRAME = "frame_timeout"
@@ -59,7 +59,7 @@ class _Stuck:
 
 
 class Deadlines(Generic[One]):
-    """The running times of one listener."""
+    """The running timeouts and pauses of all connections of one listener."""
 
     def __init__(self, parameters: ListenerParameters) -> None:
         self._parameters = parameters
@@ -76,7 +76,7 @@ class Deadlines(Generic[One]):
         return self._frame_deadline(one, since)
 
     def stuck(self, one: One, now: float) -> float | None:
-        """Replies are not taken any more. When to look whether they are."""
+        """Start the write timeout: the client has stopped reading. Returns when to check again."""
         timeout = self._parameters.write_timeout
         if timeout is None:
             return None
@@ -84,20 +84,20 @@ class Deadlines(Generic[One]):
         return now + timeout
 
     def taken(self, one: One) -> None:
-        """They are taken again."""
+        """Stop the write timeout: the client reads its replies again."""
         self._stuck.pop(one, None)
 
     def hold(self, one: One, until: float) -> float:
-        """It is held back until then."""
+        """Pause a connection until a time, which is returned."""
         self._held[one] = until
         return until
 
     def is_held(self, one: One) -> bool:
-        """Whether it is held back."""
+        """Whether reading from a connection is paused."""
         return one in self._held
 
     def forget(self, one: One) -> None:
-        """It has ended."""
+        """Drop all timeouts of a connection that has ended."""
         self._begun.pop(one, None)
         self._stuck.pop(one, None)
         self._held.pop(one, None)
@@ -105,7 +105,7 @@ class Deadlines(Generic[One]):
     # What is due.
 
     def next_due(self, now: float, *, has_connections: bool) -> float | None:
-        """When to call `due` next; None while nothing is waited for. ``has_connections``: any at all."""
+        """When to call `due` next; None while no timeout runs. ``has_connections``: whether any is open."""
         times = [self._frame_deadline(one, since) for one, since in self._begun.items()]
         times += [stuck.since + (self._parameters.write_timeout or 0.0) for stuck in self._stuck.values()]
         times += self._held.values()
@@ -116,7 +116,7 @@ class Deadlines(Generic[One]):
         return min((one for one in times if one is not None), default=None)
 
     def due(self, allow_all: Iterable[One], now: float) -> list[tuple[One, Overdue]]:
-        """What is over at ``now``, each once."""
+        """The connections whose timeout or pause is over at ``now``, each once, with the kind of it."""
         found = [*self._frames(now), *self._writes(now)]
         for one, until in list(self._held.items()):
             if now >= until:

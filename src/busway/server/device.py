@@ -127,7 +127,7 @@ class Device:
     # ---- the application: values
 
     def update(self) -> AbstractContextManager[None]:
-        """A group of changes that become visible together: ``with device.update(): …``.
+        """Context manager that groups changes which become visible together: ``with device.update(): …``.
 
         No Modbus client and no other thread sees some of the group's changes to tables and files without the others,
         not even by several requests one after the other. The group takes effect when the block ends; when it ends with
@@ -150,7 +150,7 @@ class Device:
     ) -> Any: ...  # Any: what the type says
 
     def read(self, *arguments: Any, **options: Any) -> Any:  # Any: as the two signatures above
-        """A value, or several: ``device.read("4x101", "float32", order="CDAB")``.
+        """Read one value or several of the device: ``device.read("4x101", "float32", order="CDAB")``.
 
         With a `Table` first, it is a read by Modbus as `DataModel.read` says, hooks included.
 
@@ -180,7 +180,8 @@ class Device:
     ) -> None: ...
 
     def write(self, *arguments: Any, **options: Any) -> None:  # Any: as the two signatures above
-        """Set a value, or several, in one step: ``device.write("4x101", 3.5, "float32", order="CDAB")``.
+        """Write one value or several of the device in one step: ``device.write("4x101", 3.5, "float32",
+        order="CDAB")``.
 
         With a `Table` first, it is a write by Modbus as `DataModel.write` says, hooks included.
 
@@ -307,7 +308,7 @@ class Device:
 
     @property
     def functions(self) -> frozenset[int] | None:
-        """The function codes that the device offers; None for all. Can be set at any time to any collection."""
+        """The function codes that the device offers; None for all. Settable at any time to any collection of codes."""
         return self._functions
 
     @functions.setter
@@ -317,23 +318,25 @@ class Device:
             self._offers_changed()
 
     def enabled(self, code: int) -> bool:
-        """Whether the device offers a function."""
+        """Whether the device offers the function with this code."""
         return self._functions is None or code in self._functions
 
     def set_identification(self, objects: Mapping[int, str | bytes]) -> None:
-        """Replace the identification objects, as the argument ``identification`` says. Raises `ConfigError`."""
+        """Replace the identification objects (function 43/14); see the constructor's ``identification``. Raises
+        `ConfigError`.
+        """
         self._identification = MappingProxyType(identification_objects(objects))
 
     def set_server_id(self, data: bytes) -> None:
-        """Replace the data of function 17, as the argument ``server_id`` says. Raises `ConfigError`."""
+        """Replace the data of function 17; see the constructor's ``server_id``. Raises `ConfigError`."""
         self._server_id = server_id_data(data)
 
     def set_exception_status(self, status: ExceptionStatus) -> None:
-        """Replace the status bits of function 07, as the argument ``exception_status`` says. Raises `ConfigError`."""
+        """Replace the status bits of function 07; see the constructor's ``exception_status``. Raises `ConfigError`."""
         self._exception_status = status_source(status)
 
     def _hook_maker(self, hooks: Hooks, when: str, address: int | None, count: int | None) -> Callable[[Any], Any]:
-        """What adds a function to ``hooks`` and gives it back: of whatever type it is, hence Any."""
+        """A decorator that adds a function to ``hooks`` and returns it unchanged: of any type, hence Any."""
         moment = _moment(when)
         first, end = _hooked_range(address, count)
 
@@ -349,7 +352,7 @@ class Device:
 
     @property
     def generation(self) -> int:
-        """Changes when a block that was offered by ``plain_block``, or an enabled function, is no longer right."""
+        """A number that changes when a block given by ``plain_block``, or an enabled function, is no longer valid."""
         return self._generation
 
     def watch(self, changed: Callable[[], object]) -> None:
@@ -376,19 +379,19 @@ class Device:
         return run
 
     def find_run(self, table: Table, address: int, count: int) -> Run | None:
-        """The run that holds some items, for an application that changes many of them at once by their bytes.
+        """The run that contains a range of items, for applications that change many items at once by their bytes.
 
         It does so as `busway.server.blocks` says: under ``lock``, and by `replace_all`. None unless all items exist.
         """
         return self._stores[table].find(address, count)
 
     def peek(self, table: Table, address: int, count: int) -> bytes | None:
-        """Items in wire order as they are now, without a hook being called; None unless all of them exist."""
+        """The current items of a range in wire order, without calling a hook; None unless all of them exist."""
         run = self._stores[table].find(address, count)
         return None if run is None else run.get(address - run.first, count)
 
     def peek_file(self, file: int, record: int, count: int) -> bytes | None:
-        """Records of a file, likewise."""
+        """The current records of a file, without calling a hook; None unless all of them exist."""
         found = self.files.get(file)
         try:
             run = None if found is None else found.accessed(record, count, writes=False)
@@ -397,7 +400,9 @@ class Device:
         return None if run is None else run.get(record - run.first, count)
 
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
-        """As `DataModel.check`."""
+        """Check that a range of a table can be read or written; raises `Refusal` with the exception code
+        (`DataModel.check`).
+        """
         store = self._stores[table]
         if store.find(address, count) is None:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, _absent(table, address, count))
@@ -452,12 +457,14 @@ class Device:
             call(hooks, When.AFTER, change)
 
     def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
-        """As `DataModel.read_file`."""
+        """Read records of a file for function 20; raises `Refusal` where they do not exist."""
         run = self._file(file).accessed(record, count, writes=False)
         return run.get(record - run.first, count)
 
     def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
-        """As `DataModel.write_file`."""
+        """Write records of a file for function 21, or only check with ``dry``; raises `Refusal` where they do not
+        exist.
+        """
         count = len(data) // 2
         run = self._file(file).accessed(record, count, writes=True)
         if not dry:
@@ -470,26 +477,26 @@ class Device:
         return file
 
     def read_fifo(self, address: int, context: Context) -> bytes:
-        """As `DataModel.read_fifo`."""
+        """Read the queue of registers at an address for function 24; raises `Refusal` if there is none."""
         queue = self.fifos.get(address)
         if queue is None:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, f"there is no queue at {address}")
         return pack_registers(list(queue))
 
     def exception_status(self) -> int:
-        """As `DataModel.exception_status`."""
+        """The eight status bits for function 07."""
         return self._exception_status()
 
     def server_id(self) -> bytes:
-        """As `DataModel.server_id`."""
+        """The data of a reply to function 17."""
         return self._server_id
 
     def identification(self) -> Mapping[int, bytes]:
-        """As `DataModel.identification`."""
+        """The identification objects by number, for function 43/14."""
         return self._identification
 
     def canopen(self, data: bytes) -> bytes:
-        """As `DataModel.canopen`."""
+        """Answer a CANopen request (function 43/13); raises `Refusal` if no CANopen device was attached."""
         if self._canopen is None:
             raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "no CANopen behind this device")
         return self._canopen(data)
@@ -528,7 +535,7 @@ def _moment(when: str) -> When:
 
 
 def _hooked_range(address: int | None, count: int | None) -> tuple[int, int]:
-    """First address and address after the last that a hook is for."""
+    """First address, and address after the last, of the range that a hook is registered for."""
     if address is None:
         if count is not None:
             raise ConfigError("a count of items needs their first address", key="address")

@@ -15,7 +15,7 @@ _log = logging.getLogger("busway.server")
 
 
 def warn_of_exposure(bound: Sequence[str], *, authorized: bool) -> None:
-    """Log the warnings for the URLs that were bound; ``authorized``: whether requests are authorized."""
+    """Log a warning for each listener that other hosts can reach; ``authorized``: whether a policy checks requests."""
     network = [url for url in bound if not url.split("://", 1)[1].startswith("/")]
     everywhere = [url for url in network if is_everywhere(url)]
     if everywhere:

@@ -1,4 +1,4 @@
-"""Changes of the application that become visible together.
+"""Groups of changes that an application makes to a device and that become visible together.
 
 Knows runs and the lock; knows no table, no hook and no request.
 
@@ -23,7 +23,7 @@ from .blocks import BitRun, RegisterRun, Run, replace_all
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """One change of the journal."""
+    """One recorded change of an open group."""
 
     run: Run
     position: int
@@ -32,7 +32,7 @@ class _Entry:
 
 
 class _Group:
-    """The journal of one group, and copies that show its effect."""
+    """The recorded changes of one open group, and copies of the memory that show their effect."""
 
     __slots__ = ("copies", "is_open", "journal", "owner")
 
@@ -55,7 +55,7 @@ _open_groups: ContextVar[tuple[_Group, ...]] = ContextVar("busway_open_groups", 
 
 
 class Groups:
-    """Reads and writes of the application on the runs of one device, in a group or at once.
+    """Reads and writes that an application makes on the runs of one device, at once or in a group.
 
     Args:
         lock: the lock of the device.
@@ -67,14 +67,14 @@ class Groups:
         self._lock = lock
 
     def get(self, run: Run, position: int, count: int) -> bytes:
-        """The items, as the open group sees them if there is one."""
+        """The current items of a range; inside an open group, with the changes of the group."""
         group = self._current()
         if group is None:
             return run.get(position, count)
         return run.fetch(group.copy_of(run), position, count)
 
     def put(self, run: Run, position: int, count: int, items: bytes) -> None:
-        """Replace the items, at once or with the open group."""
+        """Replace items at once, or when the open group ends."""
         # Under the lock, because a thread that was started inside the group may come while the group ends.
         with self._lock:
             group = self._current()
@@ -86,7 +86,7 @@ class Groups:
 
     @contextmanager
     def update(self) -> Iterator[None]:
-        """Open a group; one that is opened inside another of the same device is a part of it."""
+        """Open a group of changes; one that is opened inside another of the same device becomes a part of it."""
         if self._current() is not None:
             yield
             return

@@ -80,7 +80,7 @@ WriteFunction = Callable[[Change], object]
 
 @dataclass(frozen=True, slots=True)
 class Hook:
-    """A function and the addresses it is called for: accesses that touch ``first``…``end - 1``."""
+    """A hook function and its address range: it is called for accesses that touch ``first``…``end - 1``."""
 
     function: Callable[..., object]
     when: When
@@ -118,19 +118,21 @@ class Hooks:
 
 
 def call(hooks: tuple[Hook, ...], when: When, access: Access | Change) -> None:
-    """Call the hooks for this moment in order; an exception of one is passed on and skips the rest."""
+    """Call the hooks registered for before or after an access, in order; an exception of one is raised and skips the
+    rest.
+    """
     for hook in hooks:
         if hook.when is when:
             hook.function(access)
 
 
 def function_of(context: Context) -> int | None:
-    """The function code of the request; None if the context has none."""
+    """The function code of the request that a hook was called for; None if there is no request."""
     function = getattr(context, "function", None)
     return function if isinstance(function, int) else None
 
 
 def role_of(context: Context) -> str | None:
-    """The role of the client; None if the context has none."""
+    """The role of the client that a hook was called for; None if it has none."""
     role = getattr(context, "role", None)
     return role if isinstance(role, str) else None

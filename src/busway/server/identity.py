@@ -1,4 +1,4 @@
-"""What a device says of itself: functions 07, 17 and 43/14.
+"""Identification data of a device: the replies to functions 07, 17 and 43/14.
 
 Knows the objects and their limits; knows no request.
 """
@@ -24,7 +24,9 @@ ExceptionStatus = int | Callable[[], int]
 
 
 def identification_objects(declared: Mapping[int, str | bytes] | None) -> dict[int, bytes]:
-    """The objects by number, in ascending order, the mandatory ones always; `ConfigError` where one cannot be."""
+    """The declared identification objects by number, ascending, mandatory ones always; `ConfigError` for a
+    wrong one.
+    """
     objects = dict(MANDATORY_OBJECTS)
     for number, value in (declared or {}).items():
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= 255:
@@ -46,7 +48,7 @@ def server_id_data(declared: bytes) -> bytes:
 
 
 def status_source(declared: ExceptionStatus) -> Callable[[], int]:
-    """What gives the eight status bits; `ConfigError` for a number outside 0…255."""
+    """A function that returns the eight status bits of function 07; `ConfigError` for a number outside 0…255."""
     if callable(declared):
         return declared
     if isinstance(declared, bool) or not isinstance(declared, int) or not 0 <= declared <= 255:

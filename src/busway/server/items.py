@@ -1,4 +1,4 @@
-"""Items of a table: wire order ⇄ the numbers and states that an application and its hooks see.
+"""Converts items of a table between wire order and the numbers and states that applications and hooks see.
 
 Knows registers and bits; knows no store.
 """
@@ -11,12 +11,12 @@ from ..pdu.write_items import pack_registers
 
 
 def unpacked(data: bytes, count: int, *, bits: bool) -> list[int]:
-    """Registers as ``int``, bits as ``bool``."""
+    """Items in wire order as values: registers as ``int``, bits as ``bool``."""
     return list(unpack_bits(data, count)) if bits else unpack_registers(data)
 
 
 def packed(values: Sequence[int], *, bits: bool) -> bytes:
-    """Values in wire order; `InvalidRequest` where one does not fit."""
+    """Values of registers or bits in wire order; `InvalidRequest` for a value that does not fit."""
     if not bits:
         return pack_registers(values)
     return pack_bits(as_states(values))

@@ -47,7 +47,7 @@ _NOT_THERE: Final = frozenset({errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EI
 
 
 class SerialListener:
-    """The servers on one port.
+    """A serial port on which a server answers for its units.
 
     Attributes:
         name: URL of the endpoint.
@@ -102,7 +102,7 @@ class SerialListener:
     # Life.
 
     async def open(self) -> None:
-        """Open the port; one that is not there is waited for in the background.
+        """Open the port; if it is absent, wait for it in the background.
 
         Raises:
             LinkDown: it is taken (the message names the holder), or not for this user.
@@ -125,11 +125,11 @@ class SerialListener:
             raise
 
     def take_no_more(self) -> None:
-        """Take no further request; the answer to the last one still leaves."""
+        """Accept no further request; the reply to the last one is still sent."""
         self._session.take_no_more()
 
     async def close(self) -> None:
-        """Give the port back. An answer that is there and waits for its silence leaves; what is in work gets none."""
+        """Close the port. A finished reply that waits for its silence is sent; requests in progress get none."""
         if self._pending is not None:
             await asyncio.sleep(max(self._pending.not_before - time.monotonic(), 0.0))
             if self._pending is not None:  # or the alarm was sooner, or another station has spoken
@@ -154,7 +154,7 @@ class SerialListener:
             self._claim = None
 
     def status(self) -> ListenerStatus:
-        """The status of the listener now."""
+        """The status of this listener: whether its port is open, indicators and counters."""
         diagnostics, session = self.diagnostics, self._session
         return ListenerStatus(
             endpoint=self.name,
@@ -172,7 +172,7 @@ class SerialListener:
 
     @property
     def requests(self) -> int:
-        """Requests for own units so far."""
+        """Number of requests for units of this server so far."""
         return self._session.requests
 
     # The port.
@@ -248,7 +248,7 @@ class SerialListener:
         self._follow(emissions)
 
     def _follow(self, emissions: list[FrameToSend]) -> None:
-        """Do what the session asks for: answer, wait for responders, report, look at the clock again."""
+        """Carry out what the session asks for: send replies, await responders, log failures, set the timer."""
         session = self._session
         if emissions:
             # Who sends a second request has given up the first; the session has counted that.
@@ -286,7 +286,7 @@ class SerialListener:
     # Answers.
 
     def _late_answer(self, emission: FrameToSend) -> None:
-        """A responder that needed time has its answer."""
+        """Send the reply of a responder that needed time."""
         self._schedule(emission)
         self._watch_silence()
 
@@ -299,7 +299,7 @@ class SerialListener:
             self._emit()
 
     def _drop_pending(self) -> None:
-        """Another station has spoken before our answer left; the session has counted that."""
+        """Discard a reply that was not sent before another station transmitted; the session counts it."""
         self._pending = None
         if self._emission_alarm is not None:
             self._emission_alarm.cancel()
@@ -324,7 +324,7 @@ class SerialListener:
             self._traced().sent(emission.frame)
 
     def transmit(self, data: bytes) -> None:
-        """Put bytes on the line as they are and now, whatever they are; the silence before them is the caller's."""
+        """Send raw bytes on the line now; the caller has to keep the silence before them."""
         connection = self._connection
         if connection is None:
             return
@@ -347,6 +347,6 @@ class SerialListener:
 
 
 def _may_come(error: LinkDown) -> bool:
-    """Whether the port is merely not there: without a foreign cause, a USB identity that is not plugged in."""
+    """Whether an error only means that the port is absent for now, such as an unplugged USB adapter."""
     cause = error.__cause__
     return cause is None or getattr(cause, "errno", None) in _NOT_THERE

@@ -1,4 +1,4 @@
-"""One place where a server listens, with what holds there alone.
+"""A listener as it is declared: an endpoint to listen on, with options that hold for it alone.
 
 Knows the names of the settings; each of them knows its meaning.
 """
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Listener:
-    """An endpoint to listen on, where it differs from the other listeners of a server.
+    """An endpoint to listen on, with its own limits, address lists or TLS options where they differ from the server's.
 
     Attributes:
         endpoint: URL.
@@ -34,7 +34,7 @@ class Listener:
 
 
 def as_listeners(wanted: Sequence[str | Endpoint | Listener]) -> list[Listener]:
-    """Each as a `Listener`. Raises `ConfigError` where there is none."""
+    """Turn URLs and `Listener` objects into a list of `Listener` objects. Raises `ConfigError` if it is empty."""
     if not wanted:
         raise ConfigError("at least one endpoint to listen on is needed", key="endpoints")
     return [one if isinstance(one, Listener) else Listener(one) for one in wanted]

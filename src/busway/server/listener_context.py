@@ -1,4 +1,4 @@
-"""What every network listener has, over TCP as over UDP: it asks who may come, gives sessions and places, and counts.
+"""What all connections of a network listener, TCP or UDP, share: access list, sessions, connection slots and counters.
 
 Knows listeners and their limits; knows no transport and no request.
 
@@ -39,7 +39,7 @@ _log = logging.getLogger("busway.server")
 
 
 class ConnectedPeer(Protocol):
-    """A connection, or a peer over UDP, as its listener knows it.
+    """A connection, or a peer over UDP, as its listener sees it.
 
     Attributes:
         peer: ``host:port``.
@@ -64,27 +64,27 @@ class ConnectedPeer(Protocol):
 
     @property
     def session(self) -> Session | None:
-        """Its conversation; None before it begins and after it has ended."""
+        """The session of the peer; None before it begins and after it has ended."""
 
     @property
     def state(self) -> ServedConnectionState:
-        """What it does."""
+        """State of the connection for the status."""
 
     def deliver(self, adu: bytes) -> None:
-        """Send a late reply."""
+        """Send a late reply to the peer."""
 
     def deliver_together(self, replies: list[bytes]) -> None:
-        """Send several late replies at once."""
+        """Send several late replies to the peer at once."""
 
     def attend(self) -> None:
-        """The session has come to something by itself."""
+        """Handle what the session reports without new bytes."""
 
     def close(self) -> None:
-        """Close it, behind what was sent."""
+        """Close the connection after the replies given so far have been sent."""
 
 
 class ListenerContext:
-    """What one listener knows beside its transports.
+    """State that all connections of one network listener share, whatever their transport.
 
     Attributes:
         loop: the event loop it lives on.
@@ -136,7 +136,7 @@ class ListenerContext:
 
     @property
     def framing(self) -> str:
-        """``mbap``, ``rtu`` or ``ascii``."""
+        """Framing of the listener: ``mbap``, ``rtu`` or ``ascii``."""
         return self.settings.endpoint.framing
 
     def welcomes(self, host: str, address: object) -> bool:
@@ -188,14 +188,14 @@ class ListenerContext:
         )
 
     def _listed_unit(self, unit: int) -> int:
-        """The unit as which the device is configured that answers for ``unit``; ``unit`` itself where there is none."""
+        """The configured unit whose device answers for ``unit``; ``unit`` itself if there is none."""
         served = self._pipeline.responder.serves(unit)
         return unit if served is None else served.unit
 
     # What is counted.
 
     def connection_opened(self, connected_peer: ConnectedPeer) -> None:
-        """Count a new connection, and tell the connection tap."""
+        """Count a new connection and report it to the connection tap."""
         self.counters.accepted += 1
         self.counters.of_class(is_priority=connected_peer.is_priority).accepted += 1
         if self._tap is not None:
@@ -208,7 +208,7 @@ class ListenerContext:
             self._tap.connection_opened(connection)
 
     def connection_closed(self, connected_peer: ConnectedPeer, session: Session) -> None:
-        """Count an ended connection, add its counters to the totals, and tell the connection tap."""
+        """Count an ended connection, add its counters to the totals, and report it to the connection tap."""
         counters = self.counters
         counters.closed += 1
         counters.of_class(is_priority=connected_peer.is_priority).closed += 1
@@ -229,7 +229,9 @@ class ListenerContext:
         report_failures(peer, failures)
 
     def say(self, level: int, about: str, message: str, *arguments: object) -> None:
-        """Log a message that may repeat: at most once a minute for the same ``about``, with the number left out."""
+        """Log a message that may repeat: at most once a minute for the same ``about``, with the number of those left
+        out.
+        """
         repeated = self._repeats.again(f"{about} {message}", time.monotonic())
         if repeated is not None:
             _log.log(level, f"{message}%s", *arguments, so_often(repeated))

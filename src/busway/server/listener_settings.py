@@ -1,4 +1,4 @@
-"""What a URL to listen on can say beside the address, scheme by scheme.
+"""Settings of a listener read from its URL, for each scheme.
 
 Knows which parts of a listener take which parameter classes; what an option means, and with which schemes, is declared
 in `busway.options`.
@@ -26,7 +26,7 @@ from .listener import Listener
 
 @dataclass(frozen=True, slots=True)
 class ListenerSettings:
-    """An endpoint to listen on, with its options.
+    """The checked settings of a listener: its endpoint and all options of it.
 
     Attributes:
         endpoint: where.
@@ -51,7 +51,7 @@ class ListenerSettings:
     def line_framing(
         self, units: Container[int], functions: FunctionTable, *, started: float | None = None
     ) -> LineFraming:
-        """A framing in the role of a server with ``units``, for one port or connection. Raises `ConfigError`."""
+        """The framing for one port or connection, as a server with ``units`` uses it. Raises `ConfigError`."""
         port = self.port
         timing = SerialTiming.of_network() if port is None else port.timing
         return line_framing(
@@ -70,7 +70,7 @@ class ListenerSettings:
 def listener_settings(
     listener: Listener, *, limits: ListenerParameters, tls: TlsParameters | None = None
 ) -> ListenerSettings:
-    """The settings of a listener; ``limits`` and ``tls`` are the server's, for those that have none of their own.
+    """Read the settings of a listener; ``limits`` and ``tls`` of the server are its defaults.
 
     Raises:
         ConfigError: the URL cannot be listened on, with the options of its scheme.
@@ -92,7 +92,7 @@ def listener_settings(
 
 
 def _security(parameters: TlsParameters | None, options: dict[str, object]) -> TlsParameters:
-    """The parameters of TLS; what stands in the URL goes before the rest. Raises `ConfigError`."""
+    """The TLS parameters of a listener: options in its URL override the others. Raises `ConfigError`."""
     general = {} if parameters is None else {name: getattr(parameters, name) for name in declared(TlsParameters)}
     chosen = build_parameters(TlsParameters, general | options)
     chosen.check_server()

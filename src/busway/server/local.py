@@ -1,4 +1,4 @@
-"""The responder of a server that holds its devices itself: unit → device, then the function does its work on it.
+"""The responder of a server with devices in its own process: finds the device of the unit and executes the request.
 
 Knows devices and the rules of units on TCP; knows no connection.
 
@@ -25,7 +25,7 @@ from .device import Device
 
 
 class DeviceResponder:
-    """Answers for devices of this process.
+    """Answers requests with the devices of this process.
 
     Args:
         units: device by unit identifier, 0…255.
@@ -76,11 +76,13 @@ class DeviceResponder:
         self.generation += 1
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """The listed unit whose device answers for ``unit``; the first of several of a sole device."""
+        """The configured unit whose device answers for ``unit``: the first one if a sole device has several; None
+        without any.
+        """
         return self._served.get(unit)
 
     def find(self, unit: int) -> Device | None:
-        """The device that answers for ``unit``."""
+        """The device that answers for ``unit``; None if there is none."""
         return self._devices.get(unit)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
@@ -105,7 +107,7 @@ class DeviceResponder:
 
 
 def _replaced(device: Device, request: Request) -> Replaced:
-    """What a write would replace, range by range; the caller holds the device's lock."""
+    """The current values of each range that a write would replace; the caller holds the device's lock."""
     if isinstance(request, WriteFileRecord):
         return tuple(device.peek_file(group.file, group.record, group.count) for group in request.groups)
     return tuple(device.peek(span.table, span.address, span.count) for span in request.spans() if span.writes)

@@ -1,4 +1,4 @@
-"""The event loop of programs that this library starts itself: uvloop where it is installed, asyncio's own elsewhere.
+"""Runs programs that this library starts itself on an event loop: uvloop if installed, otherwise that of asyncio.
 
 A program that runs its own loop chooses itself; nothing is switched behind its back.
 """
@@ -12,7 +12,7 @@ Result = TypeVar("Result")
 
 
 def run(main: Coroutine[Any, Any, Result]) -> Result:
-    """Run a coroutine to its end on a new event loop."""
+    """Run a coroutine to its end on a new event loop and return its result."""
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(main)
 

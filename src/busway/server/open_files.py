@@ -4,7 +4,7 @@ import sys
 
 
 def raise_open_file_limit() -> None:
-    """Raise the soft limit of open files to the hard one, where the system has such limits."""
+    """Raise the process's soft limit of open files to the hard limit, on systems that have them."""
     if sys.platform == "win32":
         return
     import resource

@@ -1,4 +1,4 @@
-"""How the listeners of a server are opened, each of its kind, from what the server has for all of them.
+"""Opens the listeners of a server, each by its kind: TCP and TLS, UDP, serial.
 
 Knows the kinds of listeners and what they are made of; keeps none.
 """
@@ -34,7 +34,7 @@ _log = logging.getLogger("busway.server")
 
 @dataclass(slots=True)
 class Opening:
-    """What all listeners of one start have in common.
+    """Opens listeners for one start of a server, with what all of them share.
 
     Attributes:
         loop: the event loop they live on.
@@ -71,7 +71,7 @@ class Opening:
         self.turns = Turns(self.loop)
 
     async def streams(self, settings: ListenerSettings) -> TcpListener | None:
-        """A listener over TCP or TLS; None where it is optional and cannot be had. Raises `OSError`, `ConfigError`."""
+        """Open a TCP or TLS listener; returns None for an optional one that fails. Raises `OSError`, `ConfigError`."""
         limits = settings.limits
         shares = limits.shared_slots and limits is self.limits
         management = ConnectionManagement(
@@ -92,13 +92,13 @@ class Opening:
         return listener
 
     async def datagrams(self, settings: ListenerSettings) -> UdpListener:
-        """A listener over UDP. Raises `OSError`, `ConfigError`."""
+        """Open a UDP listener. Raises `OSError`, `ConfigError`."""
         listener = UdpListener(self._listener_context(settings), self.sockets)
         await listener.open()
         return listener
 
     async def line(self, settings: ListenerSettings) -> SerialListener:
-        """The servers on a serial port; one that is not there is waited for. Raises `LinkDown`, `ConfigError`."""
+        """Open a listener on a serial port; an absent port is waited for. Raises `LinkDown`, `ConfigError`."""
         line = SerialListener(
             self.loop,
             settings,
@@ -127,7 +127,7 @@ class Opening:
 
 
 def serial_units(responder: Responder, endpoint: Endpoint) -> SerialUnits:
-    """The units that a responder answers for on a line. Raises `ConfigError` where there is none."""
+    """The units that a responder answers for on a serial line. Raises `ConfigError` if there is none."""
     units = SerialUnits(responder)
     if not any(unit in units for unit in range(1, LAST_SERIAL_UNIT + 1)):
         raise ConfigError(f"{endpoint.url}: at least one unit 1…{LAST_SERIAL_UNIT} is needed on a line", key="units")

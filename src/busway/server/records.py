@@ -20,7 +20,7 @@ from .views import TableView
 
 
 class RecordFile(TableView):
-    """One file: its records by number, ``file[3]``, ``file[0:5]``, as `TableView` says.
+    """One file of a device: its records by number, ``file[3]`` or ``file[0:5]``, as in `TableView`.
 
     Attributes:
         is_consistent: False while the file area is known to be damaged; every Modbus access to it is then
@@ -34,7 +34,7 @@ class RecordFile(TableView):
         self.is_consistent: bool = True
 
     def accessed(self, record: int, count: int, *, writes: bool) -> Run:
-        """Find the stored run with these records.
+        """The stored run with these records; raises `Refusal` if one of them does not exist or is read-only.
 
         Raises:
             Refusal: 03 if ``count`` is 0, 02 if a record is missing or read-only, 08 if the file is inconsistent.
@@ -68,18 +68,18 @@ class RegisterQueue:
         self.push(*values)
 
     def push(self, *values: int) -> None:
-        """Queue registers behind those that are there. Raises `InvalidRequest` for a value outside 0…65535."""
+        """Append registers to the queue. Raises `InvalidRequest` for a value outside 0…65535."""
         pack_registers(values)
         with self._lock:
             self._values.extend(values)
 
     def pop(self) -> int:
-        """Take the oldest register out. Raises `IndexError` if the queue is empty."""
+        """Remove and return the oldest register of the queue. Raises `IndexError` if it is empty."""
         with self._lock:
             return self._values.popleft()
 
     def clear(self) -> None:
-        """Take all registers out."""
+        """Remove all registers from the queue."""
         with self._lock:
             self._values.clear()
 
@@ -87,7 +87,7 @@ class RegisterQueue:
         return len(self._values)
 
     def __iter__(self) -> Iterator[int]:
-        """The registers as they are now, oldest first."""
+        """Iterate over the current registers of the queue, oldest first."""
         with self._lock:
             return iter(list(self._values))
 
@@ -95,7 +95,7 @@ class RegisterQueue:
 def build_files(
     declared: Mapping[int, TableLike] | None, lock: threading.RLock, groups: Groups
 ) -> dict[int, RecordFile]:
-    """The files of a declaration, each as `lay_out` takes it; `ConfigError` where one cannot be."""
+    """Create the files of a device from their declaration (see `lay_out`); `ConfigError` for a wrong one."""
     files = {}
     for number, cells in (declared or {}).items():
         key = f"files[{shown(number)}]"
@@ -107,7 +107,7 @@ def build_files(
 
 
 def build_queues(declared: Mapping[int, Sequence[int]] | None, lock: threading.RLock) -> dict[int, RegisterQueue]:
-    """The queues of a declaration, by address; `ConfigError` where one cannot be."""
+    """Create the register queues of a device, by address; `ConfigError` for a wrong declaration."""
     queues = {}
     for address, values in (declared or {}).items():
         if not isinstance(address, int) or not 0 <= address < TABLE_SIZE:

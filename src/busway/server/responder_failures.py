@@ -1,4 +1,4 @@
-"""Responders that need time, and responders that fail: awaited, answered, logged.
+"""Awaits responders that need time, and logs and answers for responders that raise an exception.
 
 Knows contexts and their replies; knows no transport.
 """
@@ -18,7 +18,7 @@ _log = logging.getLogger("busway.server")
 
 
 def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
-    """Log what responders raised."""
+    """Log the exceptions that responders raised."""
     for failure in failures:
         _log.error(
             "%s: unit %s, function %s: the responder failed and the client was answered 04",
@@ -30,7 +30,7 @@ def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
 
 
 async def answer_later(deferred: Deferred) -> None:
-    """Await what a responder promised, and reply."""
+    """Await the reply of a responder that needed time, and hand it to the connection."""
     context = deferred.context
     try:
         reply: Message = await deferred.awaitable

@@ -1,4 +1,4 @@
-"""A conversation in RTU or ASCII over a network, with the interface of a TCP session.
+"""Server sessions with RTU or ASCII frames over TCP or UDP, with the interface of the MBAP session.
 
 Knows a session and a clock; knows no connection: `ServerConnection` drives it like `TcpServerSession`.
 
@@ -25,7 +25,7 @@ SHARE_OF_BYTES: Final = 513
 
 
 class FramedSession:
-    """One connection's conversation.
+    """The server session of one connection that carries RTU or ASCII frames.
 
     Attributes:
         broken: always empty: a line has no end, the next frame may be good.
@@ -58,7 +58,7 @@ class FramedSession:
         attend: Callable[[], None],
         client: ClientIdentity,
     ) -> None:
-        """As `SerialServerSession`; ``attend`` is called when `deferred` or `failures` may hold something new."""
+        """Create the session; ``attend`` is called when `deferred` or `failures` may have a new entry."""
         self._loop = loop
         self._deliver = deliver
         self._attend = attend
@@ -82,7 +82,7 @@ class FramedSession:
 
     @property
     def waiting(self) -> int:
-        """Requests whose reply is still to come."""
+        """Number of requests that are still to be answered."""
         return self._session.waiting
 
     @property
@@ -92,17 +92,17 @@ class FramedSession:
 
     @property
     def requests(self) -> int:
-        """Requests for own units so far."""
+        """Number of requests for units of this server so far."""
         return self._session.requests
 
     @property
     def discarded(self) -> int:
-        """Frames of others and disturbances so far."""
+        """Number of damaged frames, and of frames for other units, so far."""
         return self._session.foreign + self._session.damaged_frames
 
     @property
     def deferred(self) -> list[Deferred]:
-        """What the driver has to await."""
+        """Replies that the driver has to await."""
         return self._session.deferred
 
     @deferred.setter
@@ -111,7 +111,7 @@ class FramedSession:
 
     @property
     def failures(self) -> list[ResponderFailure]:
-        """Failures of handlers to log."""
+        """Exceptions of responders that the driver has to log."""
         return self._session.failures
 
     @failures.setter
@@ -119,7 +119,7 @@ class FramedSession:
         self._session.failures = value
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
-        """Work through the first ``size`` bytes of ``buffer``; the frames to send, in order."""
+        """Process the first ``size`` bytes of ``buffer``; returns the frames to send, in order."""
         if self.rest or size > SHARE_OF_BYTES:
             self.put_off(buffer, size)
             return self.go_on()
@@ -130,13 +130,13 @@ class FramedSession:
         return [one.frame for one in emissions]
 
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
-        """Take the first ``size`` bytes of ``buffer``, and work through none of them before `go_on`."""
+        """Queue the first ``size`` bytes of ``buffer`` unprocessed, until `go_on`."""
         self._stop_timer()  # they came before the silence was over
         self._came = time.monotonic()
         self.rest += bytes(memoryview(buffer)[:size])
 
     def go_on(self) -> list[bytes]:
-        """Work through the rest, as far as a share goes; the frames to send, in order."""
+        """Process queued bytes up to the connection's share; returns the frames to send, in order."""
         now, self.rest = self.rest[:SHARE_OF_BYTES], self.rest[SHARE_OF_BYTES:]
         self.spent = len(now) // 16
         emissions = self._session.receive(now, self._came)
@@ -145,7 +145,7 @@ class FramedSession:
         return [one.frame for one in emissions]
 
     def close(self) -> None:
-        """The connection has ended."""
+        """End the session with its connection: discard queued bytes and stop the timer."""
         self.rest = b""
         self._stop_timer()
         self._session.close()

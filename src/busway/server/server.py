@@ -132,11 +132,11 @@ class Server:
 
     @property
     def functions(self) -> FunctionTable:
-        """The functions that it decodes."""
+        """The table of functions that the server decodes."""
         return self._responder.functions
 
     def wrap_responder(self, wrap: Callable[[Responder], Responder]) -> None:
-        """Wrap the responder in another one, which may change replies. Only while stopped.
+        """Put another responder around the server's, which may change replies. Only while stopped.
 
         Raises:
             ConfigError: the server is running, and its sessions use the responder already.
@@ -166,7 +166,7 @@ class Server:
         self._tap = tap
 
     def replace_policy(self, policy: "Policy") -> None:
-        """Replace the policy, from the next request on.
+        """Replace the access policy, from the next request on.
 
         Raises:
             ConfigError: the server was made without one.
@@ -257,7 +257,7 @@ class Server:
                 self._bound += streams.names
 
     async def take_no_more(self) -> None:
-        """Accept no connection and read no request from now on; answers are still sent. Call `stop` afterwards."""
+        """Stop accepting connections and reading requests; pending replies are still sent. Call `stop` afterwards."""
         for datagrams in self._datagrams:
             datagrams.take_no_more()
         for line in self._lines:
@@ -295,7 +295,7 @@ class Server:
         await settle()
 
     async def reset(self) -> None:
-        """Stop, clear the counters, start again."""
+        """Stop the server, clear its counters, and start it again."""
         await self.stop()
         self.counters = ServerCounters()
         await self.start()
@@ -314,7 +314,7 @@ class Server:
             await self.stop()
 
     def status(self) -> ServerStatus:
-        """The status now: listeners, connections and counters."""
+        """The current status: listeners, connections and counters."""
         connections = tuple(one for listener in self._with_peers() for one in listener.status())
         pools = {id(each.management.pools): each.management.pools.limits for each in self._streams}
         return ServerStatus(
@@ -342,7 +342,7 @@ class Server:
         return [*(each.management for each in self._streams), *self._datagrams]
 
     def _counters_now(self) -> ServerCounters:
-        """The counters, with those of open connections."""
+        """The counters of the server, with those of open connections added."""
         counters = self.counters.copy()
         counters.requests += sum(line.requests for line in self._lines)
         for listener in self._with_peers():

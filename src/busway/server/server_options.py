@@ -1,4 +1,4 @@
-"""The options of a whole server, with what its preset makes of them and of its listeners.
+"""Applies the preset of a server to its options and listeners.
 
 Knows the listeners of a server and where each of them takes options; knows not what these mean.
 """
@@ -15,7 +15,7 @@ Place = str | Endpoint | Listener
 
 
 def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -> tuple[list[Place], ChosenOptions]:
-    """Listeners and options as the preset among the options makes them; as they were where there is none.
+    """The listeners and options after the preset among the options was applied; unchanged without a preset.
 
     Args:
         places: where the server listens.
@@ -31,7 +31,9 @@ def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -
 
 
 def _strict(place: Place) -> Place:
-    """A listener on a line or over TLS takes the preset in its URL; own limits keep to one frame for each segment."""
+    """Apply the preset ``strict`` to one listener: in the URL of a serial or TLS one, otherwise as a limit of frames
+    per segment.
+    """
     listener = place if isinstance(place, Listener) else Listener(place)
     endpoint = parse_endpoint(listener.endpoint)
     if (endpoint.framing != "mbap" or endpoint.carrier == "tls") and OPTION not in endpoint.options:

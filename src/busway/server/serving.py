@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .option_types import ServerOptions
 
     class ServeArguments(ServerOptions, total=False):
-        """What the other two take by name: the arguments of `serve` and its options."""
+        """The keyword arguments of `serve` that `serve_forever` and `serve_in_thread` accept too."""
 
         units: Mapping[int, Device] | Device | None
         responder: Responder | None
@@ -54,7 +54,8 @@ def serve(
     local_connections: Callable[[], int] | None = None,
     **options: "Unpack[ServerOptions]",
 ) -> Server:
-    """Make a server, not started yet: ``async with busway.serve("tcp://127.0.0.1:5020", units={1: device}): …``.
+    """Create a server that is not started yet: ``async with busway.serve("tcp://127.0.0.1:5020", units={1: device}):
+    …``.
 
     Args:
         endpoints: URLs to listen on, 127.0.0.1:5020 without any; port 0 takes a free one. Serial ports
@@ -108,7 +109,7 @@ def serve_forever(
     started: Callable[[Server], None] | None = None,
     **options: "Unpack[ServeArguments]",
 ) -> None:
-    """Serve from a blocking program until it is interrupted (Ctrl-C).
+    """Run a server in a blocking program until it is interrupted (Ctrl-C).
 
     Args:
         endpoints: as in `serve`.
@@ -127,7 +128,7 @@ def serve_forever(
 
 
 class ServerThread:
-    """A server in a thread of its own, as `serve_in_thread` gives it."""
+    """A running server in a thread of its own, as `serve_in_thread` gives it."""
 
     def __init__(self, server: Server, loop: asyncio.AbstractEventLoop) -> None:
         self._server = server
@@ -135,11 +136,11 @@ class ServerThread:
 
     @property
     def endpoints(self) -> list[str]:
-        """URLs of the listeners as they are bound."""
+        """URLs of the listeners with their bound addresses and ports."""
         return self._server.endpoints
 
     def status(self) -> ServerStatus:
-        """The status of the server now."""
+        """The current status of the server, from any thread."""
 
         async def ask() -> ServerStatus:
             return self._server.status()
@@ -147,11 +148,11 @@ class ServerThread:
         return asyncio.run_coroutine_threadsafe(ask(), self._loop).result()
 
     def reset(self) -> None:
-        """Stop, clear the counters, start again."""
+        """Stop the server, clear its counters, and start it again, from any thread."""
         asyncio.run_coroutine_threadsafe(self._server.reset(), self._loop).result()
 
     def reload_security(self) -> None:
-        """As `Server.reload_security`."""
+        """Read the certificates of the ``tls://`` listeners again, from any thread (`Server.reload_security`)."""
 
         async def reload() -> None:
             self._server.reload_security()
@@ -159,7 +160,7 @@ class ServerThread:
         asyncio.run_coroutine_threadsafe(reload(), self._loop).result()
 
     def end_unauthorized(self) -> int:
-        """As `Server.end_unauthorized`."""
+        """Abort connections of hosts that may no longer connect, from any thread; returns their number."""
 
         async def end() -> int:
             return self._server.end_unauthorized()

@@ -1,4 +1,4 @@
-"""The standard port, 502, beside another: clients that know no other find the server there (Messaging V1.0b §4.2.1).
+"""Adds a listener on the standard port 502 beside those on other ports (Messaging on TCP/IP V1.0b §4.2.1).
 
 Pure: knows the settings of listeners; opens none.
 
@@ -20,7 +20,7 @@ _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
 def with_standard_port(wanted: Sequence[ListenerSettings], choice: bool | None) -> list[ListenerSettings]:
-    """The listeners, and those on port 502 that stand beside them.
+    """The listeners, with one on port 502 added for each address that has a listener only on another port.
 
     Args:
         wanted: as they were asked for.

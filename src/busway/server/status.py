@@ -12,7 +12,7 @@ from .status_indicators import StatusIndicators
 
 
 class ServedConnectionState(Enum):
-    """The state of a server's connection.
+    """The states of a connection to a server, as its status names them.
 
     Attributes:
         IDLE: no request is in progress.
@@ -89,7 +89,7 @@ class SecurityStatus:
 
 @dataclass(frozen=True, slots=True)
 class ListenerStatus:
-    """The status of one listener.
+    """The status of one listener: its URL, indicators, connections and counters.
 
     Attributes:
         endpoint: its URL, as it is bound.
@@ -129,7 +129,7 @@ class ListenerStatus:
 
 @dataclass(frozen=True, slots=True)
 class ServerStatus:
-    """The status of a server.
+    """The status of a server: its listeners, connections and counters.
 
     Attributes:
         running: whether it answers.

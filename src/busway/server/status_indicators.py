@@ -1,4 +1,5 @@
-"""Visual diagnosis of a listener: the states of its three status indicators (S19).
+"""The three status indicators of a listener (communication, error, device status) that the serial specification asks
+for.
 
 Knows when something happened; knows no bytes and no clock.
 
@@ -20,7 +21,7 @@ _NEVER: Final = float("-inf")
 
 
 class StatusIndicator(Enum):
-    """The states of one status indicator."""
+    """The state of one status indicator: on, off or flashing."""
 
     OFF = "off"
     ON = "on"
@@ -29,7 +30,7 @@ class StatusIndicator(Enum):
 
 @dataclass(frozen=True, slots=True)
 class StatusIndicators:
-    """The status indicators of a listener at one moment."""
+    """The three status indicators of a listener at one moment."""
 
     communication: StatusIndicator
     error: StatusIndicator

@@ -1,4 +1,4 @@
-"""One table of a device: its runs, found by address, and the ranges that Modbus cannot write.
+"""The memory of one table of a device: its runs, found by address, and the ranges that Modbus cannot write.
 
 Knows runs and addresses; knows no hook, no group of changes and no request.
 
@@ -16,7 +16,7 @@ from .cells import CellLayout
 
 
 class ItemStore:
-    """The items of one table or file.
+    """The items of one table or file of a device.
 
     Args:
         runs: in ascending order, no two adjacent.
@@ -45,13 +45,13 @@ class ItemStore:
 
 
 def register_store(layout: CellLayout, lock: threading.RLock) -> ItemStore:
-    """A store of registers that hold what ``layout`` says."""
+    """Create a store of registers with the declared initial values."""
     runs = tuple(RegisterRun(piece.first, bytearray(pack_registers(piece.values)), lock) for piece in layout.pieces)
     return ItemStore(runs, layout.read_only)
 
 
 def bit_store(layout: CellLayout, lock: threading.RLock) -> ItemStore:
-    """A store of bits that hold what ``layout`` says."""
+    """Create a store of bits with the declared initial values."""
     runs = tuple(
         BitRun(piece.first, len(piece.values), bytearray(pack_bits([bool(value) for value in piece.values])), lock)
         for piece in layout.pieces

@@ -1,4 +1,4 @@
-"""A TCP or TLS listener: its sockets, and the connections that come by them.
+"""A TCP or TLS listener: its listening sockets and the connections they accept.
 
 Knows sockets and when they stop to accept; knows no request.
 """
@@ -24,7 +24,7 @@ TURNS_TO_SETTLE: Final = 4
 
 
 class TcpListener:
-    """One endpoint, on a socket for each of its addresses.
+    """One TCP or TLS endpoint of a server, with a listening socket for each of its addresses.
 
     Args:
         management: of its connections.
@@ -52,7 +52,7 @@ class TcpListener:
         self._acceptors: list[Acceptor] = []
 
     async def open(self) -> None:
-        """Listen. Raises `OSError` or `ConfigError`; then nothing is open."""
+        """Start listening. Raises `OSError` or `ConfigError`; then nothing is open."""
         settings, loop = self._settings, self.management.loop
         bound = await listening_sockets(loop, settings)
         with contextlib.ExitStack() as undo:
@@ -79,7 +79,7 @@ class TcpListener:
         listener_context.diagnosis.is_open = True
 
     def _protocols(self) -> Callable[[], asyncio.BaseProtocol]:
-        """What makes the protocol of each new connection: over TLS, a gate that lets it in after the handshake."""
+        """The factory of the protocol for each new connection; over TLS, that of the handshake."""
         management = self.management
         if self._settings.tls is None:
             return lambda: ServerConnection(management)
@@ -95,12 +95,12 @@ class TcpListener:
         listener_context.say(logging.ERROR, "", sentence, listener_context.listener, network_reason(error))
 
     def accept_no_more(self) -> None:
-        """Take no new connection. Those that are being accepted arrive within `settle`."""
+        """Accept no new connections. Those being accepted arrive within `settle`."""
         for acceptor in self._acceptors:
             acceptor.accept_no_more()
 
     def close(self) -> None:
-        """Close the listener, and the connections after what is written has gone out."""
+        """Close the listener, and each connection after its written replies were sent."""
         for acceptor in self._acceptors:
             acceptor.close()
         self._acceptors.clear()
@@ -111,6 +111,6 @@ class TcpListener:
 
 
 async def settle() -> None:
-    """Let what has begun in the event loop come to its end."""
+    """Wait a few turns of the event loop, until connections being accepted have arrived."""
     for _ in range(TURNS_TO_SETTLE):
         await asyncio.sleep(0)

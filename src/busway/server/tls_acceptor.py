@@ -35,7 +35,7 @@ _FIRST_SUBJECT: Final = 0
 
 
 def handshake_acceptor(management: ConnectionManagement, parameters: TlsParameters) -> "TlsHandshakeAcceptor":
-    """Make the handshake acceptor of a listener; calling it makes the protocol of a new connection.
+    """Create the handshake acceptor of a listener; it is called for the protocol of each new connection.
 
     Raises:
         ConfigError: a file cannot be used, or ``cryptography`` is missing.
@@ -45,7 +45,7 @@ def handshake_acceptor(management: ConnectionManagement, parameters: TlsParamete
 
 
 class TlsHandshakeAcceptor:
-    """Runs the TLS handshakes of one listener and admits clients. Made by `handshake_acceptor`."""
+    """Runs the TLS handshakes of one listener and admits clients. Created by `handshake_acceptor`."""
 
     def __init__(self, management: ConnectionManagement, parameters: TlsParameters) -> None:
         require_cryptography("a tls:// listener")
@@ -65,7 +65,7 @@ class TlsHandshakeAcceptor:
         self._look_at_own()
 
     def __call__(self) -> asyncio.BaseProtocol:
-        """Make the protocol of an accepted connection."""
+        """Create the protocol of an accepted connection."""
         return _PendingHandshake(self)
 
     def reload(self) -> None:
@@ -99,7 +99,7 @@ class TlsHandshakeAcceptor:
 
     @property
     def pending(self) -> int:
-        """Number of pending handshakes."""
+        """Number of TLS handshakes in progress."""
         return len(self._waiting)
 
     def status(self) -> SecurityStatus:
@@ -137,7 +137,7 @@ class TlsHandshakeAcceptor:
     # What new connections and their TLS report.
 
     def arrived(self, transport: asyncio.Transport) -> None:
-        """A connection was accepted."""
+        """Start the handshake of an accepted connection, if its host may connect."""
         management = self._management
         if not management.accept(transport):
             transport.abort()
@@ -210,7 +210,7 @@ class TlsHandshakeAcceptor:
         return reading.role, facts.subject
 
     def _failed(self, layer: TlsLayer, failure: TlsFailure) -> None:
-        """A handshake has failed, or the client has disconnected during it."""
+        """Handle a handshake that failed or whose client disconnected."""
         self._strangers.pop(layer, None)
         self._refuse(self._waiting.pop(layer, "?"), failure)
         if layer.state is TlsState.REFUSED:
@@ -221,7 +221,7 @@ class TlsHandshakeAcceptor:
             self._leaving[layer] = None
 
     def _refuse(self, peer: str, failure: TlsFailure) -> None:
-        """Count a refusal, and log it."""
+        """Count and log a refused client."""
         self._refused[failure.kind.value] += 1
         about = f"{_host_of(peer)} {failure.kind.value}"
         self._say(about, "%s: refused at %s: %s", peer, self._management.listener, failure)
@@ -230,7 +230,7 @@ class TlsHandshakeAcceptor:
         self._management.listener_context.say(logging.WARNING, about, message, *arguments)
 
     def _gone(self, layer: TlsLayer) -> None:
-        """The connection of a refused client has ended."""
+        """Forget a refused client whose connection has ended."""
         self._leaving.pop(layer, None)
 
 
@@ -245,6 +245,6 @@ class _PendingHandshake(asyncio.Protocol):
         self._acceptor = handshake_acceptor
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """It was accepted."""
+        """Pass the accepted connection to the handshake acceptor."""
         # Transports of uvloop are no subclass of asyncio.Transport.
         self._acceptor.arrived(cast(asyncio.Transport, transport))

@@ -1,4 +1,4 @@
-"""Turns of the connections of an event loop: none of them works longer than its share while others wait.
+"""Turns of connections on an event loop: none works longer than its share while others wait.
 
 Knows who waits, in which order, and the clock; knows no connection and no request.
 
@@ -37,7 +37,7 @@ class Waiting(Protocol):
 
 
 class Turns:
-    """The queue of connections that wait for a turn of one event loop.
+    """The queue of the connections of one event loop that wait for a turn.
 
     Attributes:
         is_crowded: whether other connections wait, or the time of this turn is used up.
@@ -56,7 +56,7 @@ class Turns:
 
     @property
     def has_time(self) -> bool:
-        """Whether time is left in this turn of the loop."""
+        """Whether time is left in the current turn of the event loop."""
         return seconds() < self._until
 
     def worked(self) -> None:

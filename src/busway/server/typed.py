@@ -1,4 +1,4 @@
-"""Typed values of a device's tables, by written address.
+"""Typed values, such as ``float32``, in the tables of a device, by their written address.
 
 Knows views, notations and types; knows no request.
 """
@@ -16,7 +16,7 @@ from .views import TableView
 
 
 class TypedAccess:
-    """Reads and writes of values in the tables of one device, as `Device.read` and `Device.write` say.
+    """Typed reads and writes in the tables of one device, for `Device.read` and `Device.write`.
 
     Args:
         views: the tables.
@@ -37,7 +37,7 @@ class TypedAccess:
         order: str = "ABCD",
         count: int | None = None,
     ) -> Any:  # Any: what the type says
-        """The value, or a list of ``count`` values."""
+        """Read the value at an address, or a list of ``count`` values."""
         where, view = self._located(address)
         items = _item_type(where, type, order)
         number = 1 if count is None else count
@@ -57,7 +57,7 @@ class TypedAccess:
     def write(
         self, address: str | Address, value: object, type: str | ValueType[Any] | None = None, *, order: str = "ABCD"
     ) -> None:
-        """Set the value, or the values of a list, in one step."""
+        """Write a value, or a list of values from an address on, in one step."""
         where, view = self._located(address)
         items = _item_type(where, type, order)
         values: list[Any] = value if isinstance(value, list) else [value]  # Any: the type judges them
@@ -85,7 +85,7 @@ class TypedAccess:
 
 
 def _item_type(where: Address, type: str | ValueType[Any] | None, order: str) -> ValueType[Any] | None:
-    """The type of the values at an address; None where they are the items themselves."""
+    """The type of the values at an address; None if the values are plain registers or bits."""
     if type is None:
         return None
     if where.table is not None and where.table.holds_bits:

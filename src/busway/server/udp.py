@@ -1,4 +1,4 @@
-"""A UDP listener: one frame per datagram, answered to its sender alone.
+"""A UDP listener: one frame per datagram; each reply goes to the sender of its request.
 
 Knows datagrams and peers; knows nothing of what they say.
 
@@ -35,7 +35,7 @@ from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
 
 class UdpListener:
-    """The peers of one listener, on one socket or, for every address of both families, on two.
+    """One UDP endpoint of a server and its peers, on one socket, or on one for IPv4 and one for IPv6.
 
     Attributes:
         listener_context: what the listener knows beside its peers.
@@ -53,7 +53,7 @@ class UdpListener:
         self._takes_more = True
 
     async def open(self) -> None:
-        """Listen. Raises `OSError` or `ConfigError`; then nothing is open."""
+        """Start listening. Raises `OSError` or `ConfigError`; then nothing is open."""
         listener_context = self.listener_context
         bound = await listening_sockets(listener_context.loop, listener_context.settings)
         with contextlib.ExitStack() as undo:
@@ -73,16 +73,16 @@ class UdpListener:
     # What the server asks.
 
     def take_no_more(self) -> None:
-        """Drop every datagram from now on; what is in work is still answered."""
+        """Drop all further datagrams; requests in progress are still answered."""
         self._takes_more = False
 
     def close(self) -> None:
-        """Close it; what is still in work gets no answer."""
+        """Close the listener; requests in progress get no reply."""
         for one in self._sockets:
             one.close()
 
     async def wait_closed(self) -> None:
-        """Wait until it is closed."""
+        """Wait until the sockets of the listener are closed."""
         for one in self._sockets:
             await one.closed
 
@@ -94,16 +94,16 @@ class UdpListener:
         return len(ended)
 
     def status(self) -> list[ConnectionStatus]:
-        """The peers, the one that came first first."""
+        """The status of each peer, in the order of their first datagrams."""
         now = time.monotonic()
         return [self.listener_context.connected_peer_status(peer, now) for peer in self._peers.values()]
 
     def listener_status(self) -> ListenerStatus:
-        """The listener itself."""
+        """The status of this listener: its slots and counters."""
         return self.listener_context.status(self._pools.count)
 
     def add_living(self, counters: ServerCounters) -> None:
-        """Add what the conversations have not handed over yet."""
+        """Add the counters of current peers; those of forgotten peers are already in the totals."""
         for peer in self._peers.values():
             add_living(counters, peer, peer.session)
 
@@ -134,7 +134,7 @@ class UdpListener:
         return self._peers.get((socket, address)) or self._admit(socket, address)
 
     def closed(self, socket: "_Socket") -> None:
-        """A socket is closed."""
+        """Handle the end of a socket: drop its peers."""
         self.listener_context.diagnosis.is_open = False
         for peer in [one for one in self._peers.values() if one.socket is socket]:
             self.leave(peer)
@@ -172,7 +172,7 @@ class UdpListener:
 
 
 class _Socket(asyncio.DatagramProtocol):
-    """One bound socket.
+    """One bound UDP socket of a listener, as asyncio protocol.
 
     Attributes:
         closed: done when it is.
@@ -187,7 +187,7 @@ class _Socket(asyncio.DatagramProtocol):
     # What asyncio calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Bound."""
+        """Keep the transport of the bound socket."""
         self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no such class
         limits: Any = transport  # every transport has them, but the declared type of those for datagrams
         limits.set_write_buffer_limits(high=self._listener.listener_context.parameters.write_buffer)
@@ -204,19 +204,19 @@ class _Socket(asyncio.DatagramProtocol):
             peer.attend()
 
     def error_received(self, exc: Exception) -> None:
-        """A peer does not take its answer: it has gone, and others have not."""
+        """Ignore a send error: one peer has gone, which does not concern the others."""
 
     def pause_writing(self) -> None:
-        """The system takes no more: answers are lost from now on, as datagrams may be, and nothing piles up."""
+        """The system's send buffer is full: drop replies, as datagrams may be lost, instead of queueing them."""
         self._is_full = True
         self._listener.listener_context.counters.reading_paused += 1
 
     def resume_writing(self) -> None:
-        """It takes them again."""
+        """The system's send buffer has room again: send replies again."""
         self._is_full = False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Closed."""
+        """Report the end of this socket to the listener."""
         self._listener.closed(self)
         if not self.closed.done():
             self.closed.set_result(None)
@@ -224,17 +224,17 @@ class _Socket(asyncio.DatagramProtocol):
     # What others ask.
 
     def send(self, adu: bytes, address: Any) -> None:
-        """Send an answer."""
+        """Send a reply to a peer; dropped if the socket is closing or its buffer is full."""
         if self._transport is not None and not self._is_full and not self._transport.is_closing():
             self._transport.sendto(adu, address)
 
     def ends(self, address: Any) -> SocketAddresses:
-        """Both ends of the conversation with a peer."""
+        """Local and remote address of the exchange with a peer."""
         own = None if self._transport is None else self._transport.get_extra_info("sockname")
         return SocketAddresses(own, address, is_datagram=True)
 
     def close(self) -> None:
-        """Close it."""
+        """Close this UDP socket."""
         if self._transport is not None:
             self._transport.close()
         elif not self.closed.done():
@@ -272,7 +272,7 @@ class _Peer:
             self._traced().received(data)
 
     def attend(self) -> None:
-        """The session has come to something."""
+        """Handle what the session reports without a new datagram: deferred replies and failures."""
         session = self.session
         if session.deferred:
             deferred, session.deferred = session.deferred, []
@@ -285,7 +285,7 @@ class _Peer:
             self._listener_context.failed(self.peer, failures)
 
     def deliver(self, adu: bytes) -> None:
-        """Send a reply."""
+        """Send one reply to this peer."""
         if adu:
             self.sent += len(adu)
             self.socket.send(adu, self.address)
@@ -293,29 +293,29 @@ class _Peer:
                 self._traced().sent(adu)
 
     def deliver_together(self, replies: list[bytes]) -> None:
-        """Send several replies, each in a datagram of its own."""
+        """Send several replies to this peer, each in a datagram of its own."""
         for reply in replies:
             self.deliver(reply)
 
     def close(self) -> None:
-        """Nothing is answered any more."""
+        """End the session of this peer; requests in progress get no reply."""
         for task in self._tasks:
             task.cancel()
         self.session.close()
 
     @property
     def is_busy(self) -> bool:
-        """Whether a request is in work."""
+        """Whether a request of this peer is in progress."""
         return bool(self.session.waiting)
 
     @property
     def has_ended(self) -> bool:
-        """Always False: over UDP the end of a sender is not signalled."""
+        """Always False: UDP does not tell when a sender has gone."""
         return False
 
     @property
     def state(self) -> ServedConnectionState:
-        """What it does."""
+        """Whether a request of this peer is in progress, for the status."""
         return ServedConnectionState.BUSY if self.is_busy else ServedConnectionState.IDLE
 
     def _traced(self) -> ConnectionTrace:

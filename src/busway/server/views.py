@@ -1,4 +1,4 @@
-"""A table or file of a device as its application sees it: indexed by address, from any thread.
+"""The application's view of a table or file: items by address, usable from any thread.
 
 Knows stores and groups; knows no hook and no request: the application's own accesses pass none.
 """
@@ -15,7 +15,7 @@ from .stores import ItemStore
 
 
 class TableView:
-    """Items by address, 0-based as on the wire: ``view[5]``, ``view[5:9]``, and both with ``= …``.
+    """The items of a table by address, 0-based as on the wire: ``view[5]``, ``view[5:9]``, read or assigned.
 
     Registers are ``int`` 0…65535, bits ``bool``. A slice reads and writes its items in one step: no other thread and no
     Modbus client sees half of it. Without a start it begins at the first item there is, without an end it goes to the
@@ -36,15 +36,15 @@ class TableView:
 
     @property
     def ranges(self) -> tuple[tuple[int, int], ...]:
-        """First address and count of each run of items, ascending."""
+        """First address and count of each run of items in the table, ascending."""
         return tuple((run.first, run.count) for run in self._store.runs)
 
     def __len__(self) -> int:
-        """Number of items."""
+        """Number of items in the table."""
         return self._store.count
 
     def __iter__(self) -> Iterator[int]:
-        """The values, in the order of their addresses."""
+        """Iterate over the values of the table, in the order of their addresses."""
         for run in self._store.runs:
             yield from unpacked(self._groups.get(run, 0, run.count), run.count, bits=self._bits)
 
@@ -76,22 +76,22 @@ class TableView:
             self.write(key, [value])  # type: ignore[list-item]  # whatever else it is, packing judges it
 
     def read(self, address: int, count: int) -> list[int]:
-        """The ``count`` items from ``address`` on, in one step."""
+        """Read ``count`` items from ``address`` on, in one step."""
         return unpacked(self.read_wire(address, count), count, bits=self._bits)
 
     def write(self, address: int, values: Sequence[int]) -> None:
-        """Replace the items from ``address`` on, in one step."""
+        """Replace the items of the table from ``address`` on, in one step."""
         self.write_wire(address, len(values), packed(values, bits=self._bits))
 
     def read_wire(self, address: int, count: int) -> bytes:
-        """The items in wire order: registers big-endian, bits packed from the lowest bit."""
+        """Read items in wire order: registers big-endian, bits packed from the lowest bit."""
         if not count:
             return b""
         run = self._run(address, count)
         return self._groups.get(run, address - run.first, count)
 
     def write_wire(self, address: int, count: int, data: bytes) -> None:
-        """Replace items by such bytes."""
+        """Replace items by bytes in wire order: registers big-endian, bits packed from the lowest bit."""
         if count:
             run = self._run(address, count)
             self._groups.put(run, address - run.first, count, data)
@@ -106,7 +106,7 @@ class TableView:
         return run
 
     def _range(self, key: slice) -> tuple[int, int]:
-        """First address and count of a slice."""
+        """First address and number of items that a slice means."""
         if key.step not in (None, 1):
             raise IndexError(f"{self._name}: a slice of items has no step")
         runs = self._store.runs

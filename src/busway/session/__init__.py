@@ -1,4 +1,5 @@
-"""Conversations: who may speak when, and what belongs to what. Pure: bytes and ``now`` in, bytes and events out.
+"""Protocol sessions of clients and servers: which request is sent when, and which reply belongs to it. Pure: bytes and
+``now`` in, bytes and events out.
 
 Where it is decided: whether a read or a write is repeated, and when its outcome is unknown: `retries`. Order and limit
 of waiting requests: `queue`. When to reconnect, and the backoff: `reconnect`; what becomes of open requests then:

@@ -19,12 +19,12 @@ CHARACTERS: Final = 32
 
 
 def floor_for(character: float) -> float:
-    """The shortest safe time on a line whose characters take so many seconds each; 0 for a network."""
+    """The shortest safe timeout on a line, given the seconds that one character takes; 0 for a network."""
     return ROOM + CHARACTERS * character
 
 
 class AdaptiveTimeout:
-    """The adaptive timeout of one scan.
+    """Adaptive timeout of one scan for units; it shrinks with the replies seen so far.
 
     Attributes:
         longest, floor: the limits in seconds.

@@ -34,7 +34,7 @@ HEAD_SIZE = 9
 
 
 class CallOptions(TypedDict, total=False):
-    """Options of every call; what is left out is taken from the link.
+    """Options that every method of a unit accepts, such as a timeout; omitted ones are those of the link.
 
     timeout: seconds per attempt. retries: further attempts of reads. deadline: seconds in all, queueing included.
     idempotent: a write may be executed twice, so it is repeated like a read.
@@ -114,12 +114,12 @@ class Call:
 
     @property
     def has_more(self) -> bool:
-        """Whether a request waits to be sent."""
+        """Whether a request of this call waits to be sent."""
         return self.next < len(self.requests) or bool(self.again)
 
     @property
     def next_position(self) -> int:
-        """Position of the request that is sent next. Valid only while `has_more`."""
+        """Position in the call of the request that is sent next. Valid only while `has_more`."""
         return self.again[0] if self.again else self.next
 
     def take(self, at_most: int) -> Sequence[int]:
@@ -219,7 +219,7 @@ class EncodedRequest:
 
 
 def encoded_request(request: Request, unit: int) -> EncodedRequest:
-    """The route of a request to a unit; made at the first use and kept with the request."""
+    """The encoded bytes of a request to a unit; made at the first use and kept with the request."""
     try:
         route: EncodedRequest = request.memo
     except AttributeError:
@@ -227,13 +227,15 @@ def encoded_request(request: Request, unit: int) -> EncodedRequest:
     else:
         if route.unit == unit:
             return route
-        route = _other_route(request, unit, route)
+        route = _encoded_for_other_unit(request, unit, route)
     request.remember(route)
     return route
 
 
-def _other_route(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
-    """The route to a unit for a request that has routes to others; all of them share one table by unit."""
+def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
+    """The encoded bytes for one more unit of a request that was already encoded for others; they share a table
+    by unit.
+    """
     if known.others is None:
         known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references
     found = known.others.get(unit)
@@ -244,7 +246,7 @@ def _other_route(request: Request, unit: int, known: EncodedRequest) -> EncodedR
 
 
 class RequestInFlight:
-    """A slot for one request in flight; a connection reuses the same few objects."""
+    """One request in flight, or a free slot for one; a connection reuses the same few objects."""
 
     __slots__ = ("call", "expires", "position", "route", "sent")
 
@@ -321,7 +323,7 @@ class BatchPlan:
 
 @lru_cache(maxsize=256)
 def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.Struct, struct.Struct]:
-    """Struct layouts of the requests and of the replies of a batch; ``tails`` and ``replies`` are sizes in bytes."""
+    """Struct layouts of a batch's requests and replies; ``tails`` and ``replies`` are their sizes in bytes."""
     out = "".join(f"H{size}s" for size in tails)
     back = "".join(f"H7s{size - HEAD_SIZE}s" for size in replies)
     return struct.Struct(">" + out), struct.Struct(">" + back)

@@ -356,7 +356,9 @@ class TcpClientSession:
         return self.breakers.asked(call.unit, now, call.timeout, usual or call.timeout)
 
     def _usual(self, unit: int) -> float:
-        """Seconds that a unit usually takes, or if unknown the slowest other unit; 0 before any answer."""
+        """Seconds that a unit usually takes to answer; if unknown, those of the slowest other unit; 0 before
+        any reply.
+        """
         return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
     def _split_batches(self) -> None:
@@ -475,7 +477,7 @@ class TcpClientSession:
         return at
 
     def in_work(self) -> list[Call]:
-        """Calls with several requests of which some were sent and others may still wait in the queue.
+        """Calls of several requests of which some were sent and others may still be in the queue.
 
         A call may appear more than once, and single-request calls in flight may appear too.
         """
@@ -570,7 +572,7 @@ class TcpClientSession:
             self.breakers.answered(unit)
 
     def _learn_pace(self, unit: int, seconds: float) -> None:
-        """Update the usual response time of a unit: its slowest lately."""
+        """Update the usual response time of a unit: that of its slowest recent reply."""
         self._pace[unit] = max(seconds, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _no_reply(self, awaited: RequestInFlight, partial: bytes, now: float, *, over: bool) -> NoReply:
@@ -695,7 +697,7 @@ class TcpClientSession:
 
     @property
     def _tolerant(self) -> bool:
-        """Whether the policy accepts replies with another transaction."""
+        """Whether the mismatch policy accepts replies with another transaction identifier."""
         return self.parameters.transaction_policy is not MismatchPolicy.STRICT
 
     def _foreign(self, protocol: int) -> None:

@@ -23,7 +23,7 @@ Moved = Callable[[ConnectionEvent, str, str], None]
 
 
 class ConnectionLife:
-    """Life cycle of a link's connections, one after the other.
+    """Life cycle of the successive connections of one link.
 
     Args:
         conversation: the client session that uses the connection.
@@ -94,7 +94,7 @@ class ConnectionLife:
             self._move(ConnectionEvent.VALID_REPLY, now)
 
     def tick(self, now: float) -> bool:
-        """Let the session handle timeouts. Returns whether a request has timed out."""
+        """Let the session handle its timeouts. Returns whether a request has timed out."""
         counters = self._conversation.counters
         timeouts = counters.timeouts
         self._conversation.tick(now)
@@ -104,7 +104,7 @@ class ConnectionLife:
         return True
 
     def spent(self, now: float, last_used: float) -> str:
-        """The reason to close an unused connection now; empty while it is to be kept."""
+        """The reason to close an unused connection now, such as its idle time; empty while it is to be kept."""
         if now < last_used + self.hold:
             return ""
         return f"unused for {self.hold:g} s" if self.hold else "nothing more is asked"

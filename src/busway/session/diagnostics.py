@@ -80,7 +80,7 @@ _PLAIN_EXCHANGE = bytes((_SENT, _RECEIVED))
 
 @dataclass(slots=True)
 class Counters:
-    """The diagnostic counters, named as the sub-functions 0B…12 name them."""
+    """The diagnostic counters of function 08, named as its sub-functions 0B…12 name them."""
 
     bus_message_count: int = 0
     bus_communication_error_count: int = 0
@@ -163,7 +163,7 @@ class LineDiagnostics:
         self._damage_log: deque[int] = deque(maxlen=EVENT_LOG_SIZE)
 
     def of(self, unit: int) -> "CommunicationState":
-        """The state of a unit, 0…255."""
+        """The diagnostic state of a unit, 0…255."""
         state = self._states.get(unit)
         if state is None:
             listed = unit if self._listed_unit is None else self._listed_unit(unit)
@@ -175,7 +175,7 @@ class LineDiagnostics:
 
     @property
     def counters(self) -> Counters:
-        """What was heard since the start, which no unit clears, and the sums of the counters that each unit has."""
+        """Counters of the whole line: what was heard since the start, and the sums of the units' own counters."""
         self.fold()
         total = _with_heard(Counters(), self.heard, HeardCounters())
         for state in self._distinct():
@@ -190,15 +190,15 @@ class LineDiagnostics:
 
     @property
     def listen_only(self) -> bool:
-        """Whether one of the units is in listen-only mode."""
+        """Whether any unit is in listen-only mode."""
         return bool(self.listen_only_units)
 
     def received_foreign(self) -> None:
-        """A whole frame for another unit passed by."""
+        """Count a whole frame that was for another unit."""
         self.heard.messages += 1
 
     def received_broadcast(self, units: Iterable[int]) -> None:
-        """A broadcast came in: one message of the line, and one for each of ``units``."""
+        """Count a received broadcast: one message of the line, and one for each of ``units``."""
         self.fold()
         self.heard.messages += 1
         self.requests += 1
@@ -206,7 +206,7 @@ class LineDiagnostics:
             self.of(unit).received_broadcast()
 
     def received_damaged(self, *, overrun: bool = False) -> None:
-        """A damaged frame came in; every unit hears it."""
+        """Count and log a damaged frame; every unit hears it."""
         self.fold()
         self.heard.damaged += 1
         event = ReceiveEvent.RECEIVED | ReceiveEvent.COMMUNICATION_ERROR
@@ -230,12 +230,12 @@ class LineDiagnostics:
             self.of(unit).take_many(exchanged[unit], arrived[unit], departed[unit])
 
     def _distinct(self) -> list["CommunicationState"]:
-        """The states, each once: a device that answers as several units has one."""
+        """The states of all units, each once: a device that answers as several units has one state."""
         return [state for unit, state in list(self._states.items()) if unit == state.unit]
 
 
 class CommunicationState:
-    """Counters, event log and mode of one unit; what `busway.pdu.model.Diagnostics` asks for.
+    """Diagnostic counters, event log and mode of one unit, as `busway.pdu.model.Diagnostics` asks for.
 
     Args:
         line: the line or listener that the unit is on; one of its own if left out.
@@ -283,25 +283,27 @@ class CommunicationState:
 
     @property
     def counters(self) -> Counters:
-        """The eight counters of the unit, up to date: a copy."""
+        """A copy of the eight diagnostic counters of the unit, up to date."""
         self.line.fold()
         return _with_heard(self.own, self.line.heard, self._heard_before)
 
     @property
     def event_count(self) -> int:
-        """Successful messages since the last restart or clear (function 11)."""
+        """Number of successful messages since the last restart or clear (function 11)."""
         self.line.fold()
         return self._event_count
 
     @property
     def message_count(self) -> int:
-        """Messages heard since the last restart or clear (function 12): the bus message count of 08/0B (§6.10)."""
+        """Number of messages heard since the last restart or clear (function 12): the bus message count of 08/0B
+        (§6.10).
+        """
         self.line.fold()
         return self.line.heard.messages - self._heard_before.messages
 
     @property
     def listen_only(self) -> bool:
-        """Whether nothing is answered until a restart."""
+        """Whether the unit is in listen-only mode: it answers nothing until a restart."""
         return self.unit in self.line.listen_only_units
 
     # What functions 08, 11 and 12 ask for.
@@ -335,11 +337,11 @@ class CommunicationState:
         return data
 
     def event_counter(self) -> tuple[int, int]:
-        """Status word and number of successful messages."""
+        """Status word and number of successful messages, for function 11."""
         return 0xFFFF if self.program_command_running else 0, self.event_count
 
     def event_log(self) -> tuple[int, int, int, bytes]:
-        """Status word, event count, message count, and up to 64 event bytes, the newest first."""
+        """Status word, event count, message count, and up to 64 event bytes, the newest first, for function 12."""
         status, events = self.event_counter()
         return status, events, self.message_count, bytes(self._log)
 
@@ -355,7 +357,7 @@ class CommunicationState:
     # What the conversation reports.
 
     def received(self) -> None:
-        """A message for this unit alone came in, whole."""
+        """Count a whole message that was for this unit alone."""
         line = self.line
         if line.exchanged or line.arrived or line.departed:
             line.fold()
@@ -366,7 +368,7 @@ class CommunicationState:
         self._log.appendleft(_RECEIVED_MUTED if muted and self.unit in muted else _RECEIVED)
 
     def received_broadcast(self) -> None:
-        """A broadcast came in, which the line has counted."""
+        """Count a broadcast for this unit; the line has counted it already."""
         self.own.server_message_count += 1
         self.log_received(ReceiveEvent.RECEIVED | ReceiveEvent.BROADCAST)
 
@@ -375,7 +377,7 @@ class CommunicationState:
         self._log.appendleft(event | ReceiveEvent.LISTEN_ONLY if self.listen_only else event)
 
     def answered(self, *, exception: int | None = None, counts: bool = True) -> None:
-        """An answer goes out; ``counts`` is False for functions that leave the event counter alone (11)."""
+        """Count a reply of this unit; ``counts`` is False for functions that leave the event counter alone (11)."""
         line = self.line
         if line.exchanged or line.arrived or line.departed:
             line.fold()
@@ -391,7 +393,7 @@ class CommunicationState:
             self._log.appendleft(event)
 
     def failed(self, exception: int) -> None:
-        """A request, perhaps a broadcast, ended with an exception code."""
+        """Count a request, perhaps a broadcast, that ended with an exception code."""
         if exception == ExceptionCode.SERVER_DEVICE_BUSY:
             self.own.server_busy_count += 1
         elif exception == ExceptionCode.NEGATIVE_ACKNOWLEDGE:
@@ -400,7 +402,7 @@ class CommunicationState:
             self.own.bus_exception_error_count += 1
 
     def kept_silent(self, *, executed: bool = False, write_failed: bool = False) -> None:
-        """A message for this unit gets no answer.
+        """Count a message for this unit that gets no reply.
 
         ``executed``: it was a broadcast, and is done. ``write_failed``: the port did not take the answer.
         """
@@ -426,7 +428,7 @@ class CommunicationState:
             self.restart(clear_log=self._restart_clears_log)
 
     def _clear(self) -> None:
-        """Clear the counters, also those of 11 and 12 (§6.9, §6.10)."""
+        """Clear the counters of the unit, also those of functions 11 and 12 (§6.9, §6.10)."""
         self.line.fold()
         self._heard_before = replace(self.line.heard)
         self.own = Counters()
@@ -434,7 +436,7 @@ class CommunicationState:
 
 
 def _with_heard(own: Counters, heard: HeardCounters, before: HeardCounters) -> Counters:
-    """Counters of a unit, completed by what was heard since ``before``."""
+    """The own counters of a unit, completed by what its line has heard since ``before``."""
     return replace(
         own,
         bus_message_count=heard.messages - before.messages,

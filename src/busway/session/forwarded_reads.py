@@ -1,4 +1,4 @@
-"""Reads that a gateway forwards: those that one segment brings go upstream in one step.
+"""Reads that a gateway forwards on the fast path: the reads of one TCP segment are forwarded together.
 
 Knows the layout of a read and its answer on TCP, and the slots of a connection; knows no upstream and no route.
 
@@ -38,24 +38,24 @@ DeliverTogether = Callable[[list[bytes]], None]
 
 
 class ReadTarget(Protocol):
-    """A unit upstream that reads are forwarded to which clients ask of one unit: it never stands for two of theirs."""
+    """A unit of an upstream, as the destination of reads that clients send to one unit of the gateway."""
 
     def ask(self, asker: "ForwardedReads", transactions: Sequence[bytes], plans: "Sequence[ForwardPlan]") -> None:
-        """Forward reads. ``asker`` gets the answer of each, perhaps before this returns."""
+        """Forward reads. ``asker`` is given the reply to each, perhaps before this returns."""
 
 
 class ForwardedBatch(Protocol):
-    """Requests upstream that answer forwarded reads."""
+    """Requests to an upstream whose replies answer forwarded reads."""
 
     def owed(self, asker: "ForwardedReads") -> "Iterable[ForwardPlan]":
-        """The plans of the reads of a connection that have not been answered."""
+        """The forwarding plans of those reads of a connection that have not been answered yet."""
 
     def asker_gone(self, asker: "ForwardedReads") -> None:
-        """The client disconnected: its reads need no answer any more."""
+        """Drop the reads of a client that has disconnected."""
 
 
 class ForwardPlan:
-    """How one particular read is forwarded.
+    """How one particular read is forwarded: to which upstream unit, and with which request.
 
     Args:
         target: the unit upstream it is sent to.
@@ -81,11 +81,11 @@ class ForwardPlan:
         self.head: bytes = HEAD.pack(0, 0, 1 + request.expected_size, unit)[2:] + request.expected_prefix
 
     def refusal(self, code: int) -> bytes:
-        """The bytes after the transaction of an exception reply with this code."""
+        """An exception reply with this code, without its transaction identifier."""
         return b"\0\0\0\3" + self.head[4:5] + bytes((self.head[5] | 0x80, code))
 
     def whole(self, replies: Sequence[Message]) -> Message:
-        """The reply: it was not split."""
+        """The reply for the client: that of the only request, because a read on this path is not split."""
         return replies[0]
 
 
@@ -112,7 +112,7 @@ class ForwardPlans:
         return key in self.known or key in self.others
 
     def learn(self, key: bytes, plan: ForwardPlan | None) -> None:
-        """Keep the plan of a read; None: it takes the generic path."""
+        """Keep the forwarding plan of a read; None means that it takes the generic path."""
         if plan is None:
             if len(self.others) >= _PLAN_LIMIT:
                 self.others.clear()
@@ -133,17 +133,17 @@ class ForwardPlans:
 
 
 class ReadObserver(Protocol):
-    """Sees what becomes of forwarded reads (`busway.session.pipeline.RequestPipeline`)."""
+    """Observer of forwarded reads: told of their replies (`busway.session.pipeline.RequestPipeline`)."""
 
     @property
     def clock(self) -> Callable[[], float]:
-        """The clock of ``began``."""
+        """The clock by which ``began`` of the reads is measured."""
 
     def forwarded(self, client: "ClientIdentity", replies: Sequence[bytes], began: float) -> None:
-        """Reads that all arrived at ``began`` were answered with these ADUs."""
+        """Report that reads which arrived together at ``began`` were answered with these ADUs."""
 
     def unanswered(self, client: "ClientIdentity", requests: int) -> None:
-        """The client left before so many reads were answered."""
+        """Report that a client disconnected before so many of its reads were answered."""
 
 
 @runtime_checkable
@@ -151,17 +151,17 @@ class ReadForwarder(Protocol):
     """A responder that can forward reads in batches."""
 
     def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
-        """The plan of a read; None if it has to take the generic path."""
+        """The forwarding plan of a read; None if the read has to take the generic path."""
 
 
 @lru_cache(maxsize=64)
 def _shape(count: int) -> Struct:
-    """Struct layout of ``count`` reads: transaction and key of each."""
+    """Struct layout of ``count`` reads in a row: transaction and key of each."""
     return Struct("2s10s" * count)
 
 
 class ForwardedReads:
-    """The forwarded reads of one connection.
+    """The forwarded reads of one client connection.
 
     Attributes:
         peer: ``host:port`` of the client.
@@ -211,7 +211,9 @@ class ForwardedReads:
         self.batches: dict[ForwardedBatch, None] = {}
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
-        """Forward the known reads from ``at`` on, as many as there are slots. Returns where the first other begins."""
+        """Forward the known reads in a buffer from ``at`` on, while slots are free. Returns the offset of the first
+        other request.
+        """
         slots = self._slots
         count = min((size - at) // READ_SIZE, slots.limit - slots.used)
         if count <= 0:
@@ -253,7 +255,7 @@ class ForwardedReads:
         return end
 
     def _known_ones(self, keys: Sequence[bytes]) -> Iterator[ForwardPlan]:
-        """The plans of the reads before the first unknown one."""
+        """The forwarding plans of the reads before the first unknown one."""
         for key in keys:
             plan = self.plans.known.get(key)
             if plan is None:
@@ -261,7 +263,7 @@ class ForwardedReads:
             yield plan
 
     def _ask_each(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan]) -> None:
-        """Forward reads to several targets, those of each together."""
+        """Forward reads to several upstream units, those of each unit together."""
         by_target: dict[ReadTarget, tuple[list[bytes], list[ForwardPlan]]] = {}
         for transaction, plan in zip(transactions, plans, strict=True):
             those = by_target.setdefault(plan.target, ([], []))
@@ -271,7 +273,7 @@ class ForwardedReads:
             target.ask(self, some, their_plans)
 
     def answer(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan], data: Sequence[bytes]) -> None:
-        """Answer reads of one target with their data; the answers leave with `send`."""
+        """Answer reads of one upstream unit with their data; `send` transmits the replies."""
         if self._is_open:
             count = len(plans)
             self.waiting -= count
@@ -287,11 +289,11 @@ class ForwardedReads:
                 self._ready += [transaction + plan.head + one for transaction, plan, one in reads]
 
     def reply(self, transaction: bytes, plan: ForwardPlan, reply: Any) -> None:  # Any: a message with ``data``
-        """Answer a read with a reply that was decoded; the answer leaves with `send`."""
+        """Answer a read with a decoded reply; `send` transmits it."""
         self.answer((transaction,), (plan,), (reply.data,))
 
     def refuse(self, transaction: bytes, plan: ForwardPlan, code: int) -> None:
-        """Answer a read with an exception code, which leaves with `send`."""
+        """Answer a read with an exception code; `send` transmits it."""
         if self._is_open:
             self.waiting -= 1
             self._slots.used -= 1
@@ -299,7 +301,7 @@ class ForwardedReads:
             self._ready.append(transaction + plan.refusal(code))
 
     def send(self) -> None:
-        """Send the answers that are ready, together."""
+        """Transmit all finished replies together."""
         ready = self._ready
         if ready:
             self._ready = []
@@ -317,7 +319,7 @@ class ForwardedReads:
             observer.forwarded(self._client, replies, arrived)
 
     def close(self) -> None:
-        """End with the connection: waiting reads get no answer, and their slots are freed."""
+        """End with the client's connection: waiting reads get no reply, and their slots are freed."""
         self._is_open = False
         if self._observed_by is not None and self.waiting:
             self._observed_by.unanswered(self._client, self.waiting)

@@ -1,4 +1,5 @@
-"""Outstanding late replies of the units of a serial line, and which requests may be sent before they have come.
+"""Late replies of the units of a serial line: which are outstanding, and which requests may be sent before they have
+come.
 
 Knows requests, units and times; knows no bytes of a frame beyond its PDU, no port and no clock.
 
@@ -55,7 +56,7 @@ _OF_CHECKS: Final = (MarkerKind.OTHER_LENGTH, MarkerKind.RETURN_QUERY_DATA)
 
 @dataclass(frozen=True, slots=True)
 class Marker:
-    """A harmless request that the session itself sends to end a doubt (rule 4).
+    """A harmless request that the session sends itself, to learn from its reply that no older reply will come (rule 4).
 
     Attributes:
         kind: the kind of request.
@@ -68,7 +69,7 @@ class Marker:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwedReply:
-    """A request that was sent and got no reply, which may still come.
+    """A request that got no reply in time but may still get one.
 
     Attributes:
         request: the request, prepared.
@@ -88,17 +89,17 @@ class OwedReply:
     times: int = 1
 
     def may_be(self, pdu: bytes) -> bool:
-        """Whether this PDU may be the reply to this request."""
+        """Whether a received PDU may be the reply to this request."""
         return may_answer(self.request, pdu)
 
     def is_of(self, call: object, position: int) -> bool:
-        """Whether this is an earlier attempt of the request at ``position`` of ``call``."""
+        """Whether this owed reply belongs to an earlier attempt of the request at ``position`` of ``call``."""
         return self.call is call and self.position == position and call is not None
 
 
 @dataclass(slots=True)
 class UnitDoubt:
-    """Owed replies and markers of one unit.
+    """The owed replies of one unit and the markers that it answers.
 
     Attributes:
         owed: the replies that may still come, in the order of their requests.
@@ -144,7 +145,7 @@ class UnitDoubt:
         self.owed.append(reply)
 
     def is_older(self, pdu: bytes) -> bool:
-        """Whether this PDU must be taken for one of the replies counted in ``older``.
+        """Whether a received PDU must be taken for one of the replies counted in ``older``.
 
         A reply to 08/00 is not: its number identifies its request.
         """
@@ -159,7 +160,7 @@ class UnitDoubt:
             del self.older[function]
 
     def candidates(self, pdu: bytes) -> list[OwedReply]:
-        """The owed replies that this PDU may be, the earliest first: it must be taken for that one (rule 2)."""
+        """The owed replies that a received PDU may be, the earliest first: it must be taken for that one (rule 2)."""
         return [owed for owed in self.owed if owed.may_be(pdu)]
 
     def came(self, reply: OwedReply) -> None:
@@ -207,23 +208,23 @@ class UnitDoubt:
 
     @property
     def owed_count(self) -> int:
-        """How many replies are owed."""
+        """Number of replies that the unit owes."""
         return sum(one.times for one in self.owed) + sum(self.older.values())
 
     @property
     def is_owed(self) -> bool:
-        """Whether replies are owed, or the unit sent a frame unasked."""
+        """Whether the unit owes replies, or sent a frame unasked."""
         return bool(self.owed or self.older or self.unasked is not None)
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing is owed, and no time has to pass."""
+        """Whether the unit owes nothing, and no waiting time is running."""
         return not self.is_owed and not self.pending
 
     # Markers.
 
     def marker(self, number: int, *, is_check: bool = False) -> Marker | None:
-        """The next marker to try, or None if the unit answered no kind of marker.
+        """The next marker to send to the unit, or None if it answered no kind of marker.
 
         ``number``, 0…65535, is the data of 08/00; no marker that is still owed a reply may have used it.
         """
@@ -263,18 +264,18 @@ class UnitDoubt:
         return None
 
     def marked(self, kind: MarkerKind) -> None:
-        """Note that a marker was answered."""
+        """Note that the unit answered a marker of this kind."""
         self.works = kind
         self.silent.discard(kind)
         self.unasked = None
         self.alike = 0
 
     def not_marked(self, kind: MarkerKind) -> None:
-        """Note that a marker was not answered."""
+        """Note that the unit did not answer a marker of this kind."""
         self.silent.add(kind)
 
     def revived(self) -> None:
-        """Try all kinds of markers again: the unit answers after it had been given up."""
+        """Allow all kinds of markers again, because a unit that was given up answers."""
         self.silent.clear()
 
     # Replies in time.
@@ -296,7 +297,7 @@ class UnitDoubt:
 
 
 def may_answer(request: Request, pdu: bytes) -> bool:
-    """Whether this PDU may be the reply, or an exception, to a prepared request."""
+    """Whether a received PDU may be the reply, or an exception reply, to a prepared request."""
     if pdu[0] & ~_EXCEPTION != request.wire[0]:
         return False
     if pdu[0] & _EXCEPTION:
@@ -336,7 +337,7 @@ class Doubts:
         self._number = 0
 
     def of(self, unit: int) -> UnitDoubt:
-        """The state of a unit, created at the first use."""
+        """The state of owed replies of a unit, created at the first use."""
         found = self.units.get(unit)
         if found is None:
             found = self.units[unit] = UnitDoubt()

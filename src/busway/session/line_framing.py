@@ -22,7 +22,7 @@ from ..pdu.functions import STANDARD, FunctionTable
 
 
 class LineFraming:
-    """The framing of one end of one line. Made by `line_framing`.
+    """Framing of one end of a serial line: its receiver, encoder and silent times. Made by `line_framing`.
 
     Attributes:
         receiver: finds the frames.

@@ -1,4 +1,4 @@
-"""The one way of a request through a server: authorizer, responder, observers; and the fast path past them.
+"""The path of every request through a server: authorizer, responder and observers; and the fast path.
 
 Knows the order of the parts, and when what was learnt becomes invalid; knows no transport, no device and no rule.
 
@@ -47,24 +47,26 @@ _MOST_FUNCTIONS: Final = 4096
 
 
 class ClientRights(Protocol):
-    """What a set of clients may do; equal for clients with equal rights."""
+    """The rights of a set of clients under a policy; equal for clients with equal rights."""
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """The answer of a function of a unit, limited to what is permitted; None if each request must be decided."""
+        """The fast answer to a function of a unit, limited to what is permitted; None if each request must be
+        decided.
+        """
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read is permitted whenever it is asked: no rate limits it."""
+        """Whether a read is always permitted, without a rate limit, so that it may be forwarded unchecked."""
 
 
 class Authorizer(Protocol):
-    """Decides which requests are executed."""
+    """Decides which requests a server executes."""
 
     @property
     def generation(self) -> int:
         """A number that changes when earlier decisions, and results of `rights_of`, become invalid."""
 
     def rights_of(self, client: ClientIdentity) -> ClientRights:
-        """The rights of a client."""
+        """The rights of a client under the policy."""
 
     def authorize(
         self, context: RequestContext, request: AnyRequest, served: ServedUnit | None
@@ -73,18 +75,22 @@ class Authorizer(Protocol):
 
 
 class RequestObserver(Protocol):
-    """Sees what becomes of requests, without any influence on it. Seconds are from a request's arrival to its end."""
+    """Observer of requests and their outcomes, without influence on them. Seconds are from a request's arrival to its
+    end.
+    """
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """The fast path has given these replies, ADUs of Modbus TCP, in so many seconds altogether."""
+        """Report replies that the fast path has given, ADUs of Modbus TCP, and the seconds that all of them took."""
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """The client left before so many requests that were forwarded on the fast path were answered."""
+        """Report that a client disconnected before so many of its forwarded requests were answered."""
 
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
     ) -> None:
-        """The outcome of a request on the generic path: a reply, `SILENCE`, or None if the client left before it."""
+        """Report the outcome of a request on the generic path: a reply, `SILENCE`, or None if the client disconnected
+        before.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +102,7 @@ class ResponderFailure:
 
 
 class RequestPipeline:
-    """Responder, authorizer and observers of a listener.
+    """The responder, authorizer and observers of a listener, as one path for its requests.
 
     Args:
         responder: answers permitted requests.
@@ -123,17 +129,17 @@ class RequestPipeline:
 
     @property
     def functions(self) -> FunctionTable:
-        """The functions that are decoded."""
+        """The table of functions that the responder decodes."""
         return self.responder.functions
 
     @property
     def generation(self) -> int:
-        """The number that changes when a `FastPath` becomes invalid."""
+        """A number that changes when a `FastPath` becomes invalid."""
         authorizer = self.authorizer
         return self.responder.generation if authorizer is None else self.responder.generation + authorizer.generation
 
     def fast_path(self, client: ClientIdentity) -> "FastPath":
-        """The fast path of a client, shared with all that have the same rights."""
+        """The fast path for a client, shared with all clients that have the same rights."""
         generation = self.generation
         if self._fast_of != generation or len(self._fast) > _MOST_RIGHTS:
             self._fast, self._fast_of = {}, generation
@@ -188,7 +194,7 @@ class RequestPipeline:
             observer.answered(client, replies, seconds)
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Tell the observers of forwarded reads whose client left before their replies."""
+        """Tell the observers of forwarded reads whose client disconnected before their replies."""
         for observer in self.observers:
             observer.unanswered(client, requests)
 
@@ -200,7 +206,7 @@ class RequestPipeline:
 
 
 class FastPath:
-    """What is known of the requests of all clients with the same rights.
+    """Cache of compiled answers to requests, for all clients with the same rights.
 
     Attributes:
         reads: how reads of registers are answered, by the ten bytes after the transaction: a poller repeats them.
@@ -219,7 +225,9 @@ class FastPath:
         self.forwards: ForwardPlans = ForwardPlans()
 
     def bind(self, unit: int, function: int) -> Answer | None:
-        """Learn what answers a function of a unit; None where all requests take the generic path."""
+        """Find and keep the function that answers a function code of a unit; None if its requests take the generic
+        path.
+        """
         answer = self._bound(unit, function)
         if len(self.functions) >= _MOST_FUNCTIONS:
             self.functions.clear()
@@ -233,7 +241,7 @@ class FastPath:
         return kind.direct(served.device) if self._rights is None else self._rights.bind(unit, served, kind)
 
     def learn_read(self, adu: bytes) -> bool:
-        """Learn a read that was just answered. Returns whether there is room for another."""
+        """Keep the bytes of a read that was just answered. Returns whether there is room for another."""
         unit, pdu = adu[6], adu[7:]
         served, kind = self._direct(unit, pdu[0])
         if served is not None and served.device is not None and kind is not None:
@@ -243,7 +251,7 @@ class FastPath:
         return len(self.reads) < MOST_READS
 
     def can_forward(self, forwarder: ReadForwarder, context: RequestContext, adu: bytes) -> bool:
-        """Learn how a new read is forwarded. Returns whether it is forwarded from now on."""
+        """Learn how a new read is forwarded. Returns whether it is forwarded on the fast path from now on."""
         key = adu[2:]
         if not is_read(adu) or key in self.forwards:
             return False  # a known read comes here if no slot is left, or it needs the generic path
@@ -254,7 +262,7 @@ class FastPath:
         return plan is not None
 
     def _direct(self, unit: int, function: int) -> tuple[ServedUnit | None, type[Request] | None]:
-        """The unit, if its device offers the function on the fast path, and the function."""
+        """The unit and the function's request class, if the unit's device offers the function on the fast path."""
         served = self._responder.serves(unit)
         if served is None or served.device is None or not served.is_direct or not served.device.enabled(function):
             return None, None
@@ -267,17 +275,17 @@ class FastPath:
 
 
 class _NoUnits:
-    """A responder that serves no unit."""
+    """The responder of a server without units."""
 
     functions = STANDARD
     generation = 0
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """None."""
+        """None: there are no units."""
         return None
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Silence."""
+        """`SILENCE`: a server without units does not answer."""
         return SILENCE
 
 

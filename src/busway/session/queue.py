@@ -68,14 +68,14 @@ class _Caller:
         return chosen
 
     def has_served(self, unit: int) -> None:
-        """Note that the unit has had its turn, where units are served in turn."""
+        """Note that a unit has had its turn, if units are served in turn."""
         served = self.served
         if served is not None and len(self.units) > 1:
             served.pop(unit, None)
             served[unit] = None
 
     def _unit_in_turn(self, served: dict[int, None], eligible: Eligible | None) -> Call | None:
-        """The oldest call to the unit whose last turn is longest ago."""
+        """The caller's oldest call to the unit whose last turn was longest ago."""
         oldest: dict[int, Call] = {}
         for call in self.calls:
             oldest.setdefault(call.unit, call)
@@ -84,7 +84,7 @@ class _Caller:
 
 
 class _Round:
-    """Callers that are served one after the other, the next one first."""
+    """The callers of a queue that are served in turn, the next one first."""
 
     __slots__ = ("callers", "last")
 
@@ -107,7 +107,7 @@ class _Round:
 
 
 class RequestQueue:
-    """The queue of the calls that have something left to send.
+    """The bounded queue of the calls of a link that have requests left to send.
 
     Attributes:
         limit: how many places there are; for priority hosts `RESERVED_PLACES` more.
@@ -157,7 +157,9 @@ class RequestQueue:
         self._count(caller, call)
 
     def add_again(self, call: Call) -> None:
-        """Queue a call that has a request to repeat before the others of its caller, whatever the limit."""
+        """Queue a call that has a request to repeat, before the other calls of its caller and regardless of the
+        limit.
+        """
         caller = self._callers.get(call.caller) or self._new_caller(call)
         if call not in caller.calls:  # else its other requests still wait
             call.places = 1  # its other requests gave up their places when they were sent
@@ -188,7 +190,9 @@ class RequestQueue:
         self.waiting += call.places
 
     def share(self, room: int) -> int:
-        """Requests in one turn if ``room`` may be sent at once: the burst, or more if few callers wait."""
+        """Number of requests a caller may send in one turn if there is room for ``room``: the burst, or more if few
+        callers wait.
+        """
         callers = len(self._callers)
         if callers == 1:
             return room
@@ -255,7 +259,7 @@ class RequestQueue:
             caller.has_served(call.unit)
 
     def _rounds(self) -> tuple[_Round, ...]:
-        """Both rounds, in the order in which they are asked for the next turn."""
+        """Both rounds of callers, the one whose turn is next first."""
         if self._passed >= self._allowed:
             return self._others, self._priority
         return self._priority, self._others

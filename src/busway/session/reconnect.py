@@ -15,7 +15,7 @@ from typing import Final
 
 
 class ConnectionState(Enum):
-    """States of a link's connection."""
+    """States of a client's connection, from closed to up or backing off."""
 
     DOWN = "down"
     CONNECTING = "connecting"
@@ -25,7 +25,7 @@ class ConnectionState(Enum):
 
 
 class ConnectionEvent(Enum):
-    """Events that change the state."""
+    """Events that change the state of a client's connection."""
 
     DIALLED = "dialled"
     CONNECTED = "connected"
@@ -109,18 +109,22 @@ class Reconnect:
 
     @property
     def is_flapping(self) -> bool:
-        """Whether it backs off after more than one failed attempt: then calls fail instead of waiting for the next."""
+        """Whether the link backs off after several failed attempts: then calls fail instead of waiting for the next
+        one.
+        """
         return self.state is ConnectionState.BACKING_OFF and self.failures > 1
 
     def may_dial(self, now: float) -> bool:
-        """Whether an attempt may be made now; leaves BACKING_OFF if the pause is over."""
+        """Whether a connection attempt may be made now; leaves BACKING_OFF if the pause is over."""
         if self.state is ConnectionState.BACKING_OFF and now >= self.not_before:
             self.move(ConnectionEvent.PAUSE_OVER, now)
         return self.state is ConnectionState.DOWN
 
 
 def _news(event: ConnectionEvent, reason: str, failed: int, state: ConnectionState, *, new_state: bool) -> str:
-    """The operator's message about an event after ``failed`` attempts in a row without a valid reply, or empty."""
+    """The log message for the operator about a connection event, after ``failed`` attempts without a valid reply; or
+    empty.
+    """
     if event is ConnectionEvent.VALID_REPLY:
         if failed:
             return f"up: it answers again, after {failed} {'attempt' if failed == 1 else 'attempts'} without a reply"

@@ -39,7 +39,7 @@ Replaced = tuple[bytes | None, ...]
 
 
 class ClientIdentity:
-    """Who sends the requests of a connection, and to which listener.
+    """The client of a connection: its address, certificate and listener.
 
     Attributes:
         peer: ``host:port`` of the client, or the name of a serial line.
@@ -63,7 +63,7 @@ _UNKNOWN: Final = ClientIdentity()
 
 
 class Judged:
-    """What the authorizer says of a request.
+    """The authorizer's decision about a request, with the rule behind it.
 
     Attributes:
         rule: name of the rule that permits or denies the request.
@@ -84,7 +84,7 @@ class Judged:
 
 
 class RequestContext:
-    """The client, unit and listener of one request, and the way to give a late reply.
+    """The circumstances of one request (client, unit, listener), and the way to give a late reply.
 
     Attributes:
         client: who sent it; also as ``peer``, ``listener``, ``role`` and ``is_priority``.
@@ -134,7 +134,7 @@ class RequestContext:
 
     @property
     def peer(self) -> str:
-        """``host:port`` of the client, or the name of a serial line."""
+        """The client as ``host:port``, or the name of a serial line."""
         return self.client.peer
 
     @property
@@ -153,7 +153,7 @@ class RequestContext:
         return self.client.is_priority
 
     def replacing(self, values: Replaced) -> None:
-        """Called by a responder, in one step with the execution of a write: what the write replaces.
+        """Report the old values that a write replaces; called by a responder in one step with the write.
 
         There is one element for each range to be written, in the order of `Request.spans` (for file records, for each
         group). Raises `Refusal` where a rule forbids the write because of these values; then it is not executed.
@@ -165,7 +165,7 @@ class RequestContext:
                 judged.check(values)
 
     def inside(self, finish: Callable[["RequestContext", Message | Deferral], None]) -> "RequestContext":
-        """A context for a responder inside another one, whose late reply goes to ``finish``."""
+        """A context for a responder that is wrapped by another one; its late reply goes to ``finish``."""
         made = RequestContext(
             unit=self.unit,
             function=self.function,
@@ -180,7 +180,7 @@ class RequestContext:
 
     @property
     def replied(self) -> bool:
-        """Whether the late reply was given, or cannot be given any more."""
+        """Whether the late reply was given, or can no longer be given."""
         return self._finish is None
 
     def reply(self, reply: Message | Deferral) -> None:
@@ -191,11 +191,11 @@ class RequestContext:
             finish(self, reply)
 
     def refuse(self, code: int) -> None:
-        """Give an exception code as the late reply."""
+        """Give an exception code as the late reply of this request."""
         self.reply(ExceptionResponse(self.function, code))
 
     def abandon(self) -> None:
-        """The client disconnected or gave up: no reply can be given any more, and work on it may stop."""
+        """Report that the client disconnected or gave up: no reply can be given, and the responder may stop working."""
         self._finish = None
         self.end(None)
         gone, self.gone = self.gone, None
@@ -203,11 +203,13 @@ class RequestContext:
             gone()
 
     def watch(self, ended: Callable[[Message | Deferral | None], None]) -> None:
-        """Have ``ended`` called once: with the reply, `SILENCE`, or None if the client disconnects before it."""
+        """Have ``ended`` called once with the outcome: the reply, `SILENCE`, or None if the client disconnects before
+        it.
+        """
         self._watchers = (*self._watchers, ended)
 
     def end(self, outcome: Message | Deferral | None) -> None:
-        """The outcome is known: tell those who watch, unless they were told before."""
+        """Report the outcome of the request to its watchers, unless they were told before."""
         watchers, self._watchers = self._watchers, ()
         for ended in watchers:
             ended(outcome)
@@ -299,7 +301,7 @@ Outcome = Message | Awaitable[Message] | Deferral | Forwarding
 
 
 class DirectDevice(DirectModel, Protocol):
-    """A device of this process that requests may reach by the fast path."""
+    """A device in this process that the fast path can read and write without its responder."""
 
     def enabled(self, code: int) -> bool:
         """Whether the device offers a function."""
@@ -307,7 +309,7 @@ class DirectDevice(DirectModel, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ServedUnit:
-    """A unit that a responder serves.
+    """A unit that a responder serves, with its device if the fast path can use it.
 
     Attributes:
         unit: the unit as which its device is configured. A sole device also answers as others, such as 0 and 255, and
@@ -323,18 +325,18 @@ class ServedUnit:
 
 
 class Responder(Protocol):
-    """Answers requests."""
+    """Answers the requests of a server."""
 
     @property
     def functions(self) -> FunctionTable:
-        """The functions it decodes."""
+        """The table of functions that the responder decodes."""
 
     @property
     def generation(self) -> int:
         """A number that changes when earlier results of `serves`, or what was compiled from them, become invalid."""
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """The unit that answers for ``unit``, 0…255; None where there is none."""
+        """The served unit that answers for ``unit``, 0…255; None if there is none."""
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Answer a request (rule 1). Requests to units that are not served come here too."""

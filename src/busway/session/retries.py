@@ -20,7 +20,7 @@ from .queue import RequestQueue
 
 @dataclass(slots=True)
 class ClientCounters:
-    """Counters of a link since it was made."""
+    """Counters of a link since its creation."""
 
     requests: int = 0
     replies: int = 0
@@ -76,7 +76,7 @@ class CallTracker:
         self.begin(call, now)
 
     def begin(self, call: Call, now: float) -> None:
-        """Track a call that is sent at once and needs no place in the queue."""
+        """Track a call that is sent at once and does not enter the queue."""
         call.submitted = now
         if call.deadline is not None:
             self.deadlines += 1

@@ -64,7 +64,7 @@ class MasterState(Enum):
 
 @dataclass(slots=True)
 class _RequestInFlight:
-    """The request on the line. ``call`` is None if it was cancelled, or is a ``marker``."""
+    """The request in flight on the line. ``call`` is None if it was cancelled, or is a ``marker``."""
 
     call: Call | None
     request: Request
@@ -81,7 +81,7 @@ class _RequestInFlight:
 
     @property
     def deadline(self) -> float | None:
-        """Deadline of the call; None without one."""
+        """Deadline of the call that the request belongs to; None without one."""
         return None if self.call is None else self.call.deadline
 
 
@@ -138,7 +138,7 @@ class SerialClientSession:
         endpoint: str = "",
         doubts: Doubts | None = None,
     ) -> None:
-        """A session without a port.
+        """Create the client session of a serial line; the port is opened later.
 
         Args:
             parameters: timeout, retries, gaps, queue.
@@ -183,7 +183,7 @@ class SerialClientSession:
         self._unit_gaps = dict(unit_gaps)
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue a call.
+        """Queue a call. Raises `ModbusError` if the unit cannot be asked or the queue is full; nothing was sent then.
 
         Raises:
             InvalidRequest: a unit above 247, or a broadcast of a request that is no write.
@@ -260,7 +260,7 @@ class SerialClientSession:
 
     @property
     def in_flight(self) -> int:
-        """1 while a reply, or the end of the turnaround, is awaited."""
+        """1 while a reply or the end of the turnaround delay is awaited, else 0."""
         return 0 if self._awaited is None else 1
 
     # Events of the port.
@@ -375,7 +375,9 @@ class SerialClientSession:
         return (is_clear and not self._not_asked_before) or self._askable_at(call, now) <= now
 
     def _waits_for_counting(self, doubt: UnitDoubt, call: Call) -> bool:
-        """Whether a read has to wait, because another call's read is repeated to count off what the unit owes."""
+        """Whether a read has to wait because another call's read is repeated to find out which replies the unit still
+        owes.
+        """
         if doubt.counting is None or doubt.counting.ended:
             doubt.counting = None
             return False
@@ -383,7 +385,7 @@ class SerialClientSession:
         return not request.is_write and self._is_in_doubt(doubt, call)
 
     def _askable_at(self, call: Call, now: float) -> float:
-        """The earliest time to send to the call's unit, because a reply of it may still be on its way."""
+        """The earliest time to send to a call's unit, which may still be sending a late reply."""
         at = self._not_asked_before.get(call.unit, now)
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not doubt.pending or self._serial.trust_reply_order:
@@ -560,7 +562,7 @@ class SerialClientSession:
         doubt.unasked = frame.pdu[0] & 0x7F
 
     def _ask_at_once(self, awaited: _RequestInFlight, frame: SerialFrame) -> None:
-        """Repeat the read in flight at once: its reply may be the one that was just taken for an older one."""
+        """Repeat the read in flight at once: its reply may be the one that was just taken for an older reply."""
         call = awaited.call
         if call is None or awaited.request.is_write or not may_answer(awaited.request, frame.pdu):
             return
@@ -591,7 +593,7 @@ class SerialClientSession:
             self.notes.append(text)
 
     def _owe(self, awaited: _RequestInFlight) -> None:
-        """Note that the request in flight is owed a reply, which may still come."""
+        """Note that the unit still owes a reply to the request in flight."""
         if awaited.unit == BROADCAST_UNIT:
             return
         until = awaited.sent + OWED_FOR * awaited.timeout
@@ -702,7 +704,7 @@ class SerialClientSession:
         return first
 
     def _next_step(self) -> float | None:
-        """When the state of the master changes by itself."""
+        """The time at which the state of the master changes without an event from outside."""
         if self._awaited is not None:
             return self._awaited.expires
         if self.state is MasterState.DRAINING:

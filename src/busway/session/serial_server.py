@@ -35,7 +35,7 @@ _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_E
 
 @dataclass(frozen=True, slots=True)
 class FrameToSend:
-    """A frame to send.
+    """A frame for the line, and when it may be sent.
 
     Attributes:
         frame: its bytes.
@@ -48,17 +48,17 @@ class FrameToSend:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """An answer that is ready and has not left yet."""
+    """A reply that is ready but has not been sent."""
 
     context: RequestContext
     reply: Message
 
     def left(self) -> None:
-        """Count the answer: it has left."""
+        """Count the reply as sent."""
         _count_answer(self.context, self.reply)
 
     def lost(self, *, write_failed: bool = False) -> None:
-        """Count its request as one without an answer; an exception is counted as well, as with a broadcast."""
+        """Count the request as one without a reply; an exception reply is counted as well, as with a broadcast."""
         diagnostics = self.context.diagnostics
         if isinstance(self.reply, ExceptionResponse):
             diagnostics.failed(self.reply.exception)
@@ -73,7 +73,7 @@ def _count_answer(context: RequestContext, reply: Message) -> None:
 
 
 class SerialServerSession:
-    """Server session of one serial line, for all own units.
+    """Server session of one serial line, for all units that this server answers for.
 
     Attributes:
         deferred, failures: as in `TcpServerSession`; the driver empties them.
@@ -115,7 +115,7 @@ class SerialServerSession:
         client: ClientIdentity | None = None,
         sends_at_once: bool = False,
     ) -> None:
-        """Create the session of a line.
+        """Create the server session of a serial line.
 
         Args:
             pipeline: answers the requests.
@@ -148,7 +148,7 @@ class SerialServerSession:
 
     @property
     def waiting(self) -> int:
-        """1 while an answer is still to come."""
+        """1 while a request waits for its reply, else 0."""
         return 0 if self._waiting is None else 1
 
     # Events of the port.
@@ -210,7 +210,7 @@ class SerialServerSession:
             self.process(found)
 
     def clear_at(self) -> float:
-        """The earliest time at which an answer may be sent."""
+        """The earliest time at which the line is silent long enough to send a reply."""
         return self._last_byte + self._framing.send_gap
 
     def tick(self, now: float) -> list[FrameToSend]:
@@ -218,32 +218,32 @@ class SerialServerSession:
         return [*filter(None, map(self.process, self._receiver.tick(now)))]
 
     def deadline(self) -> float | None:
-        """When `tick` has something to do."""
+        """When `tick` has something to do, in the clock of ``now``; None for never."""
         return self._receiver.deadline()
 
     def sent(self, frame: bytes, ends: float) -> None:
-        """Report that a frame of ours is on the line until ``ends``."""
+        """Report that a frame sent by this server occupies the line until ``ends``."""
         self._last_byte = max(self._last_byte, ends)
         self._receiver.sent(frame, ends)
 
     def answer_left(self) -> None:
-        """Report that the last answer has left."""
+        """Report that the last reply has been sent completely."""
         answer, self._leaving = self._leaving, None
         if answer is not None:
             answer.left()
 
     def answer_lost(self) -> None:
-        """Report that the port did not accept the last answer."""
+        """Report that the port did not accept the last reply."""
         answer, self._leaving = self._leaving, None
         if answer is not None:
             answer.lost(write_failed=True)
 
     def take_no_more(self) -> None:
-        """Ignore further requests; the answer that is still to come may leave."""
+        """Ignore further requests; a reply in progress may still be sent."""
         self._takes_more = False
 
     def close(self) -> None:
-        """End with the port: waiting requests get no answer."""
+        """End with the port: waiting requests get no reply."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             leaving.lost()
@@ -256,7 +256,7 @@ class SerialServerSession:
     # Inside.
 
     def _settle(self, context: RequestContext) -> None:
-        """Forget the request in work: it has its outcome."""
+        """Forget the request in progress, which has its outcome now."""
         self._waiting = None
         context._finish = None
 
@@ -315,7 +315,7 @@ class SerialServerSession:
             context.diagnostics.kept_silent()
 
     def _abandon(self) -> None:
-        """Drop the request in work, or its answer: another frame has come, so its master has given up."""
+        """Drop the request in progress, or its reply: another frame has come, so the master has given up."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             self.abandoned += 1

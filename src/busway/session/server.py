@@ -50,10 +50,10 @@ _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_E
 
 
 class Deliver(Protocol):
-    """Callback that sends the bytes of a late reply; called with no bytes if a request gets no answer."""
+    """Callback that sends the bytes of a late reply; called with no bytes if a request gets no reply."""
 
     def __call__(self, adu: bytes, /) -> None:
-        """Send them."""
+        """Send the bytes of a late reply."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ class TcpServerSession:
         client: ClientIdentity | None = None,
         share: int | None = None,
     ) -> None:
-        """Create the session of a new connection.
+        """Create the server session of a new connection.
 
         Args:
             pipeline: answers the requests.
@@ -298,14 +298,14 @@ class TcpServerSession:
         return out
 
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
-        """Keep the first ``size`` bytes of ``buffer`` in ``rest``; `go_on` processes them."""
+        """Keep the first ``size`` bytes of ``buffer`` unprocessed in ``rest``, until `go_on`."""
         if self.unfinished:
             buffer, size = self._buffer.join(buffer, size)
             self.unfinished = 0
         self.rest += bytes(memoryview(buffer)[:size])
 
     def go_on(self) -> list[bytes]:
-        """Process ``rest``, up to one share. Returns the ADUs to send, in order."""
+        """Process the bytes kept in ``rest``, up to one share. Returns the ADUs to send, in order."""
         rest, self.rest = self.rest, b""
         return self.receive(rest, len(rest))
 
@@ -357,7 +357,7 @@ class TcpServerSession:
         )
 
     def _generic_path(self, transaction: int, unit: int, pdu: bytes) -> bytes:
-        """Decode a request, call the handler, encode the reply. Empty if there is no answer, or not yet."""
+        """Decode a request, call the responder, encode the reply. Empty if there is no reply, or not yet."""
         function = pdu[0]
         if function > 0x7F:
             self.discarded += 1

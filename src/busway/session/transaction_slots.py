@@ -1,4 +1,4 @@
-"""How many requests a server works on at once (Messaging on TCP/IP V1.0b §4.4.2.1)."""
+"""The limit of requests that a server works on at once (Messaging on TCP/IP V1.0b §4.4.2.1)."""
 
 
 class TransactionSlots:

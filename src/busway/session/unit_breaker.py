@@ -1,4 +1,4 @@
-"""Circuit breakers: one per unit of a link, so that units which do not answer cost the others little time.
+"""Circuit breakers: one per unit of a link, so that requests to units which do not answer delay other units little.
 
 Knows timeouts, replies and times; knows no bytes. ``jitter`` returns a number 0…1; a test can fix it.
 
@@ -19,7 +19,7 @@ from ..options.lines import BreakerParameters
 
 
 class BreakerState(Enum):
-    """State of a unit's breaker."""
+    """The states of a circuit breaker: closed, open or probing."""
 
     CLOSED = "closed"
     OPEN = "open"
@@ -35,7 +35,7 @@ class _UnitBreaker:
 
 
 class Breakers:
-    """The breakers of one link."""
+    """The circuit breakers of all units of one link."""
 
     __slots__ = ("_jitter", "_units", "parameters")
 
@@ -45,7 +45,7 @@ class Breakers:
         self._units: dict[int, _UnitBreaker] = {}
 
     def state(self, unit: int) -> BreakerState:
-        """State of a unit's breaker."""
+        """State of the circuit breaker of a unit."""
         breaker = self._units.get(unit)
         return BreakerState.CLOSED if breaker is None else breaker.state
 

@@ -1,4 +1,4 @@
-"""Fault profiles of devices whose replies say the wrong thing, or come in strange pieces."""
+"""Fault profiles of devices whose replies have wrong contents, or arrive in unusual pieces."""
 
 from dataclasses import replace
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""Fault profiles of serial lines: junk around frames, our own bytes back, answers where none may be.
+"""Fault profiles of serial lines: junk around frames, echo of the request, replies to broadcasts.
 
 Junk and echoes are met where serial frames travel, on a line or over a network. On Modbus TCP they would be a broken
 stream, which no device is known for.

@@ -1,4 +1,4 @@
-"""Fault profiles of devices that refuse what others do, or answer with strange exceptions."""
+"""Fault profiles of devices that refuse valid requests, or answer with unusual exceptions."""
 
 from collections.abc import Callable
 from typing import Annotated

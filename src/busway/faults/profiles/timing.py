@@ -1,4 +1,4 @@
-"""Fault profiles of devices that answer too late, in the wrong turn, or not now."""
+"""Fault profiles of devices that reply too late, out of order, or not for a while."""
 
 from collections import deque
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Metrics in the formats of Prometheus and OpenMetrics.
+"""Metrics of servers, gateways and links in the formats of Prometheus and OpenMetrics.
 
 `request_tally` counts, `observer` sees the requests, `metric_families` turns counts into metrics, `http_endpoint`
 serves them to a scraper. Only the last two need ``prometheus-client`` (the extra ``metrics``), loaded when used.

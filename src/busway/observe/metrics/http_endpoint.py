@@ -1,4 +1,4 @@
-"""Metrics over HTTP, for Prometheus to scrape: ``GET /metrics`` on an address of their own.
+"""The HTTP endpoint of the metrics, ``GET /metrics``, for Prometheus to scrape.
 
 Knows a source with a status and a collector over it; knows no server.
 
@@ -29,25 +29,25 @@ ASK_SECONDS: Final = 2.0
 
 
 class MetricsSource(Protocol):
-    """A server or gateway that can be metered."""
+    """Interface of a server or gateway whose metrics are offered."""
 
     def status(self) -> Any:
-        """How it stands: a dataclass like `busway.server.server.ServerStatus`."""
+        """The current status: a dataclass like `busway.server.server.ServerStatus`."""
 
     @property
     def functions(self) -> FunctionTable:
-        """The functions that it decodes."""
+        """The table of functions that the server decodes."""
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer of its requests; before it is started."""
+        """Register an observer of the server's requests; only before it is started."""
 
 
 @runtime_checkable
 class MarksDevices(Protocol):
-    """A source that has priority connections for some devices."""
+    """Interface of a metrics source that knows priority hosts."""
 
     def is_priority(self, listener: str, host: str) -> bool:
-        """Whether a host is marked at the listener of this URL."""
+        """Whether a host is a priority host of the listener with this URL."""
 
 
 def start_metrics(
@@ -79,7 +79,8 @@ def start_metrics(
 
 
 class MetricsEndpoint:
-    """The metrics of one source and their HTTP service. An asynchronous context manager that closes itself.
+    """The HTTP service that offers the metrics of one server or gateway; an asynchronous context manager that closes
+    it.
 
     Attributes:
         url: URL to scrape.
@@ -94,7 +95,7 @@ class MetricsEndpoint:
         classify: Classify | None = None,
         links: Callable[[], Iterable[Any]] | None = None,
     ) -> None:
-        """As `start_metrics`."""
+        """Bind the address and register the observer; arguments as of `start_metrics`."""
         host, port = parse_host_port(where, "metrics")
         need_prometheus()
         from .metric_families import ClientCollector, ServerCollector, registry_of
@@ -118,7 +119,9 @@ class MetricsEndpoint:
         self._service.start()
 
     def answer(self, request: HttpRequest) -> HttpResponse:
-        """The answer to ``GET /metrics``; also for another service. Blocks; not for the event loop of the source."""
+        """The response to ``GET /metrics``, also for other HTTP services. Blocks; not for the event loop of the
+        source.
+        """
         if request.path not in ("/", "/metrics"):
             raise HttpError(HTTPStatus.NOT_FOUND, "there is nothing but /metrics")
         if request.method != "GET":
@@ -126,12 +129,12 @@ class MetricsEndpoint:
         return render(self._registry, request.headers.get("accept", ""))
 
     async def close(self) -> None:
-        """Stop serving; returns when socket and threads have gone. A second call does nothing."""
+        """Stop the HTTP service; returns when socket and threads have gone. A second call does nothing."""
         # In a thread: a scrape may just be waiting for this event loop.
         await asyncio.to_thread(self._service.stop)
 
     def _ask(self) -> Any:  # a status, as the source gives it
-        """The status, from the source's event loop; None if that does not answer in time."""
+        """The status of the source, from its event loop; None if that does not answer in time."""
 
         async def status() -> Any:
             return self._source.status()
@@ -158,7 +161,7 @@ class MetricsEndpoint:
 
 
 def need_prometheus() -> None:
-    """Raises `MissingExtra` unless ``prometheus-client`` is installed."""
+    """Raise `MissingExtra` unless ``prometheus-client`` is installed."""
     try:
         import prometheus_client  # noqa: F401
     except ImportError as error:

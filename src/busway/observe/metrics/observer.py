@@ -1,4 +1,4 @@
-"""An observer of requests that counts what is answered, and how long it took.
+"""The observer that counts answered requests and their durations for the metrics.
 
 Knows outcomes; knows nothing of the content of requests, nor of how counts are shown.
 
@@ -23,7 +23,7 @@ _LINES: Final = ("rtu://", "ascii://")
 
 
 class ClassifyByMark:
-    """`PeerClass.PRIORITY` for priority hosts; otherwise as `classify_by_listener`.
+    """Classifies clients for the metrics: `PeerClass.PRIORITY` for priority hosts, otherwise as `classify_by_listener`.
 
     Args:
         is_priority: whether the host of a peer's address has priority at a listener; asked once for each peer.
@@ -34,7 +34,7 @@ class ClassifyByMark:
         self._memo: dict[tuple[str, str], PeerClass] = {}
 
     def __call__(self, client: ClientIdentity) -> PeerClass:
-        """The class of a client."""
+        """The class of a client for the metrics."""
         key = client.listener, client.peer.rpartition(":")[0].strip("[]")
         found = self._memo.get(key)
         if found is None:
@@ -46,12 +46,12 @@ class ClassifyByMark:
 
 
 def classify_by_listener(client: ClientIdentity) -> PeerClass:
-    """`PeerClass.LINE` on serial lines, otherwise `PeerClass.OTHER`."""
+    """The class of a client: `PeerClass.LINE` on serial lines, otherwise `PeerClass.OTHER`."""
     return PeerClass.LINE if client.listener.startswith(_LINES) else PeerClass.OTHER
 
 
 class MetricsObserver:
-    """Counts the requests of a server, or of all listeners of a gateway.
+    """Counts the requests of a server, or of all listeners of a gateway, for the metrics.
 
     Args:
         tally: where they are counted; a new one if left out.
@@ -64,7 +64,7 @@ class MetricsObserver:
         self._counted: dict[tuple[PeerClass, bytes], tuple[Series, Durations]] = {}  # by unit and function
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Count replies of the fast path."""
+        """Count requests that the fast path answered."""
         if not replies:
             return
         peer_class = self._classify(client)
@@ -77,7 +77,7 @@ class MetricsObserver:
                 self._count(peer_class, reply, 1, each)
 
     def _count(self, peer_class: PeerClass, reply: bytes, count: int, each: float) -> None:
-        """Count replies of the unit, function and exception code of one of them."""
+        """Count several replies with the same unit, function and exception code."""
         key = peer_class, reply[6:8]
         known = self._counted.get(key)
         if known is None:
@@ -96,14 +96,14 @@ class MetricsObserver:
         return self.tally.series(peer_class, reply[6], function, exception), self.tally.durations(function)
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Count requests whose client left before they were answered."""
+        """Count requests whose client disconnected before they were answered."""
         for _ in range(requests):
             self.tally.unanswered(Unanswered.GONE)
 
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
     ) -> None:
-        """Count a request of the generic path."""
+        """Count a request that took the generic path."""
         if context.executed is not None:  # a broadcast: each unit executes it, and none answers
             self.tally.unanswered(Unanswered.BROADCAST)
         elif outcome is None:

@@ -1,4 +1,4 @@
-"""Counts of answered requests, by class of client, unit, function and exception; and their durations.
+"""Counts of answered requests by class of client, unit, function and exception code, and their durations.
 
 Knows numbers; knows no handler, no clock and nothing of how they are shown.
 
@@ -26,7 +26,7 @@ _KNOWN_EXCEPTIONS: Final = frozenset(int(code) for code in ExceptionCode)
 
 
 class PeerClass(Enum):
-    """Class of a client, as a label."""
+    """Classes of clients, as a label of metrics."""
 
     PRIORITY = "priority"
     """An address of the pool of priority connections."""
@@ -37,7 +37,7 @@ class PeerClass(Enum):
 
 
 class Unanswered(Enum):
-    """Why a request that reached the handler got no answer."""
+    """Reasons why a request got no reply, as a label of metrics."""
 
     BROADCAST = "broadcast"
     """On a serial line; counted for each unit that it reached."""
@@ -48,7 +48,7 @@ class Unanswered(Enum):
 
 
 class Series:
-    """Requests with the same labels.
+    """The count of requests with the same labels.
 
     Attributes:
         count: number of answered requests.
@@ -65,7 +65,7 @@ class Series:
 
 
 class Durations:
-    """Durations of the answers of one function.
+    """Histogram of the durations of requests of one function.
 
     Attributes:
         counts: answers per bucket, not cumulative; the last one holds those above every bound.
@@ -80,13 +80,13 @@ class Durations:
         self.total: float = 0.0
 
     def add(self, seconds: float, count: int = 1) -> None:
-        """Add answers that took so many seconds each."""
+        """Add ``count`` requests that took ``seconds`` each."""
         self.counts[bisect_left(BUCKETS, seconds)] += count
         self.total += seconds * count
 
 
 class RequestTally:
-    """The counts of one server.
+    """The request counts of one server or gateway.
 
     Args:
         functions: codes of the functions that get a label of their own.
@@ -103,7 +103,7 @@ class RequestTally:
     # What is counted.
 
     def series(self, peer_class: PeerClass, unit: int, function: int, exception: int | None = None) -> Series:
-        """The series of these labels; a caller that counts many requests may keep it."""
+        """The series with these labels; a caller that counts many requests may keep it."""
         unit_label = str(unit) if self._units else ""
         labels = (peer_class.value, unit_label, self._function(function), _exception(exception))
         found = self._series.get(labels)
@@ -115,7 +115,7 @@ class RequestTally:
         return found
 
     def durations(self, function: int) -> Durations:
-        """Where the durations of a function are kept."""
+        """The histogram of durations of a function, created at its first use."""
         label = self._function(function)
         found = self._durations.get(label)
         if found is None:
@@ -123,17 +123,17 @@ class RequestTally:
         return found
 
     def unanswered(self, why: Unanswered) -> None:
-        """Count a request that got no answer."""
+        """Count a request that got no reply."""
         self._unanswered[why] += 1
 
     # What is read, from any thread.
 
     def all_series(self) -> list[Series]:
-        """The series so far; their counts go on."""
+        """All series so far; they are live, so their counts go on."""
         return list(self._series.copy().values())
 
     def all_durations(self) -> list[Durations]:
-        """The durations so far; they go on."""
+        """All histograms of durations so far; they are live, so their counts go on."""
         return list(self._durations.copy().values())
 
     def unanswered_counts(self) -> dict[Unanswered, int]:
@@ -141,7 +141,7 @@ class RequestTally:
         return {why: self._unanswered[why] for why in Unanswered}
 
     def total(self) -> int:
-        """Requests answered so far."""
+        """Number of requests answered so far."""
         return sum(series.count for series in self.all_series())
 
     def _function(self, code: int) -> str:
@@ -149,7 +149,7 @@ class RequestTally:
 
 
 def _exception(code: int | None) -> str:
-    """The label of an exception code: two digits, as documents write it."""
+    """The label for an exception code: two hexadecimal digits, as in documents."""
     if code is None:
         return NO_EXCEPTION
     return f"{code:02X}" if code in _KNOWN_EXCEPTIONS else OTHER
