@@ -1,1 +1,1 @@
-"""Bytes in, bytes out: sockets, serial ports and pairs in memory. Knows no Modbus."""
+"""Transports: bytes in and out over sockets, serial ports and pairs in memory. Knows no Modbus."""

@@ -1,4 +1,4 @@
-"""Acceptors take connections from a listening socket: through an `EpollSet`, or by the event loop's own server.
+"""Acceptors accept connections from a listening socket: through an `EpollSet`, or by the event loop's own server.
 
 Knows sockets that listen, and how their connections begin; knows no Modbus.
 
@@ -25,10 +25,10 @@ Protocols = Callable[[], asyncio.BaseProtocol]
 
 
 class Acceptor(Protocol):
-    """Takes connections from one listening socket, and owns it."""
+    """Accepts connections from one listening socket, which it owns."""
 
     def accept_no_more(self) -> None:
-        """Stop accepting; the socket stays bound."""
+        """Stop accepting connections; the socket stays bound."""
 
     def close(self) -> None:
         """Close the listening socket. Accepted connections stay open."""
@@ -116,14 +116,14 @@ class EpollAcceptor:
         return True
 
     def accept_no_more(self) -> None:
-        """Stop accepting."""
+        """Stop accepting connections; the socket stays bound."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
         self._unwatch()
 
     def close(self) -> None:
-        """Close the listening socket."""
+        """Close the listening socket. Accepted connections stay open."""
         self.accept_no_more()
         self._listening.close()
 
@@ -150,14 +150,14 @@ class EpollAcceptor:
 
 
 class LoopAcceptor:
-    """A listener whose connections are accepted by the event loop's own server."""
+    """Accepts connections through the event loop's own server."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, server: asyncio.Server) -> None:
         self._loop = loop
         self._server = server
 
     def accept_no_more(self) -> None:
-        """Take no new connection. Those that are being accepted arrive within a few turns of the loop.
+        """Stop accepting connections. Those being accepted arrive within a few turns of the loop.
 
         asyncio forgets a connection whose acceptance has begun when its listener is closed: it would stay open, in
         without an owner, until the garbage collection finds it.
@@ -167,5 +167,5 @@ class LoopAcceptor:
                 self._loop.remove_reader(bound.fileno())
 
     def close(self) -> None:
-        """Close the listening socket."""
+        """Close the listening socket. Accepted connections stay open."""
         self._server.close()

@@ -1,4 +1,4 @@
-"""One receive buffer for all connections of an event loop.
+"""The one receive buffer that all connections of an event loop share.
 
 The loop calls ``get_buffer``, receives and calls ``buffer_updated`` in one step, so what one connection received is
 worked through before the next one receives. 1000 idle connections then hold one buffer, not a thousand. On loops that
@@ -20,7 +20,7 @@ _windows: dict[int, memoryview] = {}
 
 
 def receive_buffer(loop: "asyncio.AbstractEventLoop") -> bytearray:
-    """The buffer to receive into on ``loop``."""
+    """The buffer that connections on an event loop receive into."""
     if "Proactor" in type(loop).__name__:
         return bytearray(4096)
     try:
@@ -31,7 +31,7 @@ def receive_buffer(loop: "asyncio.AbstractEventLoop") -> bytearray:
 
 
 def receive_window(buffer: bytearray, size: int) -> memoryview:
-    """The first ``size`` bytes of a buffer; connections that share the buffer share the view."""
+    """A view of the first ``size`` bytes of a buffer; connections that share the buffer share the view."""
     window = _windows.get(size)
     if window is None or window.obj is not buffer:
         window = _windows[size] = memoryview(buffer)[:size]

@@ -1,4 +1,4 @@
-"""TCP connections that this host opens (Messaging on TCP/IP V1.0b §4.3.3: local address, interface).
+"""Outgoing TCP connections, from a chosen local address or interface (Messaging on TCP/IP V1.0b §4.3.3).
 
 Knows sockets; knows no Modbus.
 
@@ -33,7 +33,7 @@ async def open_stream(
     interface: str | None,
     prepare: Callable[[socket.socket], None],
 ) -> asyncio.Transport:
-    """Connect, and return the transport.
+    """Open a TCP connection for an asyncio protocol and return its transport.
 
     Args:
         protocol: makes its protocol, an `asyncio.BufferedProtocol`.
@@ -77,7 +77,7 @@ def _epoll_set_of(loop: asyncio.AbstractEventLoop) -> EpollSet:
 
 
 async def _connected(host: str, port: int, local_address: str | None, interface: str | None) -> socket.socket:
-    """Connect, and return the non-blocking socket. Raises `OSError`."""
+    """Open a TCP connection and return its non-blocking socket. Raises `OSError`."""
     loop = asyncio.get_running_loop()
     try:
         found: Found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
@@ -107,7 +107,7 @@ def _with_zone(address: Any) -> Any:  # of whatever family
 
 
 def dial_through(interface: str, host: str, port: int, local_address: str | None, timeout: float) -> socket.socket:
-    """Connect through an interface, and return the blocking socket. Raises `OSError`."""
+    """Open a TCP connection through a network interface and return its blocking socket. Raises `OSError`."""
     attempts = _Attempts(interface, local_address)
     for connection, address in attempts.towards(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)):
         try:

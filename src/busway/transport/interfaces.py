@@ -1,4 +1,4 @@
-"""The network interfaces of this host, as far as the system tells: names, addresses, netmasks and the gateway.
+"""The network interfaces of this host: names, addresses, netmasks and gateways, as far as the system tells.
 
 Knows Linux; elsewhere there is nothing to show. They are the operating system's to set, and ours to show
 (Messaging on TCP/IP V1.0b §4.3.3).
@@ -20,7 +20,7 @@ _IPV6_ADDRESSES: Final = Path("/proc/net/if_inet6")
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """One address of one interface.
+    """One address of one network interface of this host.
 
     Attributes:
         name: as the system calls it.
@@ -63,7 +63,7 @@ def _asked(asking: socket.socket, what: int, name: str) -> str:
 
 
 def _gateways() -> dict[str, str]:
-    """The gateway of each interface's default route."""
+    """The default gateway of each network interface, by its name."""
     found: dict[str, str] = {}
     for line in _lines(_ROUTES)[1:]:
         name, destination, gateway, flags = line.split()[:4]

@@ -1,4 +1,4 @@
-"""Number of connections that this process has opened: clients report it, and the server's status shows it.
+"""Counts the connections that this process has opened as a client, for the status of a server in it.
 
 Knows neither side: clients and servers do not know each other, and meet here in a number (NbLocalConnection of
 Messaging on TCP/IP V1.0b §5.1.2).

@@ -1,4 +1,4 @@
-"""TCP sockets: their parameters, and what their errors mean.
+"""TCP sockets: sets their options, and explains their errors.
 
 Knows sockets; knows no Modbus. The only place where an `OSError` of a network connection becomes ours.
 """
@@ -16,7 +16,7 @@ from .serial.waiting import wait_ready
 
 
 def configure(connection: socket.socket, parameters: SocketParameters) -> None:
-    """Set the parameters on a connected socket; options that the system lacks are left out."""
+    """Set the socket options of a connected socket; those that the system lacks are left out."""
     if connection.family not in (socket.AF_INET, socket.AF_INET6):
         return
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, parameters.no_delay)
@@ -34,7 +34,7 @@ def configure(connection: socket.socket, parameters: SocketParameters) -> None:
 
 
 def set_buffers(connection: socket.socket, parameters: SocketParameters) -> None:
-    """Set the buffer sizes; on a listening socket its connections inherit them."""
+    """Set the buffer sizes of a socket; connections inherit those of their listening socket."""
     if parameters.receive_buffer is not None:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, parameters.receive_buffer)
     if parameters.send_buffer is not None:
@@ -42,7 +42,7 @@ def set_buffers(connection: socket.socket, parameters: SocketParameters) -> None
 
 
 def discard_on_close(connection: Any) -> None:
-    """Make closing reset the connection, so that bytes the peer has not taken never leave.
+    """Make closing reset the connection, so that bytes which the peer has not accepted are dropped.
 
     Args:
         connection: a socket, what a transport gives for one, or None.
@@ -53,7 +53,7 @@ def discard_on_close(connection: Any) -> None:
 
 
 def takes_bytes(connection: Any) -> bool:
-    """Whether the system takes bytes for a peer now; ``connection`` as in `discard_on_close`."""
+    """Whether the system accepts bytes for a peer now; ``connection`` as in `discard_on_close`."""
     if connection is None:
         return False
     try:
@@ -106,7 +106,7 @@ _REASONS = {
 
 
 def network_reason(error: BaseException) -> str:
-    """The text of a network error, for an operator."""
+    """A network error as text for an operator."""
     if isinstance(error, socket.gaierror):
         return f"the host name cannot be resolved ({error.strerror})"
     if isinstance(error, TimeoutError) and not getattr(error, "errno", None):
@@ -118,7 +118,7 @@ def network_reason(error: BaseException) -> str:
 
 
 def link_down(error: BaseException, *, endpoint: str, sent: bool = False) -> LinkDown:
-    """The `LinkDown` for a network error, which becomes its cause."""
+    """Build the `LinkDown` for a network error, which becomes its cause."""
     down = LinkDown(f"no connection: {network_reason(error)}", sent=sent, endpoint=endpoint)
     down.__cause__ = error
     return down

@@ -1,4 +1,4 @@
-"""A transport for a stream socket in an `EpollSet`; it behaves as those of asyncio do.
+"""The transport of a stream socket in an `EpollSet`; it behaves as the transports of asyncio do.
 
 Knows sockets and `asyncio.BufferedProtocol`; knows no Modbus.
 
@@ -25,7 +25,7 @@ _USUAL_HIGH: Final = 64 * 1024
 
 
 class EpollStream(asyncio.Transport):
-    """The transport of one connection. Made with its socket; `begin` tells the protocol.
+    """The asyncio transport of one stream socket. Created with its socket; `begin` tells the protocol.
 
     Args:
         epoll_set: where it waits.
@@ -97,7 +97,7 @@ class EpollStream(asyncio.Transport):
     # What the epoll set calls.
 
     def ready(self, events: int) -> None:
-        """Handle readiness of the socket: read, write, or its end."""
+        """Handle readiness of the socket: read, write, or end the connection."""
         if events != READABLE and self._events & WRITABLE:
             self._send_rest()
         if not self._events & READABLE or events == WRITABLE:
@@ -143,7 +143,7 @@ class EpollStream(asyncio.Transport):
     # Sending.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send bytes after those that wait. After the connection has ended they are dropped.
+        """Send bytes after the waiting ones. After the connection has ended they are dropped.
 
         Raises:
             TypeError: these are no bytes.
@@ -163,7 +163,7 @@ class EpollStream(asyncio.Transport):
             self._keep(memoryview(data).cast("B")[sent:])
 
     def _write_behind(self, data: bytes | bytearray | memoryview) -> None:
-        """Write when the plain way is not possible: something waits, or the connection is closing."""
+        """Write when a direct write is impossible: bytes are waiting, or the connection is closing."""
         if not isinstance(data, bytes | bytearray | memoryview):
             raise TypeError(f"data argument must be a bytes-like object, not {type(data).__name__!r}")
         if self._finished:
@@ -221,7 +221,7 @@ class EpollStream(asyncio.Transport):
             self._shut_down_sending()
 
     def can_write_eof(self) -> bool:
-        """True: the sending direction can be closed by itself."""
+        """True: the sending direction of a socket can be closed alone."""
         return True
 
     def _shut_down_sending(self) -> None:
@@ -229,7 +229,7 @@ class EpollStream(asyncio.Transport):
             self._socket.shutdown(socket.SHUT_WR)
 
     def get_write_buffer_size(self) -> int:
-        """Bytes that wait to be sent."""
+        """Number of bytes that wait to be sent."""
         return len(self._unsent) if self._unsent else 0
 
     def get_write_buffer_limits(self) -> tuple[int, int]:
@@ -237,7 +237,7 @@ class EpollStream(asyncio.Transport):
         return self._low, self._high
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Set the limits of the write buffer in bytes: above ``high`` the protocol pauses, at ``low`` it goes on.
+        """Set the limits of the write buffer in bytes: above ``high`` the protocol is paused, at ``low`` resumed.
 
         Raises:
             ValueError: not high ≥ low ≥ 0.
@@ -257,7 +257,7 @@ class EpollStream(asyncio.Transport):
             self._call("pause_writing")
 
     def _call(self, name: str) -> None:
-        """Call an advisory method of the protocol; an exception is reported and does not end the connection."""
+        """Call an optional method of the protocol; an exception is reported and does not end the connection."""
         try:
             getattr(self._protocol, name)()
         except (SystemExit, KeyboardInterrupt):
@@ -268,7 +268,7 @@ class EpollStream(asyncio.Transport):
     # Reading and the protocol.
 
     def is_reading(self) -> bool:
-        """Whether reading is not paused."""
+        """Whether the transport is reading, neither paused nor closing."""
         return not (self._paused or self._closing)
 
     def pause_reading(self) -> None:
@@ -278,7 +278,7 @@ class EpollStream(asyncio.Transport):
             self._watch()
 
     def resume_reading(self) -> None:
-        """Read again."""
+        """Resume reading after `pause_reading`."""
         if not self._closing and self._paused:
             self._paused = False
             try:
@@ -287,7 +287,7 @@ class EpollStream(asyncio.Transport):
                 self._force_close(error)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
-        """Pass events to another protocol from now on."""
+        """Replace the protocol that gets the events."""
         self._protocol = protocol
 
     def get_protocol(self) -> asyncio.BaseProtocol:
@@ -296,7 +296,7 @@ class EpollStream(asyncio.Transport):
         return protocol
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:  # as `asyncio.BaseTransport` says it
-        """``peername``, ``sockname`` or ``socket``."""
+        """Details of the connection: ``peername``, ``sockname`` or ``socket``."""
         if name == "peername":
             return self._peer
         if self._socket is not None:
@@ -343,7 +343,7 @@ class EpollStream(asyncio.Transport):
                 self._lose_soon(None)
 
     def abort(self) -> None:
-        """Close at once; waiting bytes are dropped."""
+        """Close the connection at once; waiting bytes are dropped."""
         self._force_close(None)
 
     def _fail(self, error: BaseException, what: str) -> None:

@@ -1,4 +1,4 @@
-"""Many sockets, one epoll object, one callback of the event loop.
+"""The epoll set: watches many sockets with one epoll object, which is one descriptor for the event loop.
 
 Knows file descriptors and their watchers; knows no bytes, no protocol and no Modbus.
 
@@ -33,10 +33,10 @@ _MAKERS: Final = frozenset({"asyncio.base_events", "uvloop.loop"})
 
 
 class Watcher(Protocol):
-    """Called when its descriptor is ready."""
+    """Interface of an object that is called when its descriptor is ready."""
 
     def ready(self, events: int, /) -> None:
-        """Handle ``events``: `READABLE`, `WRITABLE`, or other bits if the connection has ended.
+        """Handle ``events`` of the descriptor: `READABLE`, `WRITABLE`, or other bits if the connection has ended.
 
         Must raise nothing but what ends the program.
         """
@@ -102,7 +102,7 @@ class EpollSet:
             self._epoll = None
 
     def _look(self) -> None:
-        """Call the watchers of the ready descriptors."""
+        """Call the watchers of all ready descriptors."""
         if self._epoll is None:
             return  # the last one has gone in this very turn
         watched = self._watched

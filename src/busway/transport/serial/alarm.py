@@ -31,14 +31,14 @@ _SLOWLY: Final = 1 / 16
 
 
 class Alarm:
-    """A timer of the running event loop; setting it again moves it.
+    """A timer of the running event loop, exact to less than a millisecond; setting it again moves it.
 
     Attributes:
         exact: whether it is exact to microseconds.
     """
 
     def __init__(self, ring: Callable[[], None]) -> None:
-        """Make an alarm that is not set. ``ring`` is called in the loop, each time it goes off."""
+        """Create an alarm that is not set. ``ring`` is called in the event loop each time it goes off."""
         self._loop = asyncio.get_running_loop()
         self._ring = ring
         self._handle: asyncio.TimerHandle | None = None
@@ -60,7 +60,7 @@ class Alarm:
         self._handle = self._loop.call_later(max(when - time.monotonic(), 0.0), self._late)
 
     def cancel(self) -> None:
-        """Cancel the setting."""
+        """Cancel the alarm; it can be set again."""
         if self._descriptor is not None:
             _set_timer(self._descriptor, _NEVER)
         elif self._handle is not None:
@@ -68,7 +68,7 @@ class Alarm:
             self._handle = None
 
     def close(self) -> None:
-        """Close the timer; it never rings again. May be called twice."""
+        """Close the alarm; it never rings again. May be called twice."""
         self.cancel()
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
@@ -102,7 +102,7 @@ _Times = ctypes.c_long * 4  # seconds and nanoseconds of the interval, and of th
 
 
 def _new_timer() -> int | None:
-    """Make the descriptor of a timer, not set; None if the system has none."""
+    """Create the descriptor of a system timer that is not set; None if the system has none."""
     if _libc is None or not hasattr(_libc, "timerfd_create"):
         return None
     descriptor: int = _libc.timerfd_create(_CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)

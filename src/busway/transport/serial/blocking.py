@@ -1,4 +1,4 @@
-"""A serial port for a thread that waits: read, write, drain, close.
+"""A serial port for blocking programs: read, write, drain, close.
 
 Knows `serialx` and the descriptor under it; knows no Modbus and starts no thread.
 
@@ -32,7 +32,7 @@ STUCK_AFTER = 5.0
 
 
 class BlockingSerialPort:
-    """An open serial port, for one thread at a time.
+    """An open serial port for blocking use by one thread at a time.
 
     Attributes:
         port: the name it was opened by.
@@ -42,7 +42,7 @@ class BlockingSerialPort:
     """
 
     def __init__(self, port: str, settings: SerialSettings, *, ioctl: Ioctl = system_ioctl) -> None:
-        """Open the port.
+        """Open the serial port.
 
         Args:
             port: a path, a name under by-id, or a USB identity (see `resolve_port`).
@@ -87,16 +87,16 @@ class BlockingSerialPort:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open."""
+        """Whether the serial port is open."""
         return self._serial is not None
 
     @property
     def sent_at(self) -> float:
-        """When the last character written has left, as far as is known (``time.monotonic``)."""
+        """Time at which the last written character left, as far as is known (``time.monotonic``)."""
         return self._device.emission.until
 
     def fileno(self) -> int:
-        """The descriptor, to wait for readiness. Raises `LinkDown` if the port is closed or has none on this system."""
+        """The file descriptor of the port. Raises `LinkDown` if the port is closed or has none on this system."""
         self._opened()
         if self._descriptor is None:
             raise LinkDown(f"{self.path} has no descriptor to wait at on this system")
@@ -115,7 +115,7 @@ class BlockingSerialPort:
         return self._device.emission.still_held(held, time.monotonic()) if held else None
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Wait for bytes.
+        """Wait for received bytes, up to ``timeout`` seconds.
 
         Args:
             timeout: seconds; 0 takes what is there, None waits for ever.
@@ -148,7 +148,7 @@ class BlockingSerialPort:
         return received.data, received.errors
 
     def write(self, data: bytes) -> float:
-        """Write bytes.
+        """Write bytes to the port.
 
         Returns when the port has them, which is before they have left the line; with RTS switched by hand it returns
         after they have, since RTS must be put back.
@@ -182,7 +182,7 @@ class BlockingSerialPort:
         return until
 
     def drain(self, timeout: float | None = None) -> float:
-        """Wait until the last character has left.
+        """Wait until the last written character has left the port.
 
         Args:
             timeout: seconds; None waits for ever. A port whose driver is stuck never gets rid of its characters.
@@ -221,7 +221,7 @@ class BlockingSerialPort:
             raise port_lost(error, port=self.path) from error
 
     def close(self) -> None:
-        """Close the port. May be called twice."""
+        """Close the serial port. May be called twice."""
         opened, self._serial = self._serial, None
         if opened is None:
             return

@@ -31,7 +31,7 @@ SETTLING_POLL = 0.0005
 
 
 class SerialConnection:
-    """An open serial port, used from the event loop that opened it. Made by `open`.
+    """An open serial port, used from the event loop that opened it. Created by `open`.
 
     Attributes:
         port: the name it was opened by.
@@ -73,7 +73,7 @@ class SerialConnection:
         lost: Callable[[LinkDown], None],
         ioctl: Ioctl = system_ioctl,
     ) -> Self:
-        """Open a port.
+        """Open a serial port under asyncio.
 
         Args:
             port: a path, a name under by-id, or a USB identity (see `resolve_port`).
@@ -108,18 +108,20 @@ class SerialConnection:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open."""
+        """Whether the serial port is open."""
         return self._device is not None
 
     @property
     def sent_at(self) -> float:
-        """When the last character written has left, as far as is known (``time.monotonic``); 0 if none was."""
+        """Time at which the last written character left, as far as is known (``time.monotonic``); 0 before any
+        write.
+        """
         if self._device is None:
             return 0.0
         return self._device.emission.until
 
     def write(self, data: bytes) -> float:
-        """Write bytes.
+        """Write bytes to the port.
 
         Returns:
             When the last character will have left (``time.monotonic``), by arithmetic; with RTS switched by hand the
@@ -139,7 +141,7 @@ class SerialConnection:
         return device.emission.written(len(data), now)
 
     def held(self) -> int:
-        """Number of written characters that have not left, as far as the system tells. Raises `LinkDown`."""
+        """Number of written characters that have not left the port, as far as the system tells. Raises `LinkDown`."""
         transport, device = self._opened()
         waiting = transport.get_write_buffer_size()
         if self._sender is not None:
@@ -159,7 +161,7 @@ class SerialConnection:
         return device.emission.still_held(held, time.monotonic()) if held else None
 
     async def drain(self) -> float:
-        """Wait until the last character has left. Returns the time of that (``time.monotonic``).
+        """Wait until the last written character has left. Returns the time of that (``time.monotonic``).
 
         Raises:
             LinkDown: the port vanished meanwhile; the bytes may have gone out.
@@ -183,7 +185,7 @@ class SerialConnection:
             raise port_lost(error, port=self.path) from error
 
     def close(self) -> None:
-        """Close the port; bytes that have not left are dropped. May be called twice."""
+        """Close the port; unsent bytes are dropped. May be called twice."""
         self._told = True
         if self._sender is not None:
             self._sender.stop()
@@ -194,7 +196,7 @@ class SerialConnection:
             self._transport.abort()
 
     async def wait_closed(self) -> None:
-        """Wait until the descriptor is closed, after `close` or a loss."""
+        """Wait until the descriptor of the port is closed, after `close` or a loss."""
         await asyncio.shield(self._closed)
 
     def _opened(self) -> "tuple[BaseSerialTransport, OpenDevice]":
@@ -233,7 +235,7 @@ class SerialConnection:
             self._lost(port_lost(error, port=self.path))
 
     def _gone(self, error: OSError) -> None:
-        """Handle the driver's report that the port is gone."""
+        """Handle the driver's report that the port has vanished."""
         if self._told:
             return
         self.close()
@@ -241,7 +243,7 @@ class SerialConnection:
 
 
 class _Events(asyncio.Protocol):
-    """The asyncio protocol of a port, apart from the methods of `SerialConnection`."""
+    """The asyncio protocol of a port: passes received bytes and its end to a `SerialConnection`."""
 
     def __init__(self, connection: SerialConnection) -> None:
         self._connection = connection
@@ -257,7 +259,7 @@ class _Events(asyncio.Protocol):
 
 
 class _SenderByRts:
-    """Raises RTS for each frame: delay, bytes, their time, delay."""
+    """Sends frames with RTS raised around each: a delay, the bytes and their time on the line, a delay."""
 
     def __init__(
         self,
@@ -303,7 +305,7 @@ class _SenderByRts:
         return self._device.emission.written(len(data), now + delay)
 
     def _send(self) -> None:
-        """Send: the delay before it is over."""
+        """Write the waiting bytes after the delay before sending."""
         data = bytes(self._outbox)
         self._outbox.clear()
         try:

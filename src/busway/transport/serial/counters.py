@@ -15,7 +15,7 @@ _LAYOUT = struct.Struct("11i9i")
 
 @dataclass(frozen=True, slots=True)
 class LineCounters:
-    """Characters, errors and breaks of one port.
+    """Counts of characters, errors and breaks of one port.
 
     Attributes:
         received, sent: characters.
@@ -34,7 +34,7 @@ class LineCounters:
     breaks: int = 0
 
     def since(self, earlier: "LineCounters") -> "LineCounters":
-        """The difference from ``earlier`` counters."""
+        """The difference between these counters and ``earlier`` ones."""
         return LineCounters(
             received=self.received - earlier.received,
             sent=self.sent - earlier.sent,

@@ -1,4 +1,4 @@
-"""An open serial port apart from its bytes: settings, damage marks, counters, direction, release.
+"""An open serial port without its bytes: settings, damage marks, counters, RS-485 direction, release.
 
 Knows what must be done to every port, whichever way it is used; `connection` and `blocking` move the bytes. Where
 ports have no descriptors (Windows) `serialx` does all there is, and the rest reports that it is not offered.
@@ -47,12 +47,12 @@ def opening_arguments(settings: SerialSettings, *, pseudo_terminal: bool) -> dic
 
 
 def descriptor_of(opened: "BaseSerial") -> int | None:
-    """The descriptor of an open port; None on systems whose ports have none."""
+    """The file descriptor of an open port; None on systems whose ports have none."""
     return opened.fileno() if os.name == "posix" else None
 
 
 class OpenDevice:
-    """State of an open port apart from its bytes.
+    """State of an open serial port, apart from its bytes: settings, direction, counters.
 
     Attributes:
         direction: who switches the direction of the driver.
@@ -79,7 +79,7 @@ class OpenDevice:
             self._marks = MarkDecoder()
 
     def unmarked(self, data: bytes) -> Received:
-        """Received bytes without damage marks, and how many were damaged."""
+        """Remove the damage marks from received bytes, and count the damaged ones."""
         return self._marks.feed(data) if self._marks is not None else Received(data, 0)
 
     def held(self) -> int:
@@ -91,17 +91,17 @@ class OpenDevice:
         return None if self._descriptor is None else read_counters(self._descriptor, self._ioctl)
 
     def turn_to_sending(self) -> None:
-        """Raise (or lower) RTS for sending. Raises `OSError` when the port is gone."""
+        """Set RTS to its level for sending. Raises `OSError` when the port is gone."""
         if self._descriptor is not None:
             set_rts(self._descriptor, self._settings.rts_on_send, self._ioctl)
 
     def turn_to_receiving(self) -> None:
-        """Put RTS back. Raises `OSError` when the port is gone."""
+        """Set RTS to its level for receiving. Raises `OSError` when the port is gone."""
         if self._descriptor is not None:
             set_rts(self._descriptor, self._settings.rts_after_send, self._ioctl)
 
     def release(self) -> None:
-        """Restore the port; call it before the descriptor is closed."""
+        """Restore the settings of the port; call it before the descriptor is closed."""
         if self._descriptor is not None and self._settings.exclusive:
             admit_others(self._descriptor, self._ioctl)
         self.forget()

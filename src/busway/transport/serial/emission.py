@@ -1,4 +1,4 @@
-"""Computes when the last written character has left the port.
+"""Computes when the last character written to a serial port has left it.
 
 Knows character times and what the system still holds; knows no clock: ``now`` is handed in.
 

@@ -26,7 +26,7 @@ _IMPOSSIBLE = frozenset({errno.EINVAL, errno.ENOTTY, errno.EISDIR, errno.EOPNOTS
 
 
 def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDown | ConfigError:
-    """The error for a failure to open a port; the system's error becomes its cause. No byte was sent.
+    """The error for a failure to open a port, caused by the system's error. No byte was sent.
 
     Args:
         error: what was raised.

@@ -1,4 +1,4 @@
-"""The only calls to the driver of an open serial port, in one place so that a test can replace the driver.
+"""All ioctl calls to the driver of an open serial port, in one place so that a test can replace the driver.
 
 Knows numbers of the system's calls; knows not what they are for. Buffers are filled in place.
 """
@@ -15,14 +15,16 @@ NOT_OFFERED = frozenset({errno.ENOTTY, errno.EINVAL, errno.ENOSYS, errno.EOPNOTS
 
 
 def system_ioctl(descriptor: int, request: int, buffer: bytearray) -> None:
-    """Call ioctl."""
+    """Make an ioctl call to the operating system."""
     import fcntl  # where ports have no descriptors there is no such module, and this is not reached
 
     fcntl.ioctl(descriptor, request, buffer)
 
 
 def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> bool:
-    """Make a call. Returns False if the driver does not offer it; other failures, such as a lost port, are raised."""
+    """Make an ioctl call. Returns False if the driver does not offer it; other failures, such as a lost port, are
+    raised.
+    """
     try:
         ioctl(descriptor, request, buffer)
     except OSError as error:
@@ -33,7 +35,7 @@ def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> boo
 
 
 def asked_integer(ioctl: Ioctl, descriptor: int, request: int, value: int = 0) -> int | None:
-    """Make a call with an integer, and return the integer it gives; None if the driver does not offer it."""
+    """Make an ioctl call with an integer and return the integer it gives; None if the driver does not offer it."""
     buffer = bytearray(struct.pack("i", value))
     if not asked(ioctl, descriptor, request, buffer):
         return None

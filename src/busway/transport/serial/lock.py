@@ -1,4 +1,4 @@
-"""One program per port: locks it against others, and names the program that holds it.
+"""Lock of a serial port against other programs, and the name of the program that holds it.
 
 Knows the lock that `serialx` takes on an open port (``flock``), the system's own refusal (``TIOCEXCL``) and where
 Linux lists who holds what; knows no Modbus. Elsewhere the lock works and the holder stays unnamed.
@@ -19,7 +19,7 @@ PROCESSES = Path("/proc")
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """A program that holds a port.
+    """Another program that holds a serial port.
 
     Attributes:
         process: its process number.
@@ -68,7 +68,7 @@ def holder_of(path: str, processes: Path = PROCESSES) -> Holder | None:
 
 
 def _who_locked(place: str, processes: Path) -> int | None:
-    """The process of a line such as ``1: FLOCK  ADVISORY  WRITE 4711 00:1a:3 0 EOF``."""
+    """The process number in a line of /proc/locks such as ``1: FLOCK  ADVISORY  WRITE 4711 00:1a:3 0 EOF``."""
     try:
         lines = (processes / "locks").read_text().splitlines()
     except OSError:
@@ -81,7 +81,7 @@ def _who_locked(place: str, processes: Path) -> int | None:
 
 
 def _who_opened(status: os.stat_result, processes: Path) -> Iterator[int]:
-    """Processes other than this one that have the device open, as far as they may be seen."""
+    """Numbers of the other processes that have the device open, as far as they can be seen."""
     for directory in _listed(processes):
         if not directory.name.isdigit() or int(directory.name) == os.getpid():
             continue

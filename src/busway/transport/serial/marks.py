@@ -24,7 +24,7 @@ class _Within(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Bytes without marks, and how many of them were marked."""
+    """Received bytes without damage marks, and the number of damaged ones."""
 
     data: bytes
     errors: int

@@ -1,4 +1,4 @@
-"""Tells whether a port has lost characters since the last look.
+"""Detects lost characters of a serial port by the counters of its driver.
 
 Knows the driver's counters; what a loss means for a frame is for others. A port whose driver counts nothing has lost
 nothing that can be seen, and is not asked again.
@@ -11,17 +11,17 @@ from .counters import LineCounters
 
 
 class Overruns:
-    """Looks at the counters of one open port."""
+    """Detects overruns of one open port by its counters."""
 
     __slots__ = ("_counters", "_lost")
 
     def __init__(self, counters: Callable[[], LineCounters | None]) -> None:
-        """Start from the present count. ``counters`` reads them, and may raise `LinkDown`."""
+        """Start with the current count of lost characters. ``counters`` reads it, and may raise `LinkDown`."""
         self._counters = counters
         self._lost = self._read()
 
     def more(self) -> bool:
-        """Whether characters were lost since the last look."""
+        """Whether characters were lost since the last call."""
         if self._lost is None:
             return False
         before, now = self._lost, self._read()

@@ -32,7 +32,7 @@ BSD_PTY_PATHS = ("/dev/pts/", "/dev/ttys00", "/dev/ttys01", "/dev/ttys02")
 
 @dataclass(frozen=True, slots=True)
 class FoundPort:
-    """A serial port of this machine.
+    """A serial port that this machine has.
 
     Attributes:
         path: the name to open it by; one that stays with the device (``by-id``) where there is one.
@@ -51,7 +51,7 @@ class FoundPort:
 
     @property
     def identity(self) -> str | None:
-        """The USB identity, in the form that opens the port."""
+        """The USB identity of the port, in the form that opens it."""
         if self.vendor is None or self.product is None:
             return None
         name = f"usb:{self.vendor:04x}:{self.product:04x}"
@@ -77,7 +77,7 @@ def list_ports() -> list[FoundPort]:
 
 
 def resolve_port(name: str, listing: Callable[[], Iterable[FoundPort]] = list_ports) -> str:
-    """The path to open now for ``name``.
+    """The current device path of a port given by path, ``by-id`` name or USB identity.
 
     Raises:
         LinkDown: no device with this USB identity is plugged in. It may be later.

@@ -1,4 +1,4 @@
-"""Opens a port that may not be there yet, with pauses between the attempts.
+"""Opens a serial port that may be missing for now, with pauses between the attempts.
 
 Knows how often; the waiting itself is handed in, so that an event loop, a thread and a test each wait in their way.
 
@@ -47,7 +47,7 @@ class ReopenPolicy:
 
 
 def _ignore(_error: LinkDown, _pause: float) -> None:
-    """Ignore the news."""
+    """Do nothing: the default for the callback about failed attempts."""
 
 
 async def open_when_there(
@@ -57,7 +57,7 @@ async def open_when_there(
     waiting: Callable[[LinkDown, float], None] = _ignore,
     sleep: Callable[[float], Awaitable[object]] | None = None,
 ) -> Port:
-    """Open a port, waiting for it as long as the policy says. Cancel it to stop waiting.
+    """Open a port, waiting for a missing one as long as the policy says. Cancel it to stop waiting.
 
     Args:
         opener: opens the port once, for example ``lambda: SerialConnection.open(…)``.
@@ -93,7 +93,9 @@ def open_when_there_blocking(
     waiting: Callable[[LinkDown, float], None] = _ignore,
     sleep: Callable[[float], object] = time.sleep,
 ) -> Port:
-    """As `open_when_there`, in the calling thread. ``sleep`` or ``waiting`` may raise to stop waiting."""
+    """Open a port in the calling thread, waiting for a missing one. ``sleep`` or ``waiting`` may raise to stop
+    waiting.
+    """
     failures = 0
     while True:
         try:

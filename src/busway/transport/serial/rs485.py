@@ -1,4 +1,4 @@
-"""Switching the direction of an RS-485 driver: by the port's driver, or by the RTS wire.
+"""Direction control of an RS-485 driver: by the port's driver, or by the RTS wire.
 
 Knows the kernel's structure (``struct serial_rs485`` of ``linux/serial.h``) and the modem lines; knows no timing: who
 switches RTS keeps the delays.
@@ -28,7 +28,7 @@ _LAYOUT = struct.Struct("III20x")
 
 
 class DriverDirection(Enum):
-    """What switches the direction of an open port."""
+    """What switches the direction of an open RS-485 port."""
 
     NONE = "none"
     KERNEL = "kernel"
@@ -36,7 +36,7 @@ class DriverDirection(Enum):
 
 
 def settle_direction(descriptor: int, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> DriverDirection:
-    """Set up the direction control of the settings. Returns what switches.
+    """Set up the direction control of an open port as its settings say. Returns what switches.
 
     Raises:
         ConfigError: the kernel's mode is asked for and this port does not have it.

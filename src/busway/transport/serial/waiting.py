@@ -1,4 +1,4 @@
-"""Waiting for descriptors, as exactly as the system can.
+"""Waits until file descriptors are ready, as exactly as the system can.
 
 Knows the two calls that wait and their limits: ``select`` waits for microseconds but takes only low descriptors,
 ``poll`` takes all and waits for milliseconds, rounded up. Gaps between frames are 1.75 ms and less, so the first is
@@ -13,7 +13,9 @@ SELECT_LIMIT = 1024
 
 
 def wait_ready(reading: Sequence[int], writing: Sequence[int], timeout: float | None) -> list[int]:
-    """The descriptors that can be read or written; none when ``timeout`` seconds are over. None waits for ever."""
+    """Wait for file descriptors; returns those ready to read or write, none after ``timeout`` seconds. None waits for
+    ever.
+    """
     if max((*reading, *writing)) < SELECT_LIMIT:
         readable, writable, _ = select.select(reading, writing, [], timeout)
         return readable + writable

@@ -1,1 +1,1 @@
-"""TLS on connections of our own: parameters, contexts, certificates, roles, and the failures of a handshake."""
+"""TLS: contexts, certificates, roles of clients, handshakes, and the reasons for which they fail."""

@@ -1,4 +1,4 @@
-"""Makes ``ssl`` contexts from parameters: reads the files, and names a file that is wrong.
+"""Builds ``ssl`` contexts from TLS options: reads the files, and names a file that is wrong.
 
 Knows files and OpenSSL; knows no connection.
 
@@ -37,7 +37,7 @@ _LOOK_SECONDS: Final = 1.0
 
 
 def server_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """The context of a listener. Raises `ConfigError` that names the file and what is wrong with it."""
+    """Build the ``ssl`` context of a listener. Raises `ConfigError` that names the file and what is wrong with it."""
     parameters.check_server()
     context = _context(ssl.PROTOCOL_TLS_SERVER, parameters)
     context.verify_mode = ssl.CERT_REQUIRED
@@ -60,7 +60,7 @@ def web_context(parameters: TlsParameters) -> ssl.SSLContext:
 
 
 def client_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """The context of connections to servers. Raises `ConfigError` that names the file and what is wrong with it."""
+    """Build the ``ssl`` context of a client. Raises `ConfigError` that names the file and what is wrong with it."""
     parameters.check_client()
     context = _context(ssl.PROTOCOL_TLS_CLIENT, parameters)
     if parameters.verify is Verify.OFF_INSECURE:
@@ -70,7 +70,9 @@ def client_context(parameters: TlsParameters) -> ssl.SSLContext:
 
 
 def timeless_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """As `client_context`, but certificates never expire: to find out when one did. Nothing is ever sent over it."""
+    """Build a client's context that accepts expired certificates, to find out when one expired. No data is sent over
+    it.
+    """
     context = client_context(parameters)
     context.verify_flags |= ssl.VerifyFlags(_NO_CHECK_TIME)
     return context
@@ -131,11 +133,11 @@ def _load_own(context: ssl.SSLContext, parameters: TlsParameters, certificate: s
 
 
 class _NoPasswordError(Exception):
-    """A key is encrypted and no password was given; OpenSSL would ask at the terminal."""
+    """An encrypted key has no password; without this error OpenSSL would ask at the terminal."""
 
 
 class _Password:
-    """Reads the password when OpenSSL asks for it."""
+    """Reads the password of a private key when OpenSSL asks for it."""
 
     def __init__(self, file: str | None) -> None:
         self._file = file
@@ -204,7 +206,7 @@ def _system_words(error: OSError | ValueError) -> str:
 
 
 class WatchedContext:
-    """The context of a listener or connector; it is renewed when its files change.
+    """The ``ssl`` context of a listener or connector; it is renewed when its files change.
 
     Args:
         parameters: which files.
@@ -235,7 +237,7 @@ class WatchedContext:
         self._context = make(parameters)
 
     def current(self) -> ssl.SSLContext:
-        """The context for a connection that begins now; it never raises."""
+        """The context to use for a new connection; never raises."""
         now = self._clock()
         if now - self._looked >= _LOOK_SECONDS:
             self._looked = now
@@ -260,7 +262,7 @@ class WatchedContext:
         _log.info("%s: certificates read anew", self.name)
 
     def _files(self) -> tuple[tuple[str, int, int], ...]:
-        """Time and size of each file, to notice changes; a missing file has none."""
+        """Modification time and size of each file, to notice changes; zero for a missing file."""
         chosen = self.parameters
         own = (chosen.certificate, chosen.key, chosen.password_file, chosen.revocation_list)
         names = [one for one in own if one is not None]

@@ -14,7 +14,7 @@ from typing import Final
 
 
 class FailureKind(Enum):
-    """Kinds of failures, for counters; the value is the name in a status."""
+    """Kinds of TLS failures, for counters; the value is the name in a status."""
 
     EXPIRED = "expired"
     NOT_YET_VALID = "not yet valid"
@@ -40,7 +40,7 @@ class FailureKind(Enum):
 
 
 class TlsFailure(ConnectionError):
-    """A secure connection failed in TLS; the text says why, and does not name the peer.
+    """A TLS connection failed; the text says why, and does not name the peer.
 
     Attributes:
         kind: what it is counted as.
@@ -52,7 +52,7 @@ class TlsFailure(ConnectionError):
 
 
 def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
-    """The `TlsFailure` for an error of ``ssl``, which becomes its cause; ``server_side`` says which side we are."""
+    """The `TlsFailure` for an error of ``ssl``, which becomes its cause; ``server_side`` says which side this is."""
     kind, sentence = _verdict(error, "client" if server_side else "server")
     failure = TlsFailure(kind, sentence)
     failure.__cause__ = error
@@ -60,7 +60,7 @@ def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
 
 
 def dated(failure: TlsFailure, certificate: Mapping[str, object], now: float) -> TlsFailure:
-    """Add the date to a failure of validity, from the certificate that ``ssl`` gives; ``now`` is seconds since 1970."""
+    """Add the date of expiry to a validity failure, from the peer's certificate; ``now`` is seconds since 1970."""
     begins, ends = (ssl.cert_time_to_seconds(str(certificate[key])) for key in ("notBefore", "notAfter"))
     if now > ends:
         sentence = f"the server's certificate has expired on {date_of(ends)}"

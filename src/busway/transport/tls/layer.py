@@ -1,4 +1,4 @@
-"""TLS between a connection of an event loop and the protocol that uses it: a protocol below, a transport above.
+"""TLS under asyncio: a layer between the transport of a connection and the protocol that uses it.
 
 Knows transports and a `TlsStream`; knows no Modbus, and no certificate.
 
@@ -31,7 +31,7 @@ LINGER_SECONDS: Final = 1.0
 
 
 class TlsState(Enum):
-    """State of a layer."""
+    """States of a TLS layer: handshake, open, closing."""
 
     HANDSHAKE = "handshake"
     UP = "up"
@@ -41,7 +41,7 @@ class TlsState(Enum):
 
 
 class TlsLayer(asyncio.BufferedProtocol):
-    """TLS over one connection.
+    """TLS over one asyncio connection: protocol of the transport below, transport of the protocol above.
 
     Args:
         loop: the event loop.
@@ -91,7 +91,7 @@ class TlsLayer(asyncio.BufferedProtocol):
     # What the event loop calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """The connection below is open: begin the handshake."""
+        """Begin the TLS handshake on the open connection."""
         self._below = transport
         self._timer = self._loop.call_later(self._timeout, self._too_slow)
         self._shake_hands()
@@ -101,7 +101,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Process received records, or parts of them."""
+        """Process received TLS records, or parts of them."""
         if self.state is TlsState.HANDSHAKE:
             self._stream.feed(self._records[:nbytes])
             self._shake_hands()

@@ -1,4 +1,4 @@
-"""A test authority, and the certificates it signs: EC keys on P-256, SHA-256.
+"""A certificate authority for tests and trials: issues certificates with EC keys on P-256 and SHA-256.
 
 Knows how such certificates look; a real installation has its own authority.
 
@@ -29,7 +29,7 @@ KEY_MODE: Final = 0o600
 
 @dataclass(frozen=True, slots=True)
 class Issued:
-    """A certificate with its private key.
+    """An issued certificate with its private key.
 
     Attributes:
         certificate, key: of ``cryptography``.
@@ -81,13 +81,13 @@ class Authority:
         return cls(_build(name, None, days=days, extensions=_authority_extensions(None)))
 
     def intermediate(self, name: str, *, days: float = 3650.0) -> "Authority":
-        """Make an authority below this one."""
+        """Issue an intermediate authority below this one."""
         return Authority(_build(name, self.issued, days=days, extensions=_authority_extensions(0)))
 
     def server(
         self, hosts: Sequence[str], *, name: str | None = None, days: float = 825.0, starts_in: float = 0.0
     ) -> Issued:
-        """Make a certificate for a server with these ``hosts``, names and addresses."""
+        """Issue a certificate for a server with these host names and addresses."""
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
 
@@ -101,7 +101,7 @@ class Authority:
         return _build(subject, self.issued, days=days, starts_in=starts_in, extensions=extensions)
 
     def client(self, name: str, *, role: str | None = None, days: float = 825.0, starts_in: float = 0.0) -> Issued:
-        """Make a certificate for a client, with or without a role."""
+        """Issue a certificate for a client, with or without a role."""
         return self.client_with(name, [] if role is None else [encode_role(role)], days=days, starts_in=starts_in)
 
     def client_with(
@@ -114,7 +114,7 @@ class Authority:
         more: Mapping[str, bytes] | None = None,
         states_purpose: bool = True,
     ) -> Issued:
-        """A certificate for a client whose role extension holds these bytes (at most one value), with ``more``.
+        """Issue a certificate for a client whose role extension has these raw bytes (at most one value), with ``more``.
 
         ``states_purpose``: whether it says that it is for clients (extended key usage).
         """
@@ -129,7 +129,7 @@ class Authority:
         return _build(name, self.issued, days=days, starts_in=starts_in, extensions=extensions)
 
     def revocation_list(self, serials: Sequence[int], *, days: float) -> bytes:
-        """A revocation list in PEM with these serial numbers, valid for ``days`` from now; negative: it has expired."""
+        """Issue a revocation list in PEM with these serial numbers, valid for ``days`` from now; negative: expired."""
         from cryptography import x509
         from cryptography.hazmat.primitives import hashes
         from cryptography.hazmat.primitives.serialization import Encoding
@@ -153,7 +153,7 @@ class Authority:
 
     @staticmethod
     def self_signed(name: str, hosts: Sequence[str], *, days: float = 825.0) -> Issued:
-        """Make a self-signed certificate that is no authority, for servers and clients."""
+        """Issue a self-signed certificate that is no authority, for servers and clients."""
         from cryptography import x509
 
         require_cryptography("making certificates")
@@ -168,7 +168,7 @@ def _build(
     starts_in: float = 0.0,
     extensions: "Sequence[x509.ExtensionType]",
 ) -> Issued:
-    """Sign a certificate; without an issuer by itself. Valid for ``days`` from now; negative: it has expired."""
+    """Sign a certificate; without an issuer by itself. Valid for ``days`` from now; negative: expired."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec
