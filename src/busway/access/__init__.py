@@ -1,4 +1,4 @@
-"""Access control: who may connect, who may ask what, and the audit log (clauses M6, T15).
+"""Access control: which hosts may connect, which requests a policy permits, and the audit log (clauses M6, T15).
 
 ===============================  ==========================================================================
 `networks`, `addresses`          lists of addresses; who may connect at all

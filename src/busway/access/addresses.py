@@ -1,4 +1,4 @@
-"""Who may connect at all, by address: allow and deny lists, and secure mode (Messaging on TCP/IP V1.0b §4.2.3).
+"""Address lists: which hosts may connect; allow and deny lists, and secure mode (Messaging on TCP/IP V1.0b §4.2.3).
 
 Knows hosts; knows no request. It is asked before a byte of a client is parsed.
 
@@ -16,12 +16,12 @@ HostAuthorizer = Callable[[str], bool]
 
 
 def allow_all(host: str) -> bool:
-    """Every host may connect."""
+    """Permit every host to connect."""
     return True
 
 
 def both(server: HostAuthorizer, listener: HostAuthorizer | None) -> HostAuthorizer:
-    """The authorizer of a server and that of one of its listeners together: both must permit a host."""
+    """Combine the host authorizers of a server and of one listener: both must permit a host."""
     if listener is None:
         return server
     if server is allow_all:
@@ -30,7 +30,7 @@ def both(server: HostAuthorizer, listener: HostAuthorizer | None) -> HostAuthori
 
 
 class AddressList:
-    """The allow and deny list of a server. Call it with a host to learn whether the host may connect.
+    """The allow and deny list of a server; called with a host, it returns whether the host may connect.
 
     ``access("10.0.0.7")`` is True or False; a server takes it as its ``authorize``.
 

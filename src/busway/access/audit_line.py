@@ -55,7 +55,7 @@ _NULL: Final = "null"
 
 
 def who_text(client: Requester) -> str:
-    """The part of an audit line that is equal for all requests of a client: peer, role and listener. Made once."""
+    """The JSON part of an audit line that is the same for all requests of a client: peer, role and listener."""
     role = _NULL if client.role is None else quoted(client.role)
     client.audit_text = f'"peer":{quoted(client.peer)},"role":{role},"listener":{quoted(client.listener)}'
     return client.audit_text
@@ -64,7 +64,9 @@ def who_text(client: Requester) -> str:
 def audit_line(
     context: RequestContext, request: AnyRequest, when: str, outcome: str, code: int | None, repeated: int = 0
 ) -> str:
-    """The line of a request as JSON. ``repeated`` is the number of denials that it counts; 0 for this request alone."""
+    """The audit line of a request as JSON. ``repeated``: number of denials that it stands for; 0 for this request
+    alone.
+    """
     judged = context.judged
     assert judged is not None  # or there would be no line
     what, old, new = _facts(request, None if outcome == DENIED else judged.replaced)
@@ -77,7 +79,7 @@ def audit_line(
 
 
 def done_line(unit: int, function: int, rule: str) -> tuple[str, str]:
-    """The fixed parts of the line of an executed write: the part after time and client, and the end.
+    """The fixed parts of the audit line of an executed write: the middle, after time and client, and the end.
 
     Between the two comes the text from `DONE` for the function. The line then equals that of `audit_line`, to the byte.
     """
@@ -114,14 +116,14 @@ DONE: Final[dict[type[Request], Done]] = {
 
 
 def outcome_of(reply: Message | Deferral | None) -> tuple[str, int | None]:
-    """Outcome and exception code of an answer, as an audit line has them."""
+    """Outcome and exception code of a reply, as an audit line has them."""
     if isinstance(reply, ExceptionResponse):
         return "exception", int(reply.exception)
     return ("done", None) if isinstance(reply, Message) else (NO_ANSWER, None)
 
 
 def _facts(request: AnyRequest, replaced: Replaced | None) -> tuple[str, str, str]:
-    """Three JSON texts of a request: function and items, old values, new values."""
+    """Three JSON texts about a request: function and items, old values, new values."""
     if isinstance(request, ReadFileRecord | WriteFileRecord):
         return _file_facts(request, replaced)
     facts = _FACTS.get(type(request), _other_facts)
@@ -160,7 +162,7 @@ def _coils_facts(request: WriteMultipleCoils, before: bytes | None) -> tuple[str
 
 
 def _file_facts(request: ReadFileRecord | WriteFileRecord, replaced: Replaced | None) -> tuple[str, str, str]:
-    """The facts of functions 20 and 21: the records of all groups, one after the other."""
+    """The JSON texts about functions 20 and 21: the records of all groups, one after the other."""
     groups: Sequence[FileReference | FileData] = request.groups
     records = [[group.file, group.record, group.count] for group in groups]
     count = sum(group.count for group in groups)
@@ -178,7 +180,9 @@ def _unread_facts(request: OpaqueRequest | MalformedRequest, before: bytes | Non
 
 
 def _other_facts(request: Request, before: bytes | None) -> tuple[str, str, str]:
-    """The facts of all other requests, from their declarations: reads, requests without a table, user functions."""
+    """The JSON texts about all other functions, from their declarations: reads, requests without a table, user
+    functions.
+    """
     spans = request.spans()
     span = next((span for span in spans if span.writes), spans[0] if spans else None)
     what = f'"function":{request.code:d}'

@@ -49,10 +49,10 @@ _LATE: Final = 1.0
 
 
 class FlushSchedule(Protocol):
-    """A timer: calls a function some seconds later; False where there is no event loop to do so."""
+    """Timer of the audit log: calls a function some seconds later; returns False if there is no event loop for it."""
 
     def __call__(self, seconds: float, function: Callable[[], None], /) -> bool:
-        """Arrange it."""
+        """Have ``function`` called after ``seconds``; False if that is impossible."""
 
 
 def by_event_loop(seconds: float, function: Callable[[], None]) -> bool:
@@ -65,7 +65,7 @@ def by_event_loop(seconds: float, function: Callable[[], None]) -> bool:
 
 
 class WallClock:
-    """The time as text, ``2026-03-01T12:00:00.250Z``, formatted at most once a millisecond. From any thread."""
+    """The current time as text, ``2026-03-01T12:00:00.250Z``, formatted at most once a millisecond. From any thread."""
 
     __slots__ = ("_now", "_second", "_text")
 
@@ -105,7 +105,7 @@ def room_of_file(file: int) -> tuple[int, int]:
 
 
 class AuditLog:
-    """An append-only log of lines. May be used from several threads and by several servers. Close it at the end.
+    """An append-only log file of JSON lines, for any number of threads and servers. Close it at the end.
 
     Args:
         path: the file; made with rights for its owner alone (0600) if it is not there, never truncated.
@@ -177,11 +177,11 @@ class AuditLog:
 
     @property
     def takes_writes(self) -> bool:
-        """Whether a write may be executed now, as far as the log is concerned."""
+        """Whether a write may be executed now: False if it must be logged but the log cannot be written."""
         return not (self._refuses and (self.is_failing or self._file is None))
 
     def append(self, line: str) -> None:
-        """Take a line of ASCII that ends with a line feed."""
+        """Append a line of ASCII that ends with a line feed."""
         with self._lock:
             if self._file is None or self._size >= _KEPT:
                 self._lose(1)
@@ -200,7 +200,7 @@ class AuditLog:
                 self.flush()
 
     def append_denied(self, about: About, line: DenialLine) -> None:
-        """Take a denial: its line now, or with its number after the interval.
+        """Append the line of a denial now, or count it as a repetition and append one line after the interval.
 
         Args:
             about: host, role and rule; those of the same are counted together.
@@ -219,7 +219,7 @@ class AuditLog:
                 self._schedule(self._repeat_interval, self._tell_repeated)
 
     def flush(self) -> None:
-        """Write the buffered lines, as far as the file takes them. Raises nothing: a failure is counted and logged."""
+        """Write the buffered lines to the file. Raises nothing: a failure is counted and logged."""
         with self._lock:
             self._due = None
             self._write_kept()
@@ -271,7 +271,9 @@ class AuditLog:
     # ---- denials
 
     def _append_denied(self, line: DenialLine, repeated: int) -> None:
-        """Append the line of a denial if there is room; ``repeated`` is how many it counts, 0 for itself alone."""
+        """Append the line of a denial if there is room; ``repeated``: number of denials that it stands for, 0
+        for one.
+        """
         if self._has_room_for_denials():
             self._tell_left_out()
             self.append(line(repeated))
@@ -280,7 +282,7 @@ class AuditLog:
             self._left_out += repeated or 1
 
     def _tell_repeated(self) -> None:
-        """Append the lines of repeated denials, and schedule the next time while there are any."""
+        """Append the lines of repeated denials, and schedule the next such time while there are any."""
         with self._lock:
             self._repeated_due = None
             for line, count in self._repeated.take():

@@ -1,4 +1,4 @@
-"""The authorizer of a server: asks a policy about every request (M6, T15).
+"""The authorizer of a server: decides every request by a policy (M6, T15).
 
 Knows requests, clients and the policy; answers nothing and stands beside the responder.
 
@@ -45,7 +45,7 @@ _MOST_RIGHTS: Final = 256
 
 
 class PolicyRights:
-    """What the clients with equal rights may do, as a fast path is made of it.
+    """The rights that a policy gives to clients, for compiling their fast path; equal for clients with equal rights.
 
     Attributes:
         rights: the compiled rules.
@@ -58,11 +58,13 @@ class PolicyRights:
         self._audit = audit
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """The answer of a function of a unit, limited to what is permitted; None if each request must be decided."""
+        """The fast answer to a function of a unit, limited to what is permitted; None if each request must be
+        decided.
+        """
         return bind(self.rights, unit, served, kind, self._audit)
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read is permitted whenever it is asked: no rate limits it."""
+        """Whether a read is always permitted, without a rate limit, so that it may be forwarded unchecked."""
         question = Question.of(request, unit=unit, listed=None if served is None else served.unit, asker=_ANYBODY)
         decision = self.rights.decide(question)
         return decision.allowed and not decision.rates and not question.writes
@@ -73,7 +75,7 @@ _ANYBODY: Final = Asker()
 
 
 class _InForce:
-    """A policy and what is compiled from it. Replaced as a whole, so that nothing outlives its policy."""
+    """A policy in force with all that is compiled from it; replaced as a whole."""
 
     __slots__ = ("of_askers", "of_clients", "of_rules", "policy")
 
@@ -85,7 +87,7 @@ class _InForce:
 
 
 class PolicyAuthorizer:
-    """Permits the requests that a policy permits.
+    """Decides requests by a policy, which can be replaced while the server runs.
 
     Args:
         policy: the rules.
@@ -128,13 +130,13 @@ class PolicyAuthorizer:
             self.generation += 1
 
     def rights_of(self, client: ClientIdentity) -> PolicyRights:
-        """The rights of a client."""
+        """The rights of a client under the policy."""
         return self._known(client)[1]
 
     def authorize(
         self, context: RequestContext, request: AnyRequest, served: ServedUnit | None
     ) -> ExceptionResponse | None:
-        """Permit a request (None), or refuse it with a reply.
+        """Permit a request (returns None), or refuse it with an exception reply.
 
         Function 22 under limits is permitted for now where the device will show the value that it changes
         (`RequestContext.replacing`), and decided then.
@@ -161,7 +163,7 @@ class PolicyAuthorizer:
         return None
 
     def _judge(self, context: RequestContext, rights: Rights, question: Question, replaced: Replaced) -> None:
-        """Decide about function 22, now that the value it changes is known. Raises `Refusal`."""
+        """Decide a request of function 22 once the register value that it changes is known. Raises `Refusal`."""
         current = replaced[0] if replaced else None
         if current is not None:
             question = question.with_current(int.from_bytes(current, "big"))
@@ -224,7 +226,7 @@ class PolicyAuthorizer:
         return ExceptionResponse(context.function, decision.code)
 
     def _too_fast(self, decision: Decision, asker: Asker, charged: set[int] | None) -> Decision | None:
-        """The refusal of a request above the rate of a rule; None within all rates.
+        """The refusal of a permitted request that exceeds the rate of a rule; None within all rates.
 
         ``charged`` holds the ids of rules that have counted the request already, so that a broadcast counts once.
         """
@@ -242,7 +244,7 @@ class PolicyAuthorizer:
         return None
 
     def _known(self, client: ClientIdentity) -> tuple[Asker, PolicyRights]:
-        """A client as rules see it, and its rights."""
+        """A client as the rules see it, and its rights, both cached."""
         in_force = self._in_force
         found = in_force.of_clients.get(client)
         if found is None:
@@ -271,5 +273,5 @@ def _rights_of(asker: Asker, in_force: _InForce, audit: AuditLog | None) -> Poli
 
 
 def _busy(rule: Rule) -> Decision:
-    """The refusal of a request that is permitted but above the rate of its rule."""
+    """The refusal of a request that a rule permits but that exceeds the rule's rate."""
     return Decision(False, int(ExceptionCode.SERVER_DEVICE_BUSY), rule, f"more than {rule.rate:g} requests a second")

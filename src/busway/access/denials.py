@@ -1,4 +1,4 @@
-"""Repeated denials of one client by one rule: the first is recorded at once, the others are counted.
+"""Counts repeated denials of one client by one rule: the first is recorded at once, later ones as a number.
 
 Pure: knows names and how to make a line; looks at no clock and writes nothing.
 
@@ -22,14 +22,14 @@ MOST_APART: Final = 1024
 
 @dataclass(slots=True)
 class _Repeated:
-    """Denials since the last line: how many, and the line that the last of them would have left."""
+    """Denials of one client by one rule since the last audit line: their number, and the line of the latest."""
 
     count: int = 0
     line: DenialLine | None = None
 
 
 class RepeatedDenials:
-    """Denials that are counted and not recorded yet.
+    """Denials that were counted but are not in the audit log yet.
 
     Attributes:
         others: number of those beyond `MOST_APART` combinations.
@@ -43,7 +43,7 @@ class RepeatedDenials:
         return bool(self._repeated or self.others)
 
     def is_first(self, about: About, line: DenialLine) -> bool:
-        """Whether a denial is recorded now; if not, it is counted."""
+        """Whether a denial is to be recorded now; if not, it was counted as a repetition."""
         repeated = self._repeated.get(about)
         if repeated is not None:
             repeated.count += 1
@@ -56,13 +56,13 @@ class RepeatedDenials:
         return True
 
     def take(self) -> list[tuple[DenialLine, int]]:
-        """The lines of counted denials, each with its number. Combinations without any are forgotten."""
+        """The audit lines for counted denials, each with its number. Combinations without denials are dropped."""
         again = {about: each for about, each in self._repeated.items() if each.count}
         found = [(each.line, each.count) for each in again.values() if each.line is not None]
         self._repeated = {about: _Repeated() for about in again}
         return found
 
     def take_others(self) -> int:
-        """The number of denials beyond the combinations that are counted separately; sets it to 0."""
+        """The number of denials beyond the combinations that are counted separately; resets it to 0."""
         others, self.others = self.others, 0
         return others

@@ -54,17 +54,17 @@ _SUB_NAMES: Final[Mapping[str, Function]] = {
 
 
 def parse_units(value: str | int | Iterable[str | int]) -> frozenset[int]:
-    """The units of a notation. Raises `ConfigError`."""
+    """Parse unit numbers such as ``1-10, 17``. Raises `ConfigError`."""
     return frozenset(unit for first, end in _ranges(value, 255, "unit") for unit in range(first, end))
 
 
 def parse_files(value: str | int | Iterable[str | int]) -> tuple[Range, ...]:
-    """The ranges of file numbers of a notation, ascending. Raises `ConfigError`."""
+    """Parse file numbers such as ``1-4`` into ascending ranges. Raises `ConfigError`."""
     return merged(_ranges(value, 0xFFFF, "file"))
 
 
 def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Function]:
-    """The functions of a notation. Raises `ConfigError`."""
+    """Parse function codes or names, with sub-functions such as ``8/10``. Raises `ConfigError`."""
     found: set[Function] = set()
     for each in [value] if isinstance(value, str | int) else value:
         for part in each.split(",") if isinstance(each, str) else [each]:
@@ -73,7 +73,7 @@ def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Functio
 
 
 def parse_table(value: str | Table) -> Table:
-    """The table of a name: ``holding``, ``holding_registers``, ``coil``. Raises `ConfigError`."""
+    """Parse the name of a table: ``holding``, ``holding_registers``, ``coil``. Raises `ConfigError`."""
     if isinstance(value, Table):
         return value
     try:
@@ -86,7 +86,7 @@ def parse_table(value: str | Table) -> Table:
 
 
 def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> dict[Table, tuple[Range, ...]]:
-    """The ranges of items of a notation, by table, ascending. Raises `ConfigError`.
+    """Parse item ranges such as ``holding:100-199`` into ascending ranges by table. Raises `ConfigError`.
 
     Args:
         value: the notation.
@@ -101,7 +101,7 @@ def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> 
 
 
 def merged(ranges: Iterable[Range]) -> tuple[Range, ...]:
-    """Ranges in ascending order, those that touch made one."""
+    """Sort ranges and join those that touch."""
     found: list[Range] = []
     for first, end in sorted(ranges):
         if found and first <= found[-1][1]:
@@ -112,7 +112,7 @@ def merged(ranges: Iterable[Range]) -> tuple[Range, ...]:
 
 
 def _ranges(value: str | int | Iterable[str | int], highest: int, what: str) -> list[Range]:
-    """Ranges of plain numbers."""
+    """Parse a list of numbers and ranges such as ``1-10, 17``."""
 
     def number(text: str) -> int:
         if not _NUMBER.fullmatch(text):
@@ -143,7 +143,7 @@ def _ends(part: str, number: Callable[[str], int]) -> Range:
 
 
 def _with_single_blanks(part: str) -> str:
-    """A part without blanks around it, and with one where there are several. Raises `ConfigError` where it is long.
+    """One part of a notation, trimmed and with single blanks inside. Raises `ConfigError` if it is too long.
 
     What comes after takes time with the square of the length, so the length is bounded here.
     """
@@ -178,7 +178,7 @@ def _functions(text: str | int) -> set[Function]:
 
 
 def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
-    """Table and range of one part."""
+    """Parse one part of an item notation: its table and range."""
     if isinstance(part, str):
         text = _with_single_blanks(part)
         # A minus sign may belong to a table's name (holding-registers:5): the last one may be the sign of a range.
@@ -197,7 +197,9 @@ def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
 
 
 def _with_notation_of(first: str, last: str) -> str:
-    """``199`` in ``holding:100-199`` is ``holding:199``; ``0x8`` may be hexadecimal only behind a table's name."""
+    """Complete the end of a range: ``199`` in ``holding:100-199`` is ``holding:199``; ``0x8`` may be hexadecimal only
+    behind a table's name.
+    """
     prefix = re.match(r"[0134][xX]|[A-Za-z _-]+:|%[mM][wW]?", first.strip())
     if prefix is None or not (last.isdecimal() or (prefix[0].endswith(":") and _NUMBER.fullmatch(last))):
         return last

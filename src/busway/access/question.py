@@ -37,7 +37,7 @@ _OF_FILES: Final = (ReadFileRecord, WriteFileRecord)
 
 @dataclass(slots=True)
 class TouchedRange:
-    """Items of one space that a request touches, from ``first`` to before ``end``."""
+    """Items of a table, or records of a file, that a request touches, from ``first`` to before ``end``."""
 
     space: Space
     first: int
@@ -62,7 +62,7 @@ class Asker:
 
 @dataclass(slots=True)
 class Question:
-    """One request, as a policy sees it. Built by ``of``.
+    """One request with all facts that a policy can decide by. Created with ``of``.
 
     Attributes:
         asker: the client.
@@ -132,11 +132,13 @@ class Question:
 
     @property
     def writes(self) -> bool:
-        """Whether the request counts as a write."""
+        """Whether the request counts as a write for the policy."""
         return any(piece.writes for piece in self.pieces)
 
     def with_current(self, current: int) -> "Question":
-        """The same facts for function 22 on a register that holds ``current``, so that the written value is known."""
+        """The facts of a request of function 22 on a register that holds ``current``, so that the written value is
+        known.
+        """
         if self.masks is None:
             return self
         and_mask, or_mask = self.masks
@@ -189,7 +191,7 @@ def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
 
 
 def _sub_function(function: int, data: bytes) -> int | None:
-    """The sub-function in what follows the function code; None where the function has none, or it is cut off."""
+    """The sub-function code at the start of the request data; None if the function has none or the data are cut off."""
     width = _SUB_WIDTH.get(function)
     return int.from_bytes(data[:width], "big") if width is not None and len(data) >= width else None
 

@@ -1,4 +1,4 @@
-"""How many requests a host may make: a token bucket each, shared by all its connections.
+"""Request rates per host: a token bucket for each host, shared by all its connections.
 
 Pure: knows hosts, numbers and times handed in; pauses nothing itself.
 
@@ -15,7 +15,7 @@ _HOSTS: Final = 4096
 
 
 class Rates:
-    """Request rates of hosts: one token bucket for each.
+    """Request rates of hosts: one token bucket for each host.
 
     Args:
         rate: requests a second, for each host.
@@ -30,7 +30,7 @@ class Rates:
         return len(self._buckets)
 
     def charge(self, host: str, requests: int, now: float) -> float:
-        """Charge a host with ``requests``; returns the seconds that it has to wait now, 0 within its rate."""
+        """Charge a host with ``requests``; returns the seconds that it has to wait, 0 within its rate."""
         left = self._left(host, now) - requests
         self._buckets[host] = (left, now)
         self._buckets.move_to_end(host)
@@ -39,7 +39,7 @@ class Rates:
         return 0.0 if left >= 0 else -left / self.rate
 
     def allows(self, host: str, now: float) -> bool:
-        """Charge one request if the host is within its rate; False means that the request is to be refused."""
+        """Charge one request if its host is within its rate; False means that the request is to be refused."""
         if self._left(host, now) < 1.0:
             return False
         self.charge(host, 1, now)

@@ -27,7 +27,7 @@ class Repeats:
         self._said: OrderedDict[str, _Said] = OrderedDict()
 
     def again(self, name: str, now: float) -> int | None:
-        """How often it was left out since the last line, if it is to be logged now; None if it is not.
+        """Number of messages left out since the last line about ``name``, if one may be logged now; None if it may not.
 
         Args:
             name: what the message is about, such as a host.
@@ -45,5 +45,5 @@ class Repeats:
 
 
 def so_often(repeated: int) -> str:
-    """The end of a log line: how many equal messages were left out; empty for none."""
+    """The end of a log line that says how many equal messages were left out; empty for none."""
     return f" ({repeated} more since the last line)" if repeated else ""

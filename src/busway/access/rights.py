@@ -1,4 +1,4 @@
-"""What a set of clients may do: the rules that apply to them, compiled once and asked for every decision.
+"""The rights of clients: the rules of a policy that apply to them, compiled once for fast decisions.
 
 Knows rules and the facts of one request (`busway.access.question`); knows no client, no connection and no store.
 
@@ -46,7 +46,7 @@ class Decision:
 
     @property
     def rule_name(self) -> str:
-        """The name of the rule; ``default`` where none decided."""
+        """The name of the deciding rule; ``default`` if no rule fitted."""
         return DEFAULT_RULE if self.rule is None else self.rule.name
 
 
@@ -73,17 +73,17 @@ class Zone:
 
     @property
     def rule_name(self) -> str:
-        """The name of the rule; ``default`` where none decides."""
+        """The name of the rule that decides in this zone; ``default`` if there is none."""
         return DEFAULT_RULE if self.rule is None else self.rule.name
 
     @property
     def rate(self) -> float | None:
-        """Requests per second that the rule lets through; None for all."""
+        """Requests per second that the rule of this zone permits; None without a limit."""
         return None if self.rule is None else self.rule.rate
 
 
 class UnitAccess(NamedTuple):
-    """One kind of access to a unit.
+    """One kind of access to one unit: the unit, the function and whether it writes.
 
     Attributes:
         unit: the unit asked, 0…255.
@@ -103,7 +103,7 @@ class UnitAccess(NamedTuple):
 
 
 class Rights:
-    """The rules that apply to some clients, and what they decide.
+    """The rules of a policy that apply to some clients, and the decisions that follow.
 
     Args:
         rules: in their order; all of them apply to the clients.
@@ -121,15 +121,15 @@ class Rights:
         self._zones: dict[UnitAccess, tuple[list[int], tuple[Zone, ...]]] = {}
 
     def zones(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """The zones of an access, ascending; they cover all addresses."""
+        """The zones of one kind of access, ascending; they cover all addresses."""
         return self._compiled(access)[1]
 
     def permitted(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """The zones where an access is permitted whenever it is asked: no rate limits it."""
+        """The zones where an access is always permitted, without a rate limit."""
         return tuple(zone for zone in self.zones(access) if zone.permits and zone.rate is None)
 
     def decide(self, question: Question) -> Decision:
-        """Decide about a request."""
+        """Decide whether a request is permitted."""
         rates: list[Rule] = []
         first_rule: Rule | None = None
         is_first = True
@@ -175,7 +175,7 @@ class Rights:
         return found
 
     def _compile(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """Give every address to the first rule that fits: each takes what the rules before it have left."""
+        """Compile the zones of an access: every address belongs to the first rule that fits."""
         found: list[Zone] = []
         firsts, ends = [0], [END]  # what no rule has taken yet
         for order, rule in self._of_unit(access.unit, access.listed):
@@ -208,7 +208,9 @@ class Rights:
         return Zone(first, end, rule, order, action, action.permits(access.writes), limits)
 
     def _of_unit(self, unit: int, listed: int | None) -> tuple[tuple[int, Rule], ...]:
-        """The rules about a unit, with their order: many thousand rules are looked at once, not for each function."""
+        """The rules that apply to a unit, with their order: filtered once per unit, since there may be many
+        thousands.
+        """
         key = unit, listed
         found = self._of_units.get(key)
         if found is None:
@@ -228,7 +230,7 @@ def decision_of(policy: Policy, question: Question) -> Decision:
 
 
 def ranges_of(zones: tuple[Zone, ...]) -> tuple[Range, ...]:
-    """The addresses of zones, neighbours joined."""
+    """The address ranges of zones, with adjacent ones joined."""
     return merged([(zone.first, zone.end) for zone in zones])
 
 
@@ -237,7 +239,7 @@ def _code(rule: Rule | None) -> int:
 
 
 def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
-    """Why the written registers ``start``…``end`` are outside the limits, in words; empty if they are within."""
+    """A sentence about written registers ``start``…``end`` outside the value limits; empty if they are within."""
     bounds = f"{limits.low}…{limits.high}"
     if question.masks is not None:
         return "" if limits.permit_masks(*question.masks) else f"the masks may give a value outside {bounds}"

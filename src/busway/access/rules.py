@@ -1,4 +1,4 @@
-"""Rules in their order: which clients and requests each applies to, and what it does (clauses M6, T15).
+"""Rules of a policy in their order: which clients and requests each applies to, and what it does (clauses M6, T15).
 
 Knows what people write; knows no connection and no store. `busway.access.rights` decides by them.
 
@@ -36,14 +36,14 @@ Chosen = TypeVar("Chosen", bound=Enum)
 
 
 class Action(Enum):
-    """What a rule or the default does: allow, deny, or allow reads only."""
+    """What a rule or the policy's default does: allow, deny, or allow reads only."""
 
     ALLOW = "allow"
     DENY = "deny"
     READ_ONLY = "read-only"
 
     def permits(self, writes: bool) -> bool:
-        """Whether a read, or a write, is permitted."""
+        """Whether this action permits a write (or a read, if ``writes`` is False)."""
         return self is Action.ALLOW or (self is Action.READ_ONLY and not writes)
 
 
@@ -55,13 +55,13 @@ class AccessKind(Enum):
     ANY = "any"
 
     def fits(self, writes: bool) -> bool:
-        """Whether a read, or a write, is one of them."""
+        """Whether a write (or a read, if ``writes`` is False) is of this kind."""
         return self is AccessKind.ANY or (self is AccessKind.WRITE) == writes
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The range of values that may be written to each register.
+    """The range of values that a rule lets clients write to each register.
 
     Attributes:
         low, high: the least and the greatest value, 0…65535, or -32768…32767 if ``signed``.
@@ -185,7 +185,7 @@ class Rule:
         rate: float | None = None,
         code: int = ExceptionCode.ILLEGAL_FUNCTION,
     ) -> "Rule":
-        """A rule from what people write.
+        """Build a rule from texts as people write them in files.
 
         Args:
             name: what logs call it.
@@ -243,7 +243,7 @@ class Rule:
         )
 
     def names(self, function: int, sub_function: int | None) -> bool:
-        """Whether the rule applies to a function."""
+        """Whether the rule applies to a function and sub-function."""
         if self.functions is None:
             return True
         return (function, None) in self.functions or (
@@ -289,7 +289,9 @@ class Policy:
 
     @classmethod
     def of(cls, *rules: Rule, default: str | Action = Action.DENY) -> "Policy":
-        """A policy of rules in their order; ``default``: ``allow``, ``deny``, ``read-only``. Raises `ConfigError`."""
+        """Build a policy of rules in their order; ``default``: ``allow``, ``deny``, ``read-only``. Raises
+        `ConfigError`.
+        """
         return cls(rules, _one_of(Action, default, "default"))
 
     @classmethod
@@ -324,7 +326,7 @@ class Policy:
 
 @dataclass(frozen=True, slots=True)
 class AccessRules:
-    """The access rules of a configuration file.
+    """The access rules of a configuration file: its policy and its address lists.
 
     Attributes:
         policy: which requests are permitted.
@@ -380,7 +382,7 @@ def _is_listener(wanted: str, listener: str) -> bool:
 
 @contextmanager
 def _about(key: str) -> Iterator[None]:
-    """Set the key of every `ConfigError` raised in the block to ``key``."""
+    """Context manager that sets the key of every `ConfigError` raised in it to ``key``."""
     try:
         yield
     except ConfigError as error:

@@ -1,4 +1,5 @@
-"""From files that people write to checked values, and from those to components (Messaging on TCP/IP V1.0b §4).
+"""Configuration: reads files that people write, checks them, and builds components from them (Messaging on TCP/IP V1.0b
+§4).
 
 ==================  ==========================================================================
 `files`             the schemas: TOML text to frozen values, with every error at its line

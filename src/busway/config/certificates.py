@@ -1,4 +1,4 @@
-"""The certificates that a listener uses: options of its URL go before its section, those before ``[security]``."""
+"""The certificates of a listener: options of its URL override its section, which overrides ``[security]``."""
 
 from ..options.server import ListenerParameters
 from ..options.tls import TlsParameters

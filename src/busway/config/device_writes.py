@@ -1,4 +1,4 @@
-"""What Modbus may write to the points of a device: refused where it does not fit them.
+"""Refuses Modbus writes that do not fit the points of a device, such as values outside their range.
 
 Knows points and the hooks of devices.
 
@@ -23,7 +23,7 @@ from .files.points import PointSection
 
 
 class PlacedItems:
-    """Which of some things a change of items touches.
+    """Address ranges of points, to find those that a write touches.
 
     Args:
         spans: for each, its first item and the item after its last one.
@@ -36,7 +36,7 @@ class PlacedItems:
         self._ends = list(accumulate((end for _, end in self._spans), max))
 
     def touched(self, first: int, end: int) -> list[int]:
-        """The places, in what was given, of those that share an item with ``first``…``end - 1``."""
+        """The indices of the ranges that share an item with ``first``…``end - 1``."""
         found = []
         at = bisect_left(self._ends, first + 1)
         while at < len(self._spans) and self._spans[at][0] < end:
@@ -47,7 +47,7 @@ class PlacedItems:
 
 
 def judge_writes(device: Device, points: Sequence[PointSection]) -> None:
-    """Refuse from now on what does not fit the points of a device."""
+    """Let a device refuse writes that do not fit its points, from now on."""
     for table in Table:
         limited = [point for point in points if point.table is table and _is_limited(point)]
         if limited and table.is_writable:
@@ -59,7 +59,7 @@ def _is_limited(point: PointSection) -> bool:
 
 
 class _Limits:
-    """Points of one table that take only some values."""
+    """The points of one table that accept only some values."""
 
     def __init__(self, device: Device, points: Sequence[PointSection]) -> None:
         self._device = device
@@ -67,7 +67,7 @@ class _Limits:
         self._items = PlacedItems([(point.place.offset, point.place.offset + point.size) for point in points])
 
     def judge(self, change: Change) -> None:
-        """Refuse what does not fit a point."""
+        """Refuse a write that does not fit one of the points it touches; raises `Refusal`."""
         for index in self._items.touched(change.address, change.address + change.count):
             point = self._points[index]
             try:
@@ -79,7 +79,7 @@ class _Limits:
                 raise Refusal(reason=f"{point.name}: {error.message}") from error
 
     def _after(self, point: PointSection, change: Change) -> Any:  # what the point's type says
-        """What the registers of a point would hold after a write."""
+        """The registers of a point as they would be after a write."""
         form, start = point.form, point.place.offset
         assert form is not None  # only numbers have ranges and names
         registers = list(change.new)

@@ -1,4 +1,4 @@
-"""Device files → devices that can be served.
+"""Builds devices that a server can serve from the contents of device files.
 
 Knows the schema and `Device`; reads no file.
 """
@@ -17,12 +17,12 @@ from .files.simulation import SimulatedUnitSection
 
 
 def build_units(file: DeviceFile) -> dict[int, Device]:
-    """The devices of a file by unit, each with a memory of its own."""
+    """Build the devices of a device file, by unit, each with its own memory."""
     return {number: build_device(section) for section in file.unit for number in section.unit}
 
 
 def build_device(section: UnitSection) -> Device:
-    """The device that a unit's section declares, its points holding their first values."""
+    """Build the device that a unit's section declares, with the initial values of its points."""
     # Any: arguments of different types
     options: dict[str, Any] = {
         table.value: _cells(section.table(table), section.points_in(table), _hole(section, table)) for table in Table
@@ -46,7 +46,7 @@ def build_device(section: UnitSection) -> Device:
 
 
 def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: what the point's type says
-    """Set what a point holds, in the unit of measure. Raises `InvalidRequest` if it does not fit."""
+    """Set the value of a point in a device, in its unit of measure. Raises `InvalidRequest` if it does not fit."""
     raw = point.raw(value)
     form = point.form
     if form is None or not form.is_part:
@@ -58,12 +58,12 @@ def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: 
 
 
 def _hole(section: UnitSection, table: Table) -> int | None:
-    """What is read between the points of a table; None where that is refused."""
+    """The value of addresses between the points of a table; None if reading them is refused."""
     return section.holes.value(table) if isinstance(section, SimulatedUnitSection) else None
 
 
 def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: int | None) -> Cells | None:
-    """The items of a table: as declared, or else those of its points, and of the holes between them."""
+    """The items of a table: as declared, or else those of its points and of the holes between them."""
     read_only = [
         [point.place.offset, point.size] for point in points if point.table.is_writable and not point.is_writable
     ]
@@ -80,7 +80,7 @@ def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: 
 
 
 def _ranges(offsets: Sequence[int]) -> list[list[int]]:
-    """Ascending offsets as ranges, each first and count."""
+    """Ascending offsets joined to ranges, each first and count."""
     found: list[list[int]] = []
     for offset in offsets:
         if found and offset == sum(found[-1]):

@@ -1,4 +1,4 @@
-"""Work with many objects beside an event loop that must not wait for it.
+"""Keeps the garbage collector from pausing the event loop while many objects are created or freed.
 
 Knows the garbage collector and lists; knows nothing of what is in them.
 
@@ -17,7 +17,7 @@ _AT_ONCE: Final = 256
 
 @contextmanager
 def collecting_paused() -> Iterator[None]:
-    """Switch the garbage collector off while many objects are made that stay or are freed without it."""
+    """Context manager that switches the garbage collector off while many objects are created or freed."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:

@@ -23,7 +23,7 @@ from .report import ConfigurationReport, nearest
 
 @dataclass(frozen=True, slots=True)
 class NamedLink:
-    """A link that a configuration declares.
+    """A link that a configuration declares: its name, endpoint and options.
 
     Attributes:
         name: its name.
@@ -71,7 +71,7 @@ def _named_link(
     at: Path,
     report: ConfigurationReport,
 ) -> NamedLink | None:
-    """A link as its section declares it; None, with a problem in the report, if it is invalid.
+    """Build a link from its section; None, with a problem in the report, if it is invalid.
 
     Args:
         section: its own options.

@@ -1,4 +1,4 @@
-"""Parameters of a device file, put into its texts before its schema sees them.
+"""Parameters of a device file: put into its texts before its schema checks them.
 
 Knows TOML data and the names of parameters; what stands in a file is known by its schema.
 
@@ -31,7 +31,7 @@ LONGEST_TEXT: Final = 10_000
 def declared_parameters(
     source: Source, given: Mapping[str, Parameter], asked: tuple[Source, Path] | None
 ) -> dict[str, Parameter]:
-    """The parameters of a file, as they hold in the end: its defaults, and what an include gives."""
+    """The final parameters of a file: its defaults, overridden by what an include gives."""
     defaults, required = source.data.get("parameters", {}), source.data.get("required", [])
     if not isinstance(defaults, dict) or not isinstance(required, list):
         return dict(given)  # the schema will say what is wrong
@@ -65,7 +65,7 @@ def _there_are(names: Sequence[str]) -> str:
 
 
 class FilledSource:
-    """The data of a file with its parameters put in.
+    """The data of a file with its parameters filled in.
 
     Args:
         source: the file.
@@ -82,11 +82,11 @@ class FilledSource:
         self._parameters = dict(parameters)
 
     def with_more(self, more: Mapping[str, Parameter]) -> "FilledSource":
-        """The same with other parameters beside."""
+        """A copy with further parameters."""
         return FilledSource(self.source, {**self._parameters, **more})
 
     def filled(self, node: Any, path: Path) -> Any:  # what TOML has
-        """A part of the data; a new object."""
+        """A new copy of a part of the data, with parameters filled in."""
         if isinstance(node, str):
             return self._text(node, path)
         if isinstance(node, list):
@@ -154,7 +154,7 @@ def _written(value: Parameter) -> str:
 
 
 def own_units(filled: FilledSource) -> dict[str, Any]:  # what TOML has
-    """The data of a file; in a section for one unit, that unit's number is a parameter too."""
+    """The data of a file, where in a section for one unit the unit's number is a parameter too."""
     data = filled.source.data
     rest: dict[str, Any] = filled.filled({key: value for key, value in data.items() if key != "unit"}, ())
     sections = data.get("unit")

@@ -12,7 +12,7 @@ TLS_FILES: Final = tuple(name for name, option in declared(TlsParameters).items(
 
 
 def rooted(options: Mapping[str, Any], name: str) -> dict[str, Any]:  # Any: options of several types
-    """The options with paths made absolute, or relative to the working directory, instead of to the file's folder."""
+    """Options with paths made absolute or relative to the working directory, instead of to the file's folder."""
     return {
         key: within(name, value) if key in TLS_FILES and isinstance(value, str) else value
         for key, value in options.items()

@@ -43,7 +43,7 @@ def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], repo
 
 
 class _Keys:
-    """Where the keys of the certificates of a listener stand: with the listener, or in ``[security]``."""
+    """The keys in the file that name a listener's certificates: in its own section, or in ``[security]``."""
 
     def __init__(self, file: SystemFile, place: Place) -> None:
         self._own = file.listener[int(place[1])].options_of(TlsParameters) if place[0] == "listener" else {}
@@ -66,7 +66,7 @@ def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
 
 
 def _readable(place: Place, path: str, report: ConfigurationReport) -> None:
-    """Open a file, or a folder of authorities, and report it where it cannot be read."""
+    """Open a file, or a folder of authorities, and report it if it cannot be read."""
     if Path(path).is_dir() and place[-1] == "authority":
         return
     try:
@@ -78,7 +78,7 @@ def _readable(place: Place, path: str, report: ConfigurationReport) -> None:
 
 
 def _usable(listener: Listener, place: Callable[[str | None], Place], report: ConfigurationReport) -> None:
-    """Report certificates and keys that can be read, but do not belong together."""
+    """Report a readable certificate and key that do not belong together."""
     try:
         try_certificates(listener)
     except ConfigError as error:

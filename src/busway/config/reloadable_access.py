@@ -22,7 +22,7 @@ _LOCAL_NAMES: Final = frozenset({"localhost"})
 
 
 class ReloadableAllowList:
-    """Decides whether a host may connect, by lists that can be replaced; a server calls it as ``authorize``.
+    """Decides whether a host may connect, by lists that can be replaced; given to a server as ``authorize``.
 
     Attributes:
         lists: all of them must permit a host.

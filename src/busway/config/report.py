@@ -1,4 +1,4 @@
-"""The configuration report: what is wrong with the values of a file, each with the line of its key.
+"""The configuration report: the problems of a file's values, each with the line of its key.
 
 Knows how an error of a component names its key; knows no component.
 """
@@ -41,11 +41,11 @@ class ConfigurationReport:
         return None
 
     def refuse(self, path: Path, sentence: str) -> None:
-        """Add a problem."""
+        """Add a problem at a path of the file."""
         self.problems.append(self._source.problem(path, sentence))
 
     def warn(self, path: Path, sentence: str) -> None:
-        """Add a warning."""
+        """Add a warning at a path of the file."""
         self.warnings.append(self._source.problem(path, f"warning: {sentence}"))
 
     def end(self) -> tuple[ConfigError, ...]:

@@ -1,4 +1,4 @@
-"""UDP: datagrams in, datagrams out, under asyncio and without it.
+"""UDP sockets of clients: datagrams in and out, under asyncio and blocking.
 
 Knows sockets; knows no Modbus. The user of a socket says which datagrams are whole; others are dropped and counted.
 
@@ -22,7 +22,7 @@ MAX_DATAGRAM = 2048
 
 
 class DatagramConnection(asyncio.DatagramProtocol):
-    """A client's UDP socket under asyncio, with the methods of a stream transport. Made by `open_datagram`.
+    """A client's UDP socket under asyncio, with the methods of a stream transport. Created by `open_datagram`.
 
     Attributes:
         dropped: datagrams that were not whole.
@@ -37,11 +37,11 @@ class DatagramConnection(asyncio.DatagramProtocol):
     # What asyncio calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """The socket is open."""
+        """Keep the transport of the opened socket."""
         self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no such class
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
-        """Process a received datagram."""
+        """Pass on a received datagram if it is a whole frame; otherwise count it as dropped."""
         if self._whole(data):
             self._received(data)
         else:
@@ -53,22 +53,22 @@ class DatagramConnection(asyncio.DatagramProtocol):
     # What a link calls.
 
     def write(self, data: bytes) -> None:
-        """Send a datagram."""
+        """Send one frame as a datagram."""
         if self._transport is not None:
             self._transport.sendto(data)
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the UDP socket."""
         if self._transport is not None:
             self._transport.close()
 
     def abort(self) -> None:
-        """Close the socket at once."""
+        """Close the UDP socket at once."""
         if self._transport is not None:
             self._transport.abort()
 
     def get_write_buffer_size(self) -> int:
-        """Bytes of datagrams that the system has not taken yet."""
+        """Number of bytes in datagrams that the system has not accepted yet."""
         transport: Any = self._transport  # each loop's has it, although the abstract class does not
         return 0 if transport is None else int(transport.get_write_buffer_size())
 
@@ -77,7 +77,7 @@ class DatagramConnection(asyncio.DatagramProtocol):
         return None if self._transport is None else self._transport.get_extra_info(name)
 
     def is_closing(self) -> bool:
-        """Whether the socket is closed."""
+        """Whether the UDP socket is closed."""
         return self._transport is None or self._transport.is_closing()
 
 
@@ -119,7 +119,7 @@ class BlockingDatagramSocket:
     def __init__(
         self, host: str, port: int, parameters: SocketParameters, *, endpoint: str, whole: Callable[[bytes], bool]
     ) -> None:
-        """Open the socket; arguments and errors as of `open_datagram`."""
+        """Open the UDP socket; arguments and errors as of `open_datagram`."""
         self._whole = whole
         self.dropped: int = 0
         try:
@@ -138,7 +138,7 @@ class BlockingDatagramSocket:
             raise link_down(error, endpoint=endpoint) from error
 
     def fileno(self) -> int:
-        """The descriptor, to wait for readiness."""
+        """The file descriptor of the socket, to wait for readiness."""
         return self._socket.fileno()
 
     def recv_into(self, buffer: bytearray) -> int:
@@ -154,7 +154,7 @@ class BlockingDatagramSocket:
             self.dropped += 1
 
     def send(self, data: bytes) -> int:
-        """Send a datagram."""
+        """Send one frame as a datagram."""
         with contextlib.suppress(ConnectionRefusedError):
             self._socket.send(data)
             return len(data)
@@ -164,5 +164,5 @@ class BlockingDatagramSocket:
         return len(data)
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the UDP socket."""
         self._socket.close()

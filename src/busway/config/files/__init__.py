@@ -1,4 +1,4 @@
-"""Files that people write: TOML text → checked, frozen values, with every error at its line.
+"""The schemas of all files that people write: TOML text to checked, frozen values, with every error at its line.
 
 Knows texts; reads no file itself and builds nothing: `busway.config` does both, `busway.config.devices` makes the
 devices. Imported only where a file is used: it loads pydantic.

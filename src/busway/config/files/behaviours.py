@@ -56,7 +56,7 @@ Expression = Annotated[float | str, BeforeValidator(_as_expression, json_schema_
 
 
 class BehaviourSection(Section):
-    """What all kinds have: how often the value changes, and when a value that was written gives way to it again."""
+    """Keys of all kinds of behaviour: how often the value changes, and how long a written value stays."""
 
     expressions: ClassVar[tuple[str, ...]] = ()
     """Keys that may hold an expression."""
@@ -68,14 +68,14 @@ class BehaviourSection(Section):
 
 
 class ConstantSection(BehaviourSection):
-    """One value."""
+    """Behaviour ``constant``: the value never changes."""
 
     kind: Literal["constant"]
     value: Number | bool
 
 
 class RampSection(BehaviourSection):
-    """A straight line."""
+    """Behaviour ``ramp``: the value rises or falls linearly."""
 
     kind: Literal["ramp"]
     first: Number = 0.0
@@ -85,7 +85,7 @@ class RampSection(BehaviourSection):
 
 
 class SineSection(BehaviourSection):
-    """A sine."""
+    """Behaviour ``sine``: the value follows a sine wave."""
 
     kind: Literal["sine"]
     mean: Number = 0.0
@@ -95,7 +95,7 @@ class SineSection(BehaviourSection):
 
 
 class SquareSection(BehaviourSection):
-    """Two values in turn."""
+    """Behaviour ``square``: the value alternates between two values."""
 
     kind: Literal["square"]
     low: Number = 0.0
@@ -106,7 +106,9 @@ class SquareSection(BehaviourSection):
 
 
 class NoiseSection(BehaviourSection):
-    """Values around a mean: uniform within ``spread``, or normal with ``spread`` as standard deviation."""
+    """Behaviour ``noise``: random values around a mean, uniform within ``spread``, or normal with it as standard
+    deviation.
+    """
 
     kind: Literal["noise"]
     mean: Number = 0.0
@@ -115,7 +117,7 @@ class NoiseSection(BehaviourSection):
 
 
 class RandomWalkSection(BehaviourSection):
-    """Steps up and down."""
+    """Behaviour ``random walk``: the value goes up and down in random steps."""
 
     begins: ClassVar[bool] = True
 
@@ -132,7 +134,7 @@ class RandomWalkSection(BehaviourSection):
 
 
 class CounterSection(BehaviourSection):
-    """A sum over time."""
+    """Behaviour ``counter``: the value is a sum over time."""
 
     begins: ClassVar[bool] = True
     expressions: ClassVar[tuple[str, ...]] = ("rate",)
@@ -143,7 +145,7 @@ class CounterSection(BehaviourSection):
 
 
 class LagSection(BehaviourSection):
-    """A first-order lag."""
+    """Behaviour ``lag``: the value follows another one with a first-order lag."""
 
     begins: ClassVar[bool] = True
     expressions: ClassVar[tuple[str, ...]] = ("target",)
@@ -154,7 +156,7 @@ class LagSection(BehaviourSection):
 
 
 class FormulaSection(BehaviourSection):
-    """An expression."""
+    """Behaviour ``formula``: the value is an expression over other points and time."""
 
     expressions: ClassVar[tuple[str, ...]] = ("formula",)
 
@@ -163,7 +165,7 @@ class FormulaSection(BehaviourSection):
 
 
 class ReplaySection(BehaviourSection):
-    """Recorded values."""
+    """Behaviour ``replay``: the value follows recorded values of a file."""
 
     kind: Literal["replay"]
     file: str = Field(min_length=1)
@@ -199,7 +201,7 @@ KINDS: Final[Mapping[str, type[BehaviourSection]]] = {
 
 
 def _as_behaviour(value: object) -> object:
-    """The section of the kind; its faults stand at their keys, which a union of sections would not say."""
+    """Read a behaviour by the section class of its kind, so that errors name its keys; pydantic's union would not."""
     if isinstance(value, BehaviourSection):
         return value
     if not isinstance(value, dict):
@@ -223,7 +225,7 @@ DeclaredBehaviour = Annotated[
 
 
 def described(section: BehaviourSection) -> str:
-    """A behaviour in a few words: ``sine: amplitude 4, period 60``."""
+    """A short description of a behaviour: ``sine: amplitude 4, period 60``."""
     own: dict[str, Any] = {  # Any: of the types of the keys
         name: getattr(section, name)
         for name in type(section).model_fields

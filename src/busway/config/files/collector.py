@@ -1,4 +1,4 @@
-"""The schema of collector files: links, classes, devices with their profiles, the store and sinks.
+"""The schema of collector files: links, poll classes, devices with their profiles, the store and sinks.
 
 Knows what can be written and which names have to be there; profiles are read by `busway.apps.collector.configuration`.
 
@@ -51,7 +51,7 @@ Name = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^/\s\x00-\
 
 
 def read_collector_file(text: str, name: str) -> "tuple[CollectorFile, Source]":
-    """A collector file, its shape checked, and where everything in it stands.
+    """Read a collector file and check its structure; returns it with the line of every key.
 
     Args:
         text: its content.
@@ -65,7 +65,7 @@ def read_collector_file(text: str, name: str) -> "tuple[CollectorFile, Source]":
 
 
 class CollectorSection(Section):
-    """``[collector]``: where samples are kept, and how."""
+    """``[collector]``: where samples are stored, and options of the collector."""
 
     store: str = Field(default="data", min_length=1)
     durability: Literal["process", "power"] = "process"
@@ -88,13 +88,13 @@ class PageAccessSection(Section):
 
 
 class PollClassSection(Section):
-    """``[poll_class]``, one class: how often its points are read."""
+    """``[poll_class]``, one poll class: how often its points are read."""
 
     period: float = Field(ge=0.001, le=604_800)
 
 
 class CollectedDeviceSection(Section):
-    """``[[device]]``: what is polled, over which link, as which profile."""
+    """``[[device]]``: a device to poll: over which link, and by which profile."""
 
     name: Name
     link: str
@@ -107,7 +107,7 @@ class CollectedDeviceSection(Section):
 
 
 class SinkSection(Section):
-    """``[[sink]]``: where samples are handed on; its other keys are those of its kind."""
+    """``[[sink]]``: a system that gets the samples; further keys depend on its kind."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
 
@@ -122,7 +122,7 @@ def _none_here(value: object) -> object:
 
 
 class CollectorFile(SystemFile):
-    """A whole collector file."""
+    """The checked contents of a collector file."""
 
     retired: ClassVar[dict[str, str]] = {}
 
@@ -136,7 +136,7 @@ class CollectorFile(SystemFile):
     listener: Annotated[list[ListenerSection], BeforeValidator(_none_here)] = Field(default_factory=list)
 
     def class_of(self, device: CollectedDeviceSection) -> str:
-        """The class of points that name none; empty where the device names none and there are several."""
+        """The poll class of a device's points that name none; empty if the device names none and there are several."""
         return device.poll_class or (next(iter(self.poll_class)) if len(self.poll_class) == 1 else "")
 
     def _whole_faults(self) -> Iterator[tuple[Path, str]]:
@@ -165,5 +165,5 @@ def _page_access_faults(access: PageAccessSection) -> Iterator[tuple[Path, str]]
 
 
 def sink_options(section: SinkSection) -> dict[str, Any]:  # Any: what TOML has
-    """What a sink says beside its name and URL."""
+    """The keys of a sink beside its name and URL."""
     return dict(section.model_extra or {})

@@ -1,4 +1,4 @@
-"""The schema of device files: units with their tables and typed, named points. One schema for all that play devices.
+"""The schema of device files: units with their tables and typed, named points, for every component that plays devices.
 
 Knows what can be written and what fits together; knows no device (`busway.config.devices` makes them).
 
@@ -63,7 +63,7 @@ _RUNNING: Final = b"\xff"
 
 
 def parse_device_file(text: str, name: str) -> "DeviceFile":
-    """A device file, checked as a whole.
+    """Parse and check a whole device file. Raises `FileError` with all problems.
 
     Args:
         text: its content.
@@ -82,7 +82,7 @@ def parse_device_file(text: str, name: str) -> "DeviceFile":
 
 
 def _as_table(value: object) -> object:
-    """A table may be written as a number of items, or as the list of its values."""
+    """Accept a table written as a number of items, or as a list of values."""
     if isinstance(value, int) and not isinstance(value, bool):
         return {"count": value}
     if isinstance(value, list):
@@ -97,7 +97,7 @@ def _as_list(value: object) -> object:
 
 
 def _as_bytes(value: object) -> object:
-    """Text, or ``{ hex = "…" }``."""
+    """Accept bytes written as text, or as ``{ hex = "…" }``."""
     if isinstance(value, str):
         return value.encode("utf-8")
     if isinstance(value, dict) and set(value) == {"hex"} and isinstance(value["hex"], str):
@@ -114,7 +114,7 @@ def _as_server_id(value: object) -> object:
 
 
 class Hexadecimal(Section):
-    """Bytes as a file writes them: ``{ hex = "01 02" }``."""
+    """Bytes written in hexadecimal in a file: ``{ hex = "01 02" }``."""
 
     hex: str
 
@@ -127,7 +127,9 @@ UnitNumber = Annotated[int, Field(ge=0, le=255)]
 
 @with_options_of(*SERVERS, role="server")
 class ServerSection(OptionSection):
-    """``[server]``: how the file is served. What is left out has the defaults of the parameters of these names."""
+    """``[server]``: options of the server for the file's devices; defaults are those of the options with the same
+    names.
+    """
 
     retired: ClassVar[dict[str, str]] = {"shared_places": "shared_slots"}
     checked_later: ClassVar[tuple[type[Any], ...]] = (ListenerParameters,)  # with the listeners
@@ -135,7 +137,7 @@ class ServerSection(OptionSection):
     preset: Literal["standard", "strict"] = "standard"
 
     def options(self) -> dict[str, Any]:  # of several types
-        """The options of `busway.serve` that are set here."""
+        """The options of `busway.serve` that this section sets."""
         return {name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set}
 
 
@@ -149,16 +151,16 @@ class TableSection(Section):
 
     @property
     def size(self) -> int:
-        """Number of items."""
+        """Number of items that the table has."""
         return self.count if self.count is not None else len(self.values or ())
 
     @property
     def end(self) -> int:
-        """The offset after the last item."""
+        """The offset after the last item of the table."""
         return self.first + self.size
 
     def faults(self, *, bits: bool, size: int = TABLE_SIZE) -> Iterator[tuple[Path, str]]:
-        """What cannot be, with its place in this table."""
+        """Errors in the declaration of a table, each with its path inside the table's section."""
         if self.end > size:
             yield (), f"offsets are 0…{size - 1}, but {self.first}…{self.end - 1} are declared"
         if self.values is not None and len(self.values) > self.size:
@@ -195,7 +197,7 @@ class FifoSection(Section):
 
     @property
     def place(self) -> Address:
-        """The queue's pointer."""
+        """The address of the queue's pointer."""
         return parse_address(self.address, table=Table.HOLDING_REGISTERS)
 
     @model_validator(mode="after")
@@ -205,7 +207,7 @@ class FifoSection(Section):
 
 
 class GroupSection(WholeSection):
-    """``[[unit.group]]``: points that belong together, once or several times."""
+    """``[[unit.group]]``: a group of points, present once or repeated at several places."""
 
     name: str = Field(min_length=1)
     count: Annotated[int, Field(ge=1, le=MOST_REPEATED)] | None = None
@@ -217,11 +219,11 @@ class GroupSection(WholeSection):
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:
-        """A group that is nothing but there."""
+        """Values for missing keys, so that the rest of a faulty group can be checked."""
         return {"name": "?"}
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """What does not fit together."""
+        """Errors between the keys of this group, each with its path and a sentence."""
         if self.count_from and self.count is None:
             yield ("count",), f"is missing: the most that {self.count_from} may say"
         if self.count is not None and self.count > 1 and not self.stride:
@@ -231,17 +233,17 @@ class GroupSection(WholeSection):
         yield from _repeated("point", "name", [point.name for point in self.point])
 
     def size(self) -> int:
-        """How many points it comes to."""
+        """Number of points that the group makes in total."""
         return (self.count or 1) * (len(self.point) + sum(each.size() for each in self.group))
 
     def names(self) -> Iterator[str]:
-        """The names of its points at one place, without those of inner groups."""
+        """The names of the group's points at one place, without those of inner groups."""
         return (point.name for point in self.point)
 
     def placed(
         self, path: Path, prefix: str, by: int, outer: Sequence[str], around: "_Around"
     ) -> Iterator["PlacedPoint"]:
-        """Its points at all places, each with where it is written."""
+        """The points of the group at all its places, each with its path in the file."""
         for index in range(self.count or 1):
             here = f"{prefix}{self.name}." if self.count is None else f"{prefix}{self.name}.{index + 1}."
             known = [*(here + name for name in self.names()), *outer]
@@ -259,7 +261,7 @@ class GroupSection(WholeSection):
 
 @dataclass(frozen=True, slots=True)
 class _Around:
-    """What the groups around a point say of it: as `busway.points.Point` has it."""
+    """Properties that a point gets from the groups around it, as in `busway.points.Point`."""
 
     exists: tuple[tuple[str, int], ...] = ()
     group: str | None = None
@@ -267,7 +269,7 @@ class _Around:
 
 @dataclass(frozen=True, slots=True)
 class PlacedPoint:
-    """A point of a unit, of groups too.
+    """One point of a unit with its final name and address, whether written alone or in a group.
 
     Attributes:
         path: where it is written in the unit's section.
@@ -282,7 +284,7 @@ class PlacedPoint:
 
 
 class ReadSection(Section):
-    """``read``: how a unit lets itself be read."""
+    """``read``: the limits for reading a unit, such as the largest request and forbidden ranges."""
 
     max_registers: Annotated[int, Field(ge=1, le=MAX_READ_REGISTERS)] = MAX_READ_REGISTERS
     max_bits: Annotated[int, Field(ge=1, le=MAX_READ_BITS)] = MAX_READ_BITS
@@ -308,7 +310,7 @@ class ReadSection(Section):
         return self
 
     def rules(self) -> ReadRules:
-        """As the read plan has it."""
+        """The limits as `ReadRules`, for the read plan."""
         return ReadRules(
             self.max_registers,
             self.max_bits,
@@ -322,7 +324,9 @@ class ReadSection(Section):
 
 
 def item_range(text: str) -> tuple[Table, ItemRange]:
-    """The items of ``4x1-4x100`` or ``holding:0-holding:0x63``, both ends with it. Raises `InvalidRequest`."""
+    """Parse a range such as ``4x1-4x100`` or ``holding:0-holding:0x63``, both ends included. Raises
+    `InvalidRequest`.
+    """
     first, dash, last = text.partition("-")
     ends = [parse_address(each.strip()) for each in ((first, last) if dash else (first, first))]
     if (
@@ -345,7 +349,7 @@ def _by_table(texts: Sequence[str]) -> dict[Table, list[ItemRange]]:
 
 
 class UnitSection(WholeSection):
-    """``[[unit]]``: a device; with several numbers, a device of its own for each."""
+    """``[[unit]]``: one device, or with several numbers equal devices with separate memories."""
 
     unit: Annotated[
         list[UnitNumber],
@@ -376,18 +380,18 @@ class UnitSection(WholeSection):
     functions: list[Annotated[int, Field(ge=1, le=127)]] | None = None
 
     def table(self, table: Table) -> TableSection | None:
-        """The declaration of a table, if there is one."""
+        """The declaration of a table of this unit; None if it is not declared."""
         declared: TableSection | None = getattr(self, table.value)
         return declared
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:
-        """A unit that is nothing but there."""
+        """Values for missing keys, so that the rest of a faulty unit can be checked."""
         return {"unit": 1}
 
     @cached_property
     def placed(self) -> tuple[PlacedPoint, ...]:
-        """All points, those of groups at each of their places."""
+        """All points of the unit, those of groups at each of their places."""
         own = [PlacedPoint(("point", index), point) for index, point in enumerate(self.point)]
         names = [point.name for point in self.point]
         grouped = (
@@ -399,15 +403,15 @@ class UnitSection(WholeSection):
 
     @cached_property
     def stored(self) -> tuple[PlacedPoint, ...]:
-        """The points that stand in tables: all but computed ones."""
+        """The points of the unit that are in tables: all but computed ones."""
         return tuple(each for each in self.placed if not each.section.is_computed)
 
     def points_in(self, table: Table) -> list[PointSection]:
-        """The points that stand in a table."""
+        """The points of the unit that are in one table."""
         return [each.section for each in self.stored if each.section.table is table]
 
     def described(self) -> list[Point]:
-        """The points as all that read them have it, computed ones too."""
+        """The points of the unit as `busway.points.Point` objects, computed ones too."""
         exponents = {each.section.scale_from for each in self.placed}
         return [
             replace(
@@ -421,11 +425,11 @@ class UnitSection(WholeSection):
         ]
 
     def objects(self) -> dict[int, bytes]:
-        """Identification objects by number."""
+        """The identification objects of the unit, by number."""
         return {_object_number(key): value for key, value in self.identification.items()}
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """What does not fit together."""
+        """Errors between the keys of this unit, each with its path and a sentence."""
         yield from self._table_faults()
         yield from self._placed_faults()
         yield from self._object_faults()
@@ -443,7 +447,7 @@ class UnitSection(WholeSection):
                 yield ("file", index, *path), message
 
     def _placed_faults(self) -> Iterator[tuple[Path, str]]:
-        """What is wrong with the points together; nothing of it is looked at where they cannot be placed."""
+        """Errors between the points of the unit; none are looked for if the points cannot be placed."""
         if sum(group.size() for group in self.group) > MOST_REPEATED:
             yield ("group",), f"groups come to more than {MOST_REPEATED} points"
             return
@@ -475,7 +479,7 @@ class UnitSection(WholeSection):
 
 
 class DeviceFile(Section):
-    """A whole device file."""
+    """The checked contents of a device file."""
 
     listen: Annotated[list[Url], Field(min_length=1)] = Field(default_factory=lambda: ["tcp://127.0.0.1:5020"])
     server: ServerSection = ServerSection()
@@ -520,7 +524,7 @@ def _repeated(section: str, key: str, values: list[Any]) -> Iterator[tuple[Path,
 
 
 def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Points that lie outside their table, or on top of each other without saying so."""
+    """Errors for points outside their table, or overlapping without being allowed to."""
     owners: dict[tuple[Table, int, int], str] = {}
     for each in stored:
         point, declared = each.section, unit.table(each.section.table)
@@ -543,7 +547,7 @@ def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tupl
 
 
 def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Points that others name and that there are not, or that hold no number of the kind that is needed."""
+    """Errors for references to points that do not exist, or that do not hold the kind of number needed."""
     there = {each.section.name: each.section for each in placed}
     counts = {name: each.path for each in placed for name, _ in each.exists}
     needed = [((*each.path, "scale_from"), each.section.scale_from) for each in placed if each.section.scale_from]
@@ -571,7 +575,7 @@ def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[P
 
 
 def _circles(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Computed points that need themselves."""
+    """Errors for computed points that depend on themselves."""
     computed = {each.section.name: each for each in placed if each.section.is_computed}
     done: set[str] = set()
     for first in computed:

@@ -47,7 +47,7 @@ ParameterValue = Annotated[
 
 
 class ScheduleSection(Section):
-    """``schedule``: when the fault is on, counted from its being switched on."""
+    """``schedule``: when a fault is active, counted from the time it was switched on."""
 
     from_: float = Field(default=0.0, ge=0, le=_MOST_SECONDS, alias="from")
     for_: float | None = Field(default=None, ge=0, le=_MOST_SECONDS, alias="for")
@@ -63,7 +63,7 @@ class ScheduleSection(Section):
 
 
 class FaultSection(Section):
-    """``[[fault]]``: one fault. What is left out chooses every request."""
+    """``[[fault]]``: one fault; keys that are left out match every request."""
 
     retired: ClassVar[dict[str, str]] = {"personality": "fault_profile"}
 
@@ -90,11 +90,11 @@ class FaultSection(Section):
         return self
 
     def chosen_units(self) -> frozenset[int] | None:
-        """Units 0…255; None for all. Raises nothing that reading the file did not, as those below."""
+        """The units, 0…255, that the fault applies to; None for all."""
         return None if self.units is None else parse_units(self.units)
 
     def chosen_functions(self) -> frozenset[int] | None:
-        """Function codes 1…127; None for all."""
+        """The function codes, 1…127, that the fault applies to; None for all."""
         if self.functions is None:
             return None
         found = parse_functions(self.functions)
@@ -104,7 +104,7 @@ class FaultSection(Section):
         return frozenset(code for code, _ in found)
 
     def chosen_addresses(self) -> dict[Table, tuple[Range, ...]] | None:
-        """Ranges of items by table; None for all. A number without a table means the items of every table."""
+        """The item ranges that the fault applies to, by table; None for all. Plain numbers mean every table."""
         if self.addresses is None:
             return None
         found: dict[Table, list[Range]] = {}
@@ -122,7 +122,7 @@ def _items(part: str | int) -> dict[Table, tuple[Range, ...]]:
 
 
 def parse_fault_words(text: str) -> FaultSection:
-    """The section that words of a command line stand for: ``late`` or ``late:delay=2,units=1-3,for=10``.
+    """Parse a fault given on the command line: ``late`` or ``late:delay=2,units=1-3,for=10``.
 
     Args:
         text: the fault profile; behind a colon, keys of the section and of its schedule, and parameters.

@@ -1,4 +1,4 @@
-"""The schema of gateway files: listeners, links to what is behind the gateway, and routes between them.
+"""The schema of gateway files: listeners, links to upstreams, and routes between them.
 
 Knows the keys; `busway.apps.gateway.configuration` checks what goes together.
 The sections of configuration files that concern servers ([server], [security], [policy], [audit], [metrics], [control])
@@ -53,7 +53,7 @@ Numbers = int | str | list[int | str]
 
 
 def read_gateway_file(text: str, name: str) -> "tuple[GatewayFile, Source]":
-    """A gateway file, its shape checked, and where everything in it stands.
+    """Read a gateway file and check its structure; returns it with the line of every key.
 
     Args:
         text: its content.
@@ -67,7 +67,7 @@ def read_gateway_file(text: str, name: str) -> "tuple[GatewayFile, Source]":
 
 
 def is_gateway(sections: Container[str]) -> bool:
-    """Whether a file with these sections is one of a gateway: it has routes, or listeners and no units."""
+    """Whether sections are those of a gateway file: it has routes, or listeners but no units."""
     listens = "listen" in sections or "listener" in sections
     return "route" in sections or "gateway" in sections or (listens and "unit" not in sections)
 
@@ -82,7 +82,7 @@ class GatewayListenerSection(ListenerSection):
 
     @property
     def title(self) -> str:
-        """Its name in routes."""
+        """The name of the listener in routes; its URL if it has no name."""
         return self.name or self.url
 
 
@@ -94,7 +94,7 @@ class UpstreamSection(LinkSection):
 
 
 class RouteSection(Section):
-    """``[[route]]``: which requests it is for, and what is done with them."""
+    """``[[route]]``: which requests the route applies to, and where they are forwarded."""
 
     retired: ClassVar[dict[str, str]] = {"line": "link"}
 
@@ -139,11 +139,11 @@ class RouteSection(Section):
                 yield (key,), error.message
 
     def asked_units(self) -> frozenset[int] | None:
-        """The units, or None for all. Raises `ConfigError`."""
+        """The units that the route applies to; None for all. Raises `ConfigError`."""
         return None if self.units is None else parse_units(self.units)
 
     def asked_functions(self) -> frozenset[int]:
-        """The function codes; empty for all. Raises `ConfigError`."""
+        """The function codes that the route applies to; empty for all. Raises `ConfigError`."""
         if self.functions is None:
             return frozenset()
         found = parse_functions(self.functions)
@@ -152,11 +152,13 @@ class RouteSection(Section):
         return frozenset(code for code, _ in found)
 
     def asked_table(self) -> Table | None:
-        """The table that plain numbers are of. Raises `ConfigError`."""
+        """The table that plain numbers in the route's addresses belong to. Raises `ConfigError`."""
         return None if self.table is None else parse_table(self.table)
 
     def asked_addresses(self) -> tuple[Table, int, int] | None:
-        """Table, first offset and the one after the last; None for all. Raises `ConfigError`."""
+        """The addresses of the route: table, first offset and the one after the last; None for all. Raises
+        `ConfigError`.
+        """
         if self.addresses is None:
             if self.table is not None:
                 raise ConfigError("is missing: a table is named, and no addresses of it")
@@ -173,7 +175,7 @@ class GatewaySection(OptionSection):
     """``[gateway]``: options of the whole gateway."""
 
     def parameters(self) -> GatewayParameters:
-        """The options, with the defaults of those that are left out."""
+        """The options of the gateway, with defaults for those left out."""
         return self.built(GatewayParameters)
 
 
@@ -184,7 +186,7 @@ def _no_units(value: object) -> object:
 
 
 class GatewayFile(SystemFile):
-    """A whole gateway file."""
+    """The checked contents of a gateway file."""
 
     retired: ClassVar[dict[str, str]] = {"line": "[[link]]"}
 
@@ -197,7 +199,7 @@ class GatewayFile(SystemFile):
     @model_validator(mode="before")
     @classmethod
     def _names_in_rules(cls, value: Any) -> Any:  # what stands in the file, of any type
-        """A rule of the policy may name a listener as a route does; what is no name is left to the rule."""
+        """Replace listener names in the rules of the policy by URLs; other texts are left to the rule."""
         if not isinstance(value, dict) or not isinstance(value.get("policy"), dict):
             return value
         listeners = [one for one in _list(value.get("listener")) if isinstance(one, dict)]

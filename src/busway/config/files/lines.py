@@ -1,4 +1,4 @@
-"""At which line each key of a TOML text stands; ``tomllib`` does not tell.
+"""Finds the line of each key in a TOML text, because ``tomllib`` does not report it.
 
 Knows the grammar as far as it separates keys from values; judges nothing: the text has passed ``tomllib``.
 
@@ -25,14 +25,14 @@ def key_lines(text: str) -> dict[Path, int]:
 
 
 def line_of(lines: Mapping[Path, int], path: Path) -> int:
-    """The line of a path; of a path that does not stand there, the line of the innermost that does."""
+    """The line of a path in the file; for a missing one, that of the innermost existing part."""
     while path and path not in lines:
         path = path[:-1]
     return lines.get(path, 1)
 
 
 class _Reader:
-    """One pass over the text."""
+    """One pass over a TOML text that records the line of each key."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -43,7 +43,7 @@ class _Reader:
         self.lines: dict[Path, int] = {}
 
     def read_document(self) -> None:
-        """Table by table, line by line."""
+        """Read the text table by table and line by line."""
         table: Path = ()
         while True:
             self._skip_blank()
@@ -85,7 +85,7 @@ class _Reader:
         self._read_value(path)
 
     def _read_key(self) -> list[str]:
-        """A dotted key."""
+        """Read a dotted key and return its parts."""
         keys = []
         while True:
             self._skip(_SPACE)
@@ -127,7 +127,7 @@ class _Reader:
                 self._at += 1
 
     def _read_string(self) -> str:
-        """A string of any of the four kinds; its text is right where keys need it."""
+        """Read a string of any of TOML's four kinds; the result is exact where it is a key."""
         mark = next(each for each in _DELIMITERS if self._text.startswith(each, self._at))
         self._move(len(mark))
         start = self._at
@@ -147,7 +147,7 @@ class _Reader:
             self._skip_blank()
 
     def _skip_blank(self) -> None:
-        """Spaces, line ends and comments."""
+        """Skip spaces, line ends and comments."""
         while self._at < len(self._text):
             if self._text[self._at] == "#":
                 while self._at < len(self._text) and self._text[self._at] != "\n":

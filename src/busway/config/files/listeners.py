@@ -1,4 +1,4 @@
-"""Where a file says to listen: URLs, and what holds for the connections of a listener.
+"""The schema of listeners in files: their URLs and the options of their connections.
 
 Knows keys and what goes with which scheme; knows no server. The values of limits are checked by the
 server's own class when the configuration is put together (`busway.config`).
@@ -29,7 +29,7 @@ Url = Annotated[str, AfterValidator(_checked_url)]
 @with_options_of(ListenerParameters, without={"shared_slots"})
 @with_options_of(TlsParameters, role="server")
 class ListenerSection(OptionSection):
-    """``[[listener]]``: one place to listen, with what holds there and not for the others.
+    """``[[listener]]``: one address to listen on, with options that apply to it alone.
 
     Its limits go before those of ``[server]``, its certificates before those of ``[security]``.
     """
@@ -59,7 +59,7 @@ class ListenerSection(OptionSection):
 
 
 def clashes(places: Sequence[tuple[Path, str]]) -> Iterator[tuple[Path, str]]:
-    """Listeners that would be in each other's way: the place of the later one, and a sentence.
+    """Errors for listeners that use the same address and port: the path of the later one, and a sentence.
 
     Args:
         places: where each URL stands in the file, and the URL.
@@ -86,5 +86,5 @@ _ALL: Final = {"": "", "0.0.0.0": ".", "::": ":"}
 
 
 def _covers(one: str, other: str) -> bool:
-    """Whether one of two hosts stands for all addresses of the other's kind."""
+    """Whether one of two hosts means all addresses and so includes the other."""
     return (one in _ALL and _ALL[one] in other) or (other in _ALL and _ALL[other] in one)

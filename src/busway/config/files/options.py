@@ -1,4 +1,4 @@
-"""Keys of a file that are options of a component: made from their declarations, so that none can be forgotten.
+"""Keys of a file that are options of a component, generated from the declarations of the options.
 
 Knows declared options (`busway.options.declaration`) and pydantic; knows no particular option.
 
@@ -32,7 +32,7 @@ def _or_none(kind: Any) -> Any:  # a type, and the annotated type that pydantic 
 
 
 class OptionSection(Section):
-    """A section whose keys are options of components, beside what else it declares."""
+    """A section whose keys include the options of components."""
 
     kinds: ClassVar[tuple[type[Any], ...]] = ()  # parameter classes, which share no base
     """The classes that check the values."""
@@ -40,16 +40,16 @@ class OptionSection(Section):
     """Those that check when the section is combined with others."""
 
     def options(self) -> dict[str, Any]:  # of several types
-        """The options that are set here, by name."""
+        """The options that this section sets, by name."""
         return self.options_of(*self.kinds)
 
     def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
-        """Those of some parameter classes."""
+        """The options of some parameter classes that this section sets, by name."""
         known = {name for kind in kinds for name in declared(kind)}
         return {name: value for name, value in self if name in known and name in self.model_fields_set}
 
     def built(self, kind: type[Parameters]) -> Parameters:
-        """The parameter object of a class. Raises nothing that reading the file did not."""
+        """Build the parameter object of a class from this section, whose values were checked before."""
         return build_parameters(kind, self.options_of(kind))
 
     @model_validator(mode="after")
@@ -61,7 +61,7 @@ class OptionSection(Section):
 
 
 def build(kind: type[Any], options: Mapping[str, Any]) -> None:
-    """Let a parameter class check options; an error becomes a fault of the key."""
+    """Build a parameter object so that it checks its options; an error is reported at the key."""
     try:
         build_parameters(kind, options)
     except ConfigError as error:
@@ -71,7 +71,7 @@ def build(kind: type[Any], options: Mapping[str, Any]) -> None:
 def with_options_of(
     *kinds: type[Any], role: str = "", without: Iterable[str] = ()
 ) -> Callable[[type[Kind]], type[Kind]]:
-    """A decorator: the section gets a key for each option of the parameter classes.
+    """Class decorator that adds a key to a section for each option of the parameter classes.
 
     Args:
         kinds: the classes.
@@ -94,7 +94,7 @@ def with_options_of(
 
 
 def _annotation(option: Option) -> Any:  # a type as annotations have it
-    """The type of the key of an option."""
+    """The type of the key for an option, for the schema."""
     kinds = [_plain(kind) for kind in option.kinds]
     if len(kinds) > 1:
         return Annotated[
@@ -111,7 +111,7 @@ def _plain(kind: Any) -> Any:  # both are types as annotations have them
 
 
 def _one_of(option: Option) -> Callable[[object], object]:
-    """A validator of an option that takes numbers and words, so that one sentence lists all of them."""
+    """A validator for an option of numbers and words, so that one sentence lists all of them."""
 
     def report(value: object) -> object:
         if value in option.choices or (isinstance(value, int | float) and not isinstance(value, bool)):

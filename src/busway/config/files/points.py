@@ -88,7 +88,7 @@ def _conversion(
 
 
 def checked(key: str, make: Callable[[], Result]) -> Result:
-    """What ``make`` gives; what it refuses becomes a fault of ``key`` of the section that is being checked."""
+    """The result of ``make``; an error of it is reported at ``key`` of the section that is being checked."""
     try:
         return make()
     except (InvalidRequest, ConfigError) as error:
@@ -96,7 +96,7 @@ def checked(key: str, make: Callable[[], Result]) -> Result:
 
 
 class LinearSection(Section):
-    """``linear = { raw = [0, 27648], value = [0.0, 100.0], clamp = true }``."""
+    """``linear = { raw = [0, 27648], value = [0.0, 100.0], clamp = true }``: a linear scale of a point."""
 
     raw: Annotated[list[Finite], Field(min_length=2, max_length=2)]
     value: Annotated[list[Finite], Field(min_length=2, max_length=2)]
@@ -111,12 +111,12 @@ class LinearSection(Section):
         return self
 
     def described(self) -> Linear:
-        """As the points have it."""
+        """The scale as a `Linear` conversion of `busway.points`."""
         return Linear((self.raw[0], self.raw[1]), (self.value[0], self.value[1]), self.clamp)
 
 
 class WriteSection(Section):
-    """``write``: how a point is written."""
+    """``write``: how a point is written, and how the write is verified."""
 
     function: Literal[5, 6, 15, 16, 22] | None = None
     verify: str = "none"
@@ -126,7 +126,7 @@ class WriteSection(Section):
 
     @property
     def place(self) -> Literal["none", "read-back"] | Address:
-        """Where what was written is looked at."""
+        """Where a write is verified: nowhere, by reading the point back, or at another address."""
         if self.verify == "none":
             return "none"
         return "read-back" if self.verify == "read-back" else parse_address(self.verify)
@@ -144,7 +144,7 @@ def _as_report(value: object) -> object:
 
 
 def _as_deadband(value: object) -> object:
-    """``0.5`` in the unit of measure, or ``"1 %"``."""
+    """Accept a deadband such as ``0.5`` in the unit of measure, or ``"1 %"``."""
     if isinstance(value, str) and not _DEADBAND.fullmatch(value.strip()):
         raise ValueError(f'must be a number, or percent such as "1 %", not {shown(value)}')
     if not isinstance(value, str) and (isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0):
@@ -153,7 +153,7 @@ def _as_deadband(value: object) -> object:
 
 
 class ReportSection(Section):
-    """``report``: when samples of a point are handed on."""
+    """``report``: which samples of a point are passed on, such as only after a change."""
 
     when: Literal["every", "change", "change_or_period"] = "every"
     period: Annotated[float, Field(gt=0, le=1e9)] | None = None
@@ -170,14 +170,14 @@ class ReportSection(Section):
         return self
 
     def described(self) -> ReportRule:
-        """As the points have it."""
+        """The section as a `ReportRule` of `busway.points`."""
         percent = _DEADBAND.fullmatch(self.deadband.strip()) if isinstance(self.deadband, str) else None
         band = float(percent[1]) if percent else float(self.deadband)
         return _report_rule(self.when, self.period, band, percent is not None, self.max_silence)
 
 
 class AlarmSection(Section):
-    """``alarm``: a limit of a point."""
+    """``alarm``: one alarm of a point: its limit, delay and hysteresis."""
 
     kind: Literal["HH", "H", "L", "LL"]
     limit: Finite
@@ -186,7 +186,7 @@ class AlarmSection(Section):
     acknowledge: bool = False
 
     def described(self) -> AlarmRule:
-        """As the points have it."""
+        """The section as an `AlarmRule` of `busway.points`."""
         return AlarmRule(self.kind, self.limit, self.delay, self.hysteresis, self.acknowledge)
 
 
@@ -195,10 +195,10 @@ STAND_IN: Final = "0"
 
 
 class WholeSection(Section):
-    """A section that says all that is wrong with it: also what does not fit together while one of its keys is wrong."""
+    """A section that reports all its errors at once, also those between keys while one key is invalid."""
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """What does not fit together, with its place in the section."""
+        """Errors between the keys of this section, each with its path and a sentence."""
         yield from ()
 
     @model_validator(mode="wrap")
@@ -218,7 +218,7 @@ class WholeSection(Section):
     def _further(
         cls, data: Any, handler: ModelWrapValidatorHandler[Any], found: Sequence[tuple[Path, str]]
     ) -> Iterator[tuple[Path, str]]:
-        """What does not fit together, with stand-ins for what is wrong already."""
+        """Errors between valid keys, found by replacing the invalid ones with stand-ins."""
         broken = {path[:2] if len(path) > 1 and isinstance(path[1], int) else path[:1] for path, _ in found if path}
         if not isinstance(data, dict) or not broken:
             return
@@ -238,19 +238,19 @@ class WholeSection(Section):
 
     @classmethod
     def _stand_in(cls, broken: Any) -> dict[str, Any]:  # Any: what TOML has
-        """A point or group in place of one that is wrong, with its name."""
+        """A valid point or group in place of an invalid one, with its name."""
         name = broken.get("name") if isinstance(broken, dict) else None
         point = {"name": name if isinstance(name, str) and name else "?", "formula": STAND_IN}
         return {"name": "?", "point": [point]} if isinstance(broken, dict) and "point" in broken else point
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:  # Any: what TOML has
-        """Values for the keys that have no default, used while others are checked."""
+        """Values for keys without a default, used while other keys are checked."""
         return {}
 
 
 class PointSection(WholeSection):
-    """``[[unit.point]]``: one value with a name."""
+    """``[[unit.point]]``: one named value of a device."""
 
     name: str = Field(min_length=1)
     address: str = ""
@@ -284,40 +284,40 @@ class PointSection(WholeSection):
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:
-        """A point that is nothing but there."""
+        """Values for missing keys, so that the rest of a faulty point can be checked."""
         return {"name": "?", "address": "4x1"}
 
     @property
     def is_computed(self) -> bool:
-        """Whether it is computed from others, and stands nowhere."""
+        """Whether the point is computed from others and has no address."""
         return bool(self.formula)
 
     @cached_property
     def expression(self) -> Expression:
-        """What computes it."""
+        """The parsed formula of a computed point."""
         return parse_expression(self.formula)
 
     @cached_property
     def place(self) -> Address:
-        """Where it stands."""
+        """The address of the point."""
         return parse_address(self._bits[0])
 
     @cached_property
     def _bits(self) -> tuple[str, int, int]:
-        """The address of its register, and the bits of a field; -1 and -1 for what is no field."""
+        """The address of the point's register, and the first and last bit of a bit field; -1 and -1 if it is none."""
         match = _FIELD.fullmatch(self.address)
         return (self.address, -1, -1) if match is None else (match["register"], int(match["low"]), int(match["high"]))
 
     @cached_property
     def table(self) -> Table:
-        """The table it stands in."""
+        """The table that the point is in."""
         table = self.place.table
         assert table is not None  # a text that names no table is refused
         return table
 
     @cached_property
     def form(self) -> ValueType[Any] | None:
-        """The type of its registers; None for one bit."""
+        """The value type of the point's registers; None for a single bit."""
         if self.table.holds_bits or self.place.bit is not None:
             return None
         _, low, high = self._bits
@@ -329,12 +329,12 @@ class PointSection(WholeSection):
 
     @cached_property
     def size(self) -> int:
-        """Registers or bits that it takes."""
+        """Number of registers or bits that the point occupies."""
         return 1 if self.form is None else self.form.registers
 
     @cached_property
     def taken_bits(self) -> range:
-        """Bits that it takes of each of its registers."""
+        """The bits that the point occupies in each of its registers."""
         if self.place.bit is not None:
             return range(self.place.bit, self.place.bit + 1)
         kind = "" if self.form is None else self.form.name
@@ -345,22 +345,22 @@ class PointSection(WholeSection):
 
     @property
     def is_number(self) -> bool:
-        """Whether it holds a number, not one bit, text or a group of bits."""
+        """Whether the point is a number, not a bit, text or group of bits."""
         return self.form is not None and self.form.name.startswith(_NUMBERS)
 
     @property
     def is_whole(self) -> bool:
-        """Whether what its registers hold is a whole number."""
+        """Whether the raw number in the point's registers is an integer."""
         return self.is_number and self.form is not None and not self.form.name.startswith("float")
 
     @property
     def is_writable(self) -> bool:
-        """Whether Modbus may write it."""
+        """Whether Modbus may write the point."""
         return not self.is_computed and self.table.is_writable and self.access != "read"
 
     @cached_property
     def conversion(self) -> Conversion:
-        """How raw numbers become values; one object for all points that have the same."""
+        """Conversion between raw numbers and values; one object for all points with the same scale."""
         return _conversion(
             self.scale,
             self.offset,
@@ -374,7 +374,7 @@ class PointSection(WholeSection):
 
     @cached_property
     def described(self) -> Point:
-        """The point as all that read it have it; what its unit adds is added by `UnitSection`."""
+        """The section as a `busway.points.Point`; `UnitSection` adds what depends on the unit."""
         common: dict[str, Any] = {  # Any: arguments of different types
             "unit_of_measure": self.unit_of_measure,
             "poll_class": self.poll_class,
@@ -413,7 +413,7 @@ class PointSection(WholeSection):
         return _write_rule(write.function, write.place, self.minimum, self.maximum, write.step, write.on, write.off)
 
     def raw(self, value: Any) -> Any:
-        """What the registers hold for a value in the unit of measure, or for its name.
+        """The raw number for a value in the unit of measure, or for the name of a value.
 
         Raises:
             InvalidRequest: it does not fit the type, the scale, the names or the range.
@@ -428,30 +428,30 @@ class PointSection(WholeSection):
         return raw
 
     def physical(self, raw: Any) -> Any:
-        """The value in the unit of measure of what the registers hold."""
+        """The value in the unit of measure for a raw number."""
         if self._converter is None or isinstance(raw, bool):
             return raw
         return self._converter(raw)
 
     @cached_property
     def _converter(self) -> Callable[[float], float] | None:
-        """What makes values of raw numbers; None where they are the same."""
+        """The function from raw numbers to values; None if they are the same."""
         if not self.is_number or not self.conversion.changes:
             return None
         return converter(self.conversion, whole=self.is_whole)
 
     def check_range(self, value: float) -> None:
-        """Raises `InvalidRequest` if a value lies outside the point's range."""
+        """Raise `InvalidRequest` if a value is outside the range of the point."""
         low, high = self.minimum, self.maximum
         if (low is not None and not value >= low) or (high is not None and not value <= high):
             raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
 
     def names(self) -> str:
-        """The names of the numbers that there are: ``off (0), auto (1)``."""
+        """The names of the point's values as text: ``off (0), auto (1)``."""
         return self.described.choices()
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """What does not fit together."""
+        """Errors between the keys of this point, each with its path and a sentence."""
         return self._computed_faults() if self.formula else self._stored_faults()
 
     def _computed_faults(self) -> Iterator[tuple[Path, str]]:
@@ -586,7 +586,7 @@ class PointSection(WholeSection):
                 yield ("enumeration", name), error.message
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "PointSection":
-        """The point as it stands at one place of its group.
+        """A copy of the point at one place of its group, with its name and address adjusted.
 
         Args:
             prefix: put before its name.
@@ -608,5 +608,5 @@ class PointSection(WholeSection):
 
 
 def resolved(name: str, known: Sequence[str]) -> str:
-    """A name as it is found: with the innermost prefix with which there is such a point."""
+    """The full name of a point that an expression refers to: with the innermost group prefix for which it exists."""
     return next((each for each in known if each == name or each.endswith(f".{name}")), name)

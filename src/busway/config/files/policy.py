@@ -1,4 +1,4 @@
-"""The schema of policies: who may connect, and rules on requests. A file of its own, or a section of another.
+"""The schema of policies: who may connect, and rules for requests; a file of its own, or a section of another file.
 
 Knows the keys; `busway.access` knows what they mean and what goes together.
 
@@ -31,7 +31,7 @@ from .schema import FileProblems, Section, parse_file
 
 
 def _as_numbers(value: object) -> object:
-    """A number, a text or a list of them."""
+    """Accept a number, a text or a list of them."""
     values = value if isinstance(value, list) else [value]
     for each in values:
         if isinstance(each, bool) or not isinstance(each, int | str):
@@ -52,7 +52,7 @@ ActionWord = Literal["allow", "deny", "read-only"]
 
 
 def parse_policy_file(text: str, name: str) -> AccessRules:
-    """A policy file, checked as a whole.
+    """Parse and check a whole policy file. Raises `FileError` with all problems.
 
     Args:
         text: its content.
@@ -65,7 +65,7 @@ def parse_policy_file(text: str, name: str) -> AccessRules:
 
 
 class ValuesSection(Section):
-    """``values``: what may be written to each register that the rule is about."""
+    """``values``: the range of values that may be written to each register of the rule."""
 
     min: int | None = None
     max: int | None = None
@@ -80,13 +80,13 @@ class ValuesSection(Section):
         return self
 
     def limits(self) -> Limits:
-        """What it says. Raises `ConfigError`."""
+        """The section as `Limits` of a rule. Raises `ConfigError`."""
         least, most = (-0x8000, 0x7FFF) if self.signed else (0, 0xFFFF)
         return Limits(least if self.min is None else self.min, most if self.max is None else self.max, self.signed)
 
 
 class RuleSection(Section):
-    """``[[policy.rule]]``: one rule. A key that is left out matches everything."""
+    """``[[policy.rule]]``: one rule; keys that are left out match everything."""
 
     name: str = ""
     action: ActionWord = "allow"
@@ -113,7 +113,7 @@ class RuleSection(Section):
         return self
 
     def rule(self) -> Rule:
-        """What it says. Raises `ConfigError` whose key is the key at fault."""
+        """The section as a `Rule`. Raises `ConfigError` with the key at fault."""
         return Rule.of(
             name=self.name,
             action=self.action,
@@ -133,7 +133,7 @@ class RuleSection(Section):
 
 
 class PolicySection(Section):
-    """``[policy]``: the address lists, the default, and the rules in their order."""
+    """``[policy]``: address lists, the default, and rules in their order."""
 
     default: ActionWord
     secure: bool | None = None
@@ -144,7 +144,7 @@ class PolicySection(Section):
     @model_validator(mode="before")
     @classmethod
     def _from_word(cls, value: Any) -> Any:  # what stands in the file, of any type
-        """``policy = "read-only"`` is the default alone. Too many rules are refused before any is looked at."""
+        """Accept ``policy = "read-only"`` as a policy of its default alone, and refuse too many rules early."""
         if isinstance(value, str):
             return {"default": value}
         rules = value.get("rule") if isinstance(value, dict) else None
@@ -176,19 +176,19 @@ class PolicySection(Section):
         return self
 
     def policy(self) -> Policy:
-        """The rules and the default. Raises nothing that reading the file did not."""
+        """The section as a `Policy`; it was checked when the file was read."""
         return Policy(tuple(each.rule() for each in self.rule), Action(self.default))
 
     def addresses(self) -> AddressList:
-        """The address lists. Raises `ConfigError` whose key is the key at fault."""
+        """The section's address lists. Raises `ConfigError` with the key at fault."""
         return AddressList(self.allow, self.deny, self.secure)
 
     def access_rules(self) -> AccessRules:
-        """Both together. Raises nothing that reading the file did not."""
+        """The policy and the address lists of the section together."""
         return AccessRules(self.policy(), self.addresses())
 
 
 class PolicyFile(Section):
-    """A file that holds a policy and nothing else."""
+    """The checked contents of a file that holds only a policy."""
 
     policy: PolicySection

@@ -1,4 +1,4 @@
-"""Everything that is wrong with a file, as one error with a line for each problem."""
+"""The error for an invalid file, with one line for each problem."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ from ...errors import ConfigError
 
 
 class FileError(ConfigError):
-    """A file that cannot be used.
+    """Error of a file that cannot be used, with all its problems.
 
     Attributes:
         problems: what is wrong, each with file, line and key, in the order of the lines. The fields of the error itself

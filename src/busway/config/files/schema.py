@@ -1,4 +1,4 @@
-"""How a schema of a file is written, and how its violations become sentences with a line.
+"""Base of all file schemas, and the translation of schema errors into sentences with a line.
 
 Knows pydantic and TOML texts; knows no particular file.
 
@@ -23,7 +23,7 @@ from .problems import FileError
 
 
 class Section(BaseModel):
-    """A table of a file. Keys are exactly the declared ones; values are never converted; frozen once read."""
+    """Base class of a table in a file: only declared keys, no conversion of values, frozen once read."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
         extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True
@@ -34,7 +34,7 @@ class Section(BaseModel):
 
 
 class FileProblems(ValueError):
-    """What a validator finds wrong inside its section: for each, the path from the section and a sentence.
+    """Error of a validator with all problems inside its section: for each the path and a sentence.
 
     pydantic gives an error of a whole section the section's place; this carries the places inside.
     """
@@ -49,7 +49,7 @@ File = TypeVar("File", bound=Section)
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A TOML text that could be read: its data, and where each of it stands.
+    """A parsed TOML text: its data, and the line of each key.
 
     Attributes:
         name: of the file, for the sentences.
@@ -62,12 +62,12 @@ class Source:
     lines: Mapping[Path, int]
 
     def problem(self, path: Path, sentence: str) -> ConfigError:
-        """A sentence about what stands at a path, with file, line and key."""
+        """Build the error for a problem at a path, with file, line and key."""
         standing = _standing(path, self.lines)
         return ConfigError(sentence, file=self.name, line=line_of(self.lines, standing), key=_written(standing))
 
     def checked(self, schema: type[File]) -> File:
-        """The content as a schema has it. Raises `FileError` with all that is wrong."""
+        """The data checked by a schema class. Raises `FileError` with all problems."""
         try:
             return schema.model_validate(self.data)
         except ValidationError as error:
@@ -78,7 +78,7 @@ class Source:
 
 
 def read_source(text: str, name: str) -> Source:
-    """The data of a TOML text and its lines. Raises `FileError` if it is none."""
+    """Parse a TOML text. Raises `FileError` if it is no TOML."""
     try:
         return Source(name, tomllib.loads(text), key_lines(text))
     except tomllib.TOMLDecodeError as error:
@@ -88,7 +88,7 @@ def read_source(text: str, name: str) -> Source:
 
 
 def parse_file(text: str, schema: type[File], name: str) -> File:
-    """The content of a file.
+    """Parse a TOML text and check it by a schema class. Raises `FileError` with all problems.
 
     Args:
         text: the file's text, in TOML.
@@ -102,13 +102,13 @@ def parse_file(text: str, schema: type[File], name: str) -> File:
 
 
 def in_order(problems: Iterable[ConfigError]) -> list[ConfigError]:
-    """Problems by their lines, each once."""
+    """Problems sorted by line, without duplicates."""
     once = {(each.line, each.key, each.message): each for each in problems}
     return sorted(once.values(), key=lambda each: each.line or 0)
 
 
 def _syntax_problem(text: str, error: tomllib.TOMLDecodeError, name: str) -> ConfigError:
-    """``tomllib`` says the line in words: ``… (at line 3, column 5)`` or ``(at end of document)``."""
+    """The error for invalid TOML; ``tomllib`` gives the line in words: ``… (at line 3, column 5)``."""
     message = str(error)
     match = re.search(r" ?\(at (?:line (\d+), column (\d+)|end of document)\)$", message)
     if match is None:
@@ -120,7 +120,7 @@ def _syntax_problem(text: str, error: tomllib.TOMLDecodeError, name: str) -> Con
 
 
 def _exhausting_problem(text: str, error: Exception, name: str) -> ConfigError:
-    """What a text is that exhausts the reader: nested too deeply, or with a number that Python does not convert."""
+    """The error for a text that exhausts the parser: nested too deeply, or with a number too long for Python."""
     if isinstance(error, RecursionError):
         return ConfigError("it is nested too deeply", file=name, line=_densest_line(text))
     longest = _LONG_NUMBER.search(text)
@@ -135,13 +135,13 @@ _LONG_NUMBER = re.compile(r"(?<![\w.])[0-9][0-9_]{4299,}")
 
 
 def _densest_line(text: str) -> int:
-    """Where a text that exhausts the reader most likely does so: the line with most brackets, or the longest."""
+    """The line that most likely exhausts the parser: that with most brackets, or the longest."""
     lines = text.split("\n")
     return 1 + max(range(len(lines)), key=lambda at: (lines[at].count("[") + lines[at].count("{"), len(lines[at])))
 
 
 def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
-    """One of pydantic's errors (a mapping of its own kind, hence Any) as places in the section, and sentences."""
+    """Translate one error of pydantic (a mapping of its own kind, hence Any) to paths in the section, and sentences."""
     path: Path = tuple(error["loc"])
     raised = error.get("ctx", {}).get("error")
     if isinstance(raised, FileProblems):
@@ -152,7 +152,9 @@ def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
 
 
 def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
-    """The path as the file has it: one value may stand for a list of one, and a list for a table with it."""
+    """The path of a value as it is written in the file, where one value may replace a list of one, or a list a
+    table.
+    """
     if path in lines:
         return path
     shorter = (path[:at] + path[at + 1 :] for at in reversed(range(len(path))))
@@ -160,7 +162,7 @@ def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
 
 
 def _written(path: Path) -> str | None:
-    """``unit[0].point[3].type``."""
+    """A path as text: ``unit[0].point[3].type``."""
     text = ""
     for each in path:
         text += f"[{each}]" if isinstance(each, int) else f".{each}" if text else each
@@ -219,7 +221,7 @@ def _unknown_key(key: str, section: type[Section] | None) -> str:
 
 
 def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
-    """The section that the table at a path is; None for a table of another kind."""
+    """The schema class of the table at a path; None if the table has no schema class."""
     for key in path:
         if isinstance(key, int):
             continue
@@ -232,7 +234,7 @@ def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
 
 
 def _sections_in(annotation: Any) -> Iterator[type[Section]]:
-    """The sections that a type names, however deep."""
+    """The schema classes in a type annotation, however deep."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         yield annotation
     for each in get_args(annotation):
@@ -240,7 +242,7 @@ def _sections_in(annotation: Any) -> Iterator[type[Section]]:
 
 
 def json_schema(schema: type[Section], title: str) -> dict[str, Any]:  # Any: what JSON has
-    """What a file looks like, as JSON Schema (draft 2020-12), for editors and other programs.
+    """The JSON Schema (draft 2020-12) of a file, for editors and other programs.
 
     It knows names, types and plain ranges; what goes together is only known to the reader of the file.
     """
@@ -249,7 +251,7 @@ def json_schema(schema: type[Section], title: str) -> dict[str, Any]:  # Any: wh
 
 
 def _plain(node: Any) -> Any:
-    """A part of a schema, without the titles and empty defaults that repeat the names of keys."""
+    """Part of a JSON Schema without the titles and empty defaults that only repeat key names."""
     if isinstance(node, list):
         return [_plain(each) for each in node]
     if not isinstance(node, dict):

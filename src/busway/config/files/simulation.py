@@ -68,7 +68,7 @@ Hole = Annotated[str | int, BeforeValidator(_as_hole, json_schema_input_type=Who
 
 
 class HolesSection(Section):
-    """What is answered for addresses between points, by table."""
+    """``holes``: what is read at addresses between points, by table."""
 
     holding_registers: Hole = REFUSE
     input_registers: Hole = REFUSE
@@ -76,7 +76,7 @@ class HolesSection(Section):
     discrete_inputs: Hole = REFUSE
 
     def value(self, table: Table) -> int | None:
-        """What is read in the holes of a table; None where they are refused."""
+        """The value read between the points of a table; None if reading there is refused."""
         declared = getattr(self, table.value)
         if not isinstance(declared, int):
             return None
@@ -87,17 +87,17 @@ DeclaredHoles = Annotated[HolesSection, BeforeValidator(_as_holes, json_schema_i
 
 
 class SimulatedPointSection(PointSection):
-    """``[[unit.point]]``: one value with a name, and what makes it change."""
+    """``[[unit.point]]`` of a simulation: one named value and the behaviour that changes it."""
 
     behaviour: DeclaredBehaviour | None = None
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """What does not fit together."""
+        """Errors between the keys of this point, each with its path and a sentence."""
         faults = list(super().faults())
         yield from faults or self._behaviour_faults()
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "SimulatedPointSection":
-        """As of `PointSection`; names in expressions of the behaviour are found likewise."""
+        """A copy of the point at one place of its group, with names in its behaviour adjusted too."""
         moved = super().moved(prefix, by, known)
         assert isinstance(moved, SimulatedPointSection)
         if moved.behaviour is None:
@@ -129,14 +129,14 @@ class SimulatedPointSection(PointSection):
 
 
 class SimulatedGroupSection(GroupSection):
-    """``[[unit.group]]``: points that behave, and belong together."""
+    """``[[unit.group]]`` of a simulation: a group of points with behaviours."""
 
     point: Sequence[SimulatedPointSection] = Field(default_factory=list)
     group: "Sequence[SimulatedGroupSection]" = Field(default_factory=list)
 
 
 class SimulatedUnitSection(UnitSection):
-    """``[[unit]]``: a device that behaves."""
+    """``[[unit]]`` of a simulation: a device whose points have behaviours."""
 
     point: Sequence[SimulatedPointSection] = Field(default_factory=list)
     group: Sequence[SimulatedGroupSection] = Field(default_factory=list)
@@ -144,7 +144,7 @@ class SimulatedUnitSection(UnitSection):
 
 
 def unit_numbers(text: str) -> list[int]:
-    """The units of ``1-100``, ``1, 5, 10-12``. Raises `ConfigError`."""
+    """Parse unit numbers such as ``1-100`` or ``1, 5, 10-12``. Raises `ConfigError`."""
     found: list[int] = []
     for part in text.split(","):
         first, dash, last = (each.strip() for each in part.partition("-"))
@@ -166,14 +166,14 @@ Parameter = int | float | bool | str
 
 
 class IncludeSection(Section):
-    """``[[include]]``: the units of another file, or one unit of it several times."""
+    """``[[include]]``: adds the units of another file, or one unit of it several times."""
 
     file: str = Field(min_length=1)
     units: str | None = None
     with_: dict[str, Parameter] = Field(default_factory=dict, alias="with")
 
     def numbers(self) -> list[int] | None:
-        """The units that it makes; None for those that the file names itself."""
+        """The unit numbers that the include creates; None for those of the included file."""
         return None if self.units is None else unit_numbers(self.units)
 
     @model_validator(mode="after")
@@ -183,7 +183,7 @@ class IncludeSection(Section):
 
 
 class ParameterKeys(Section):
-    """The parameters that a file takes from the file that includes it, and its own includes."""
+    """Keys of an included file for its parameters and its own includes."""
 
     parameters: dict[str, Parameter] = Field(default_factory=dict)
     required: list[str] = Field(default_factory=list)
@@ -191,13 +191,13 @@ class ParameterKeys(Section):
 
 
 class ProfileFile(ParameterKeys):
-    """A file that is included. Its units are checked one by one, as they are made."""
+    """The contents of an included file; its units are checked one by one as they are created."""
 
     unit: list[dict[str, Any]] = Field(default_factory=list)  # Any: they may hold parameters still
 
 
 class SimulationSection(Section):
-    """``[simulation]``: what holds for all of it."""
+    """``[simulation]``: options that apply to the whole simulation."""
 
     keep: str | None = Field(default=None, min_length=1)
     keep_every: float = Field(default=10.0, ge=0.1, le=86_400)
@@ -205,14 +205,14 @@ class SimulationSection(Section):
 
 
 class SimulationFile(SystemFile, ParameterKeys):
-    """A whole simulation file."""
+    """The checked contents of a simulation file."""
 
     simulation: SimulationSection = SimulationSection()
     fault: list[FaultSection] = Field(default_factory=list)
     unit: Sequence[SimulatedUnitSection] = Field(default_factory=list)
 
     def places(self) -> list[tuple[Path, str]]:
-        """The URLs that are listened on, each with where it stands."""
+        """The URLs to listen on, each with its path in the file."""
         return super().places() or ([(("include",), DEFAULT_LISTEN)] if self.include else [])
 
     def _whole_faults(self) -> Iterator[tuple[Path, str]]:
@@ -222,8 +222,9 @@ class SimulationFile(SystemFile, ParameterKeys):
 
 
 def simulation_schema(title: str) -> dict[str, Any]:  # Any: what JSON has
-    """What simulation files and the profiles that they include look like, as JSON Schema: wherever a number is, a
-    parameter may stand, and the unit of a profile has no number."""
+    """The JSON Schema of simulation files and the profiles they include: a parameter may replace any number, and the
+    unit of a profile has no number.
+    """
     document = json_schema(SimulationFile, title)
     document["$defs"]["SimulatedUnitSection"]["required"].remove("unit")
     found: dict[str, Any] = _or_parameter(document)
@@ -244,7 +245,7 @@ _OF_A_UNIT: Final = re.compile(r"(?P<part>unit\[\d+\]\.(point\[\d+\]\.)?)?(?P<ke
 
 
 def is_only_of_simulations(key: str) -> bool:
-    """Whether a key stands where simulation files alone have it: ``include``, ``unit[0].point[2].behaviour``."""
+    """Whether a key exists in simulation files alone: ``include``, ``unit[0].point[2].behaviour``."""
     found = _OF_A_UNIT.fullmatch(key)
     if found is None:
         return False

@@ -55,7 +55,7 @@ DEFAULT_LISTEN: Final = "tcp://127.0.0.1:5020"
 
 
 def read_system_file(text: str, name: str) -> "tuple[SystemFile, Source]":
-    """A configuration file, its shape checked, and where everything in it stands.
+    """Read a configuration file and check its structure; returns it with the line of every key.
 
     Args:
         text: its content.
@@ -69,7 +69,7 @@ def read_system_file(text: str, name: str) -> "tuple[SystemFile, Source]":
 
 
 def host_and_port(text: str) -> tuple[str, int]:
-    """``127.0.0.1:9502`` or ``[::1]:9502`` in two. Raises `ConfigError`."""
+    """Split ``127.0.0.1:9502`` or ``[::1]:9502`` into host and port. Raises `ConfigError`."""
     host, colon, port = text.rpartition(":")
     bare = host[1:-1] if host[:1] == "[" and host[-1:] == "]" else host
     if not colon or not bare or (":" in bare and bare == host) or not (port.isascii() and port.isdecimal()):
@@ -93,17 +93,17 @@ FilePath = Annotated[str, Field(min_length=1)]
 
 @with_options_of(*LINKS, role="client")
 class LinkKeys(OptionSection):
-    """The options of a link. None of them is set by being left out."""
+    """Keys for the options of a link; one that is left out stays unset."""
 
     preset: Literal["standard", "strict"] | None = None
 
     def options(self) -> dict[str, Any]:  # of several types
-        """The options of a link that are set here, by name."""
+        """The options of a link that the section sets, by name."""
         return self.options_of(*LINKS) | ({"preset": self.preset} if "preset" in self.model_fields_set else {})
 
 
 class LinkSection(LinkKeys):
-    """``[[link]]``: one endpoint that requests go to, under a name, with options of its own."""
+    """``[[link]]``: a named endpoint with its own options, for requests to a device or server."""
 
     checked_later: ClassVar[tuple[type[Any], ...]] = LINKS  # together with its scheme, where the link is put together
 
@@ -112,7 +112,7 @@ class LinkSection(LinkKeys):
 
 
 class ClientSection(LinkKeys):
-    """``[client]``: options for all links whose scheme has the option."""
+    """``[client]``: options for all links whose URL scheme has them."""
 
     retired: ClassVar[dict[str, str]] = {"link": "[[link]]"}
 
@@ -121,11 +121,11 @@ class ClientSection(LinkKeys):
 
 @with_options_of(TlsParameters, without=frozenset({"server_name"}))
 class SecuritySection(OptionSection):
-    """``[security]``: certificates of this host, for each ``tls://`` listener and link that says nothing else."""
+    """``[security]``: certificates of this host, for each ``tls://`` listener and link without its own."""
 
 
 class AuditSection(Section):
-    """``[audit]``: the log of denied requests and of writes."""
+    """``[audit]``: the log file of writes and denied requests."""
 
     path: FilePath
     interval: float = Field(default=0.2, ge=0, le=10)
@@ -134,13 +134,13 @@ class AuditSection(Section):
 
 
 class MetricsSection(Section):
-    """``[metrics]``: where figures are offered to Prometheus."""
+    """``[metrics]``: the address where Prometheus can scrape metrics."""
 
     listen: Annotated[str, AfterValidator(_checked_place)]
 
 
 class ControlSection(Section):
-    """``[control]``: the socket that ``busway status`` asks."""
+    """``[control]``: the socket that ``busway status`` connects to."""
 
     enabled: bool = True
     path: FilePath | None = None
@@ -152,7 +152,7 @@ DeclaredPolicy = Annotated[
 
 
 class SystemFile(DeviceFile):
-    """A whole configuration file."""
+    """The checked contents of a configuration file."""
 
     listen: list[Url] = Field(default_factory=list)
     listener: Sequence[ListenerSection] = Field(default_factory=list)
@@ -166,7 +166,7 @@ class SystemFile(DeviceFile):
     unit: Sequence[UnitSection] = Field(default_factory=list)
 
     def places(self) -> list[tuple[Path, str]]:
-        """The URLs that are listened on, each with where it stands."""
+        """The URLs to listen on, each with its path in the file."""
         given: list[tuple[Path, str]] = [(("listen", index), url) for index, url in enumerate(self.listen)]
         given += [(("listener", index, "url"), each.url) for index, each in enumerate(self.listener)]
         return given or ([(("unit",), DEFAULT_LISTEN)] if self.unit else [])
@@ -186,7 +186,7 @@ class SystemFile(DeviceFile):
 
 
 def twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
-    """Names that sections of one kind share: the place of the later one, and a sentence."""
+    """Errors for equal names in sections of one kind: the path of the later one, and a sentence."""
     for index, name in enumerate(names):
         if name in names[:index]:
             yield (key, index, "name"), f"{name!r} is there already: {key}[{names.index(name)}]"

@@ -1,4 +1,4 @@
-"""Ready-made devices: simulation files that come with the package, each with its parameters.
+"""Ready-made device profiles: simulation files that come with the package, each with its parameters.
 
 Knows their names and texts; knows nothing of how they are simulated. Their register maps in the documentation are
 generated from them (``scripts/register_maps.py``).
@@ -39,7 +39,7 @@ DEVICES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class ReadyMade:
-    """A device of the package.
+    """A device profile that comes with the package.
 
     Attributes:
         name: as ``busway simulate --device`` takes it.
@@ -53,7 +53,7 @@ class ReadyMade:
 
 
 def ready_made(name: str) -> ReadyMade:
-    """A device by name. Raises `ConfigError` that lists those there are."""
+    """The device profile with a given name. Raises `ConfigError` that lists all of them."""
     if name not in DEVICES:
         raise ConfigError(f"there is no such device, but {', '.join(DEVICES)}", key=name)
     file = f"{name}.toml"
@@ -70,7 +70,7 @@ def read_profile(name: str) -> str:
 
 
 def read_included(name: str) -> str:
-    """As `read_profile`, of what a simulation file names: a regular file, by no link of another user."""
+    """The text of a file that a simulation file names: a regular file, not reached by another user's link."""
     return _ready_made_text(name) if name.startswith(PREFIX) else read_named_text(name)
 
 

@@ -1,4 +1,4 @@
-"""A device file or profile, with its parameters put in, as the description of one unit.
+"""Loads a device file or profile, with its parameters filled in, as the description of one unit.
 
 Knows files, parameters and the schema of units; includes and plays nothing (`busway.apps.simulator` does).
 """
@@ -18,7 +18,7 @@ from . import read_profile
 
 
 def load_profile(name: str, *, unit: int, parameters: Mapping[str, Parameter] | None = None) -> SimulatedUnitSection:
-    """The one unit that a file describes, under the number of a device.
+    """Load the one unit that a file describes, under the given unit number.
 
     Args:
         name: path of a file with one ``[[unit]]``, or ``device:NAME``.

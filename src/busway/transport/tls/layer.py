@@ -31,7 +31,7 @@ LINGER_SECONDS: Final = 1.0
 
 
 class TlsState(Enum):
-    """States of a TLS layer: handshake, open, closing."""
+    """States of a TLS layer: handshake, up, refused, closed."""
 
     HANDSHAKE = "handshake"
     UP = "up"
@@ -116,7 +116,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         return False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Handle the end of the connection below."""
+        """Handle the end of the connection below the TLS layer."""
         state, self.state = self.state, TlsState.CLOSED
         self._stop_timer()
         if state is TlsState.HANDSHAKE:
@@ -129,12 +129,12 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._gone(self)
 
     def pause_writing(self) -> None:
-        """Stop sending: the peer takes nothing for now."""
+        """Pause the protocol above, because the peer does not read."""
         if self._above is not None:
             self._above.pause_writing()
 
     def resume_writing(self) -> None:
-        """Send again."""
+        """Resume the protocol above, because the peer reads again."""
         if self._above is not None:
             self._above.resume_writing()
 
@@ -209,7 +209,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         self._flush()
 
     def _tell_end(self) -> bool:
-        """Tell the protocol that the peer has ended; close unless replies are still to be sent."""
+        """Tell the protocol above that the peer has ended its stream; close unless replies are still to be sent."""
         if not self._ended_told and self._above is not None:
             self._ended_told = True
             if not self._above.eof_received():
@@ -220,7 +220,7 @@ class TlsLayer(asyncio.BufferedProtocol):
     # What the protocol above calls: the transport.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Encrypt and send bytes."""
+        """Encrypt bytes and send them."""
         if self.state is not TlsState.UP or self._below.is_closing():
             return
         try:
@@ -238,7 +238,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._below.write(records)
 
     def close(self) -> None:
-        """Announce the end, and close after the written bytes are sent."""
+        """Announce the end of the TLS stream, and close after the written bytes are sent."""
         if self.state is TlsState.UP and not self._below.is_closing():
             self._stream.finish()
             self._flush()
@@ -247,7 +247,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self.abort()
 
     def abort(self) -> None:
-        """Close at once."""
+        """Close the connection at once."""
         if self._below is not None:
             self._below.abort()
 
@@ -256,12 +256,12 @@ class TlsLayer(asyncio.BufferedProtocol):
         return self.state in (TlsState.CLOSED, TlsState.REFUSED) or self._below is None or self._below.is_closing()
 
     def pause_reading(self) -> None:
-        """Stop receiving, and pass nothing up."""
+        """Stop receiving, and pass nothing to the protocol above."""
         self._reading_paused = True
         self._below.pause_reading()
 
     def resume_reading(self) -> None:
-        """Receive again."""
+        """Receive again after `pause_reading`."""
         if self._reading_paused and not self._below.is_closing():
             self._reading_paused = False
             if self._stream.may_hold_more:
@@ -281,12 +281,12 @@ class TlsLayer(asyncio.BufferedProtocol):
         self._below.set_write_buffer_limits(high, low)
 
     def get_write_buffer_size(self) -> int:
-        """Bytes that wait to be sent."""
+        """Number of encrypted bytes that wait to be sent."""
         size: int = self._below.get_write_buffer_size()
         return size
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:  # as `asyncio.BaseTransport` says it
-        """Information of the connection below, and ``ssl_object``."""
+        """Details of the connection below, and ``ssl_object``."""
         if name == "ssl_object":
             return self._stream.ssl_object
         return self._below.get_extra_info(name, default) if self._below is not None else default

@@ -1,4 +1,4 @@
-"""The role of a client: one UTF-8 string in its certificate (MODBUS/TCP Security, role-based authorization).
+"""The role of a client, read from its certificate: one UTF-8 string in an extension (MODBUS/TCP Security).
 
 Knows the extension and its encoding; knows no right that a role has.
 
@@ -20,7 +20,7 @@ _LONG_LENGTH: Final = 0x80
 
 @dataclass(frozen=True, slots=True)
 class RoleReading:
-    """The role that a certificate gives.
+    """The result of reading a role from a certificate: the role, or why there is none.
 
     Attributes:
         role: the role; None without one.
@@ -32,7 +32,7 @@ class RoleReading:
 
 
 def require_cryptography(purpose: str) -> None:
-    """Raise `MissingExtra`, which says what to install, if the package is missing."""
+    """Raise `MissingExtra`, which names the extra to install, if the package ``cryptography`` is missing."""
     try:
         import cryptography.x509  # noqa: F401
     except ImportError:
@@ -65,7 +65,7 @@ def role_of_certificate(certificate: bytes) -> RoleReading:
 
 
 def decode_role(value: bytes) -> RoleReading:
-    """Decode the role from the value of the extension."""
+    """Decode a role from the value of the certificate extension."""
     if len(value) < 2:
         return RoleReading(reason="the extension is empty")
     if value[0] != _UTF8_STRING:
@@ -88,7 +88,7 @@ def decode_role(value: bytes) -> RoleReading:
 
 
 def encode_role(role: str) -> bytes:
-    """Encode the value of the extension for a role of 1…65535 bytes in UTF-8. Raises `ConfigError`."""
+    """Encode a role of 1…65535 bytes in UTF-8 as the value of the certificate extension. Raises `ConfigError`."""
     text = role.encode("utf-8")
     if not 1 <= len(text) <= 0xFFFF:
         raise ConfigError("a role has 1…65535 bytes", key="role")

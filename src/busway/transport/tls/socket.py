@@ -25,7 +25,7 @@ assert _RECORDS_SIZE + 2 * 16_384 <= RECEIVE_SIZE
 
 
 class TlsSocket:
-    """A secure connection of a client.
+    """A TLS connection of a blocking client, with the interface of a non-blocking socket.
 
     Args:
         connection: connected, blocking; from now on this object closes it.
@@ -75,15 +75,15 @@ class TlsSocket:
 
     @property
     def ssl_object(self) -> ssl.SSLObject:
-        """The ``ssl`` object of the conversation."""
+        """The ``ssl`` object of the TLS connection."""
         return self._stream.ssl_object
 
     def fileno(self) -> int:
-        """The descriptor, to wait for readiness."""
+        """The file descriptor of the socket, to wait for readiness."""
         return self._socket.fileno()
 
     def get_extra_info(self, name: str) -> object:
-        """``socket`` or ``ssl_object``, as transports of an event loop give them."""
+        """Details of the connection: ``socket`` or ``ssl_object``, as asyncio transports give them."""
         return {"socket": self._socket, "ssl_object": self._stream.ssl_object}.get(name)
 
     def recv_into(self, buffer: bytearray, /) -> int:
@@ -113,7 +113,7 @@ class TlsSocket:
         return plain
 
     def send(self, data: bytes, /) -> int:
-        """Encrypt and send bytes. Returns how many were taken.
+        """Encrypt and send bytes. Returns how many were accepted.
 
         Where `BlockingIOError` was raised, the next call begins with the same bytes.
 
@@ -130,7 +130,7 @@ class TlsSocket:
         return self._encrypted
 
     def close(self) -> None:
-        """Announce the end if possible at once, and close; a waiting thread wakes up."""
+        """Announce the end of the TLS stream if possible at once, and close; a waiting thread wakes up."""
         with contextlib.suppress(OSError):
             if self._unsent:
                 discard_on_close(self._socket)

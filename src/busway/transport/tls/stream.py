@@ -1,4 +1,4 @@
-"""One TLS conversation as bytes in and bytes out: what all three drivers share (asyncio on both sides, blocking).
+"""The TLS protocol of one connection without IO: encrypted bytes in and out; shared by asyncio and blocking drivers.
 
 Knows ``ssl``; knows no socket, no event loop and no Modbus.
 
@@ -14,7 +14,7 @@ from .failures import FailureKind, TlsFailure, failure_of
 
 
 class TlsStream:
-    """One side of a conversation.
+    """One side of a TLS connection, without IO.
 
     Attributes:
         ended: whether the peer said that it sends no more.
@@ -36,11 +36,11 @@ class TlsStream:
 
     @property
     def ssl_object(self) -> ssl.SSLObject:
-        """The ``ssl`` object of the conversation: version, suite, certificate."""
+        """The ``ssl`` object of the TLS connection: version, suite, certificate."""
         return self._ssl
 
     def feed(self, data: bytes | bytearray | memoryview) -> None:
-        """Take bytes from the peer."""
+        """Take encrypted bytes that came from the peer."""
         self._incoming.write(data)
 
     def handshake(self) -> bool:
@@ -56,7 +56,7 @@ class TlsStream:
         return True
 
     def read_into(self, room: memoryview) -> int:
-        """Decrypt into ``room`` as much as there is and fits. Returns the number of bytes. Raises `TlsFailure`."""
+        """Decrypt received bytes into ``room`` as far as they fit. Returns their number. Raises `TlsFailure`."""
         if self._failure is not None:
             raise self._failure
         size = 0
@@ -83,7 +83,7 @@ class TlsStream:
 
     @property
     def may_hold_more(self) -> bool:
-        """Whether decrypted bytes may be left that did not fit."""
+        """Whether decrypted bytes may remain that did not fit into the room of the last read."""
         return bool(self._ssl.pending() or self._incoming.pending or self._failure)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
@@ -96,7 +96,7 @@ class TlsStream:
             raise failure_of(error, server_side=self._server_side) from error
 
     def end_reason(self, error: Exception | None) -> Exception | None:
-        """Why a connection ended that had no failure of TLS; ``error`` is the network's.
+        """Why a connection without a TLS failure ended; ``error`` is that of the network.
 
         Many servers of TLS 1.3 refuse a certificate by closing, without the alert that says so, and after the client
         believes itself connected. Only that nothing was ever heard tells that from other ends.
@@ -113,7 +113,9 @@ class TlsStream:
         return self._outgoing.read() if self._outgoing.pending else b""
 
     def finish(self) -> None:
-        """Announce that nothing more is sent (close_notify); without it the session could not be resumed."""
+        """Announce to the peer that nothing more is sent (close_notify); without it the session could not be
+        resumed.
+        """
         try:
             self._ssl.unwrap()
         except (ssl.SSLError, ValueError):
