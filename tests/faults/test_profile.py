@@ -3,7 +3,7 @@
 import pytest
 
 from busway import ConfigError
-from busway.testing import CLIENT_FAULT_PROFILES, FAULT_PROFILES, Carrier, Fault, FaultProfile, FaultyTable
+from busway.testing import CLIENT_FAULT_PROFILES, FAULT_PROFILES, Carrier, Fault, FaultProfile, FaultProfileTable
 
 OF_THE_FIELD = (
     "late",
@@ -80,7 +80,7 @@ def test_unknown_name_lists_those_there_are() -> None:
     with pytest.raises(ConfigError, match="late, queue-lag"):
         FAULT_PROFILES.named("lazy")
     assert FAULT_PROFILES.named("late") is FAULT_PROFILES["late"]
-    assert FaultyTable().get("late") is None
+    assert FaultProfileTable().get("late") is None
 
 
 @pytest.mark.parametrize("one", FAULT_PROFILES.values(), ids=list(FAULT_PROFILES))

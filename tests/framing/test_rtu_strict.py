@@ -40,7 +40,7 @@ def test_a_frame_passes_through_the_states_and_is_given_after_t3_5() -> None:
     line.silence(LINE.t3_5)
     assert line.receiver.state is LineState.IDLE
     line.bytes(READ)
-    assert line.receiver.state is LineState.LISTENER_CONTEXT
+    assert line.receiver.state is LineState.RECEIVING
     line.silence(LINE.t1_5 * 1.01)
     assert (line.receiver.state, line.found) == (LineState.CONTROL_AND_WAITING, [])
     due = line.receiver.deadline()

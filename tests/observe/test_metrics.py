@@ -23,7 +23,7 @@ from waiting import until
 import busway
 from busway.errors import ConfigError, LinkDown
 from busway.observe.metrics import MetricsEndpoint, MetricsObserver, PeerClass, RequestTally, start_metrics
-from busway.observe.metrics.observer import ClassifyByMark
+from busway.observe.metrics.observer import ClassifyByPriority
 from busway.observe.metrics.request_tally import Unanswered
 from busway.server.local import DeviceResponder
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
@@ -367,7 +367,7 @@ def test_marked_devices_are_a_class_of_their_own() -> None:
         asked.append(host)
         return host in ("10.0.0.1", "fe80::1")
 
-    classify = ClassifyByMark(is_priority)
+    classify = ClassifyByPriority(is_priority)
     peers = {
         "10.0.0.1:5": PeerClass.PRIORITY,
         "[fe80::1]:5": PeerClass.PRIORITY,

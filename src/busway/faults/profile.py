@@ -4,7 +4,7 @@ Knows the description of a profile and how to make its fault; knows no connectio
 
 1. A name means the same in tests, in the simulator, in the options of the client and in the documentation; the
    documentation's table is generated from these objects.
-2. A table is immutable; `FaultyTable.with_fault_profiles` makes a larger one.
+2. A table is immutable; `FaultProfileTable.with_fault_profiles` makes a larger one.
 3. An option is declared once, in the signature of the function that makes the fault: type, default, and by `Says` its
    meaning and range. Checks, documentation and the HTTP API are derived from it.
 """
@@ -135,7 +135,7 @@ class FaultProfile:
         return Fault(self.name, fault.admits, fault.asked, fault.answered, fault.closes_at, self.carriers, options)
 
 
-class FaultyTable(Mapping[str, FaultProfile]):
+class FaultProfileTable(Mapping[str, FaultProfile]):
     """A table of fault profiles by name, in the order of the documentation. Raises `ConfigError` for equal names."""
 
     __slots__ = ("_by_name",)
@@ -147,9 +147,9 @@ class FaultyTable(Mapping[str, FaultProfile]):
                 raise ConfigError(f"there are two fault profiles {one.name}", key=one.name)
             self._by_name[one.name] = one
 
-    def with_fault_profiles(self, *fault_profiles: FaultProfile) -> "FaultyTable":
+    def with_fault_profiles(self, *fault_profiles: FaultProfile) -> "FaultProfileTable":
         """A new table with additional fault profiles."""
-        return FaultyTable(*self.values(), *fault_profiles)
+        return FaultProfileTable(*self.values(), *fault_profiles)
 
     def named(self, name: str) -> FaultProfile:
         """Find a fault profile by name. Raises `ConfigError` that lists the known ones."""
@@ -168,4 +168,4 @@ class FaultyTable(Mapping[str, FaultProfile]):
         return len(self._by_name)
 
 
-__all__ = ["Carrier", "FaultProfile", "FaultyTable", "Parameter", "Says", "in_seconds"]
+__all__ = ["Carrier", "FaultProfile", "FaultProfileTable", "Parameter", "Says", "in_seconds"]

@@ -23,7 +23,7 @@ from ..session.responder import Responder
 from .clock import Clock
 from .connections import FaultyTap
 from .fault import AppliedFault, Faults, Schedule, Selection
-from .profile import FaultyTable
+from .profile import FaultProfileTable
 from .profiles import FAULT_PROFILES
 from .responder import FaultyResponder
 
@@ -66,7 +66,7 @@ class FaultSwitchboard:
     """
 
     def __init__(
-        self, *, seed: int = 0, clock: Clock | None = None, fault_profiles: FaultyTable = FAULT_PROFILES
+        self, *, seed: int = 0, clock: Clock | None = None, fault_profiles: FaultProfileTable = FAULT_PROFILES
     ) -> None:
         self.faults: Faults = Faults(seed)
         self.tap: FaultyTap = FaultyTap(self.faults, clock)

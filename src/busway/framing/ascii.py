@@ -50,7 +50,7 @@ class AsciiState(Enum):
     """States of the ASCII receiver (figure 18)."""
 
     IDLE = "idle"
-    LISTENER_CONTEXT = "reception"
+    RECEIVING = "reception"
     WAITING_FOR_DELIMITER = "waiting for the end delimiter"
 
 
@@ -217,12 +217,12 @@ class AsciiReceiver:
                 self._interrupted += b":"
                 self._interrupted += self._text
             self._text.clear()
-        self.state = AsciiState.LISTENER_CONTEXT
+        self.state = AsciiState.RECEIVING
         self._began = time
 
     def _content(self, part: bytes, began: float, found: list[Received]) -> None:
         """Process characters without a colon, within a frame."""
-        if self.state is AsciiState.LISTENER_CONTEXT:
+        if self.state is AsciiState.RECEIVING:
             end = part.find(CR)
             self._text += part[: ASCII_ADU_LIMIT if end < 0 else min(end, ASCII_ADU_LIMIT)]
             if len(self._text) > _MOST_DIGITS:

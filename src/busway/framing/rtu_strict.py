@@ -30,7 +30,7 @@ class LineState(Enum):
 
     INITIAL = "initial"
     IDLE = "idle"
-    LISTENER_CONTEXT = "reception"
+    RECEIVING = "reception"
     CONTROL_AND_WAITING = "control and waiting"
     EMISSION = "emission"
 
@@ -47,10 +47,10 @@ class LineEvent(Enum):
 _NEXT: Final = {
     (LineState.INITIAL, LineEvent.CHARACTER): LineState.INITIAL,
     (LineState.INITIAL, LineEvent.T3_5): LineState.IDLE,
-    (LineState.IDLE, LineEvent.CHARACTER): LineState.LISTENER_CONTEXT,
+    (LineState.IDLE, LineEvent.CHARACTER): LineState.RECEIVING,
     (LineState.IDLE, LineEvent.CALL): LineState.EMISSION,
-    (LineState.LISTENER_CONTEXT, LineEvent.CHARACTER): LineState.LISTENER_CONTEXT,
-    (LineState.LISTENER_CONTEXT, LineEvent.T1_5): LineState.CONTROL_AND_WAITING,
+    (LineState.RECEIVING, LineEvent.CHARACTER): LineState.RECEIVING,
+    (LineState.RECEIVING, LineEvent.T1_5): LineState.CONTROL_AND_WAITING,
     (LineState.CONTROL_AND_WAITING, LineEvent.CHARACTER): LineState.CONTROL_AND_WAITING,
     (LineState.CONTROL_AND_WAITING, LineEvent.T3_5): LineState.IDLE,
     (LineState.EMISSION, LineEvent.CHARACTER): LineState.EMISSION,
@@ -113,7 +113,7 @@ class StrictRtuReceiver:
         if released:
             self._characters(released, self._last, self._last)
         # At t1.5 itself the frame is still whole: only a longer gap makes it incomplete.
-        if self.state is LineState.LISTENER_CONTEXT and now > self._last + self.timing.t1_5:
+        if self.state is LineState.RECEIVING and now > self._last + self.timing.t1_5:
             self._move(LineEvent.T1_5)
         if now < self._last + self.timing.t3_5:
             return []
@@ -181,7 +181,7 @@ class StrictRtuReceiver:
         if self.state is LineState.CONTROL_AND_WAITING:
             self._lost.mark(Damage.GAP, ended)
         self._move(LineEvent.CHARACTER)
-        if self.state in (LineState.LISTENER_CONTEXT, LineState.CONTROL_AND_WAITING):
+        if self.state in (LineState.RECEIVING, LineState.CONTROL_AND_WAITING):
             self._frame += data
             if len(self._frame) > RTU_ADU_LIMIT:
                 self._lost.add(self._frame, self._began, ended)

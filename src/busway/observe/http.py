@@ -80,7 +80,7 @@ class HttpResponse:
 
 @dataclass(frozen=True, slots=True)
 class HttpLimits:
-    """Limits of the connections to the HTTP service: number, times and sizes.
+    """Limits of the connections to the HTTP service: their number and their times.
 
     Attributes:
         request_seconds: from the accepted connection to the last byte of the request.

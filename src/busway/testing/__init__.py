@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from ..faults.clock import Clock, FakeClock, LoopClock
     from ..faults.fault import SILENCE, AppliedFault, Contact, Emission, Exchange, Fault, Faults, Schedule, Selection
     from ..faults.faulty_conversation import FaultyConversation
-    from ..faults.profile import Carrier, FaultProfile, FaultyTable, Parameter, Says
+    from ..faults.profile import Carrier, FaultProfile, FaultProfileTable, Parameter, Says
     from ..faults.profiles import FAULT_PROFILES
     from .certificates import CertificateFiles, CertificateStore
     from .device import known_device
@@ -40,7 +40,7 @@ _HOME = {
     "golden": ("GOLDEN_EXCEPTIONS", "GOLDEN_EXCHANGES", "GoldenExchange", "golden_adu"),
     "memory": ("MemoryPair", "MemoryTransport", "Passage"),
     ".faults.profiles": ("FAULT_PROFILES",),
-    ".faults.profile": ("Carrier", "Parameter", "FaultProfile", "FaultyTable", "Says"),
+    ".faults.profile": ("Carrier", "Parameter", "FaultProfile", "FaultProfileTable", "Says"),
     "server": ("FaultyServer", "faulty_server"),
     "simulated": ("SimulatedDevice", "simulated_device"),
 }
@@ -65,10 +65,10 @@ __all__ = [
     "FakeClock",
     "Fault",
     "FaultProfile",
+    "FaultProfileTable",
     "Faults",
     "FaultyConversation",
     "FaultyServer",
-    "FaultyTable",
     "GoldenExchange",
     "LoopClock",
     "MemoryPair",

@@ -12,13 +12,13 @@ from ...config.files.lines import Path
 from ...config.files.schema import Source
 from ...errors import ConfigError
 from ...faults.fault import Schedule
-from ...faults.profile import FaultProfile, FaultyTable
+from ...faults.profile import FaultProfile, FaultProfileTable
 from ...faults.profiles import FAULT_PROFILES
 from ...faults.switchboard import FaultSwitchboard
 
 
 def fault_problems(
-    sections: Iterable[FaultSection], source: Source, fault_profiles: FaultyTable = FAULT_PROFILES
+    sections: Iterable[FaultSection], source: Source, fault_profiles: FaultProfileTable = FAULT_PROFILES
 ) -> list[ConfigError]:
     """What the schema cannot know is wrong with the ``[[fault]]`` sections of a file, each with file, line and key.
 
@@ -39,7 +39,7 @@ def fault_problems(
     return found
 
 
-def _section_problems(section: FaultSection, fault_profiles: FaultyTable) -> Iterator[tuple[Path, str]]:
+def _section_problems(section: FaultSection, fault_profiles: FaultProfileTable) -> Iterator[tuple[Path, str]]:
     fault_profile = fault_profiles.get(section.fault_profile)
     if fault_profile is None:
         try:
@@ -110,7 +110,7 @@ def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
     return _put_on(board, section, section.name)
 
 
-def fault_profile_lines(fault_profiles: FaultyTable = FAULT_PROFILES) -> list[str]:
+def fault_profile_lines(fault_profiles: FaultProfileTable = FAULT_PROFILES) -> list[str]:
     """What ``--list-faults`` shows: each fault profile with what happens, and its parameters below."""
     width = max(len(name) for name in fault_profiles)
     lines = []

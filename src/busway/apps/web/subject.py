@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from ...codes import Table
 from ...faults.fault import Schedule
-from ...faults.profile import FaultyTable
+from ...faults.profile import FaultProfileTable
 from ...server.status import ServerStatus
 
 
@@ -97,7 +97,7 @@ class Board(Protocol):
     """Faults by name; `busway.faults.switchboard.FaultSwitchboard` says what each of these does."""
 
     @property
-    def fault_profiles(self) -> FaultyTable: ...
+    def fault_profiles(self) -> FaultProfileTable: ...
 
     def add(
         self,

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from ..profile import FaultyTable
+from ..profile import FaultProfileTable
 from .connections import CLOSE_IF_SILENT, EXECUTE_THEN_DROP, IDLE_CLOSE, SINGLE_CLIENT
 from .contents import DRIBBLE, GLUE, LONG, SHORT, WIDE_REGISTER, WRONG_ECHO
 from .identifiers import (
@@ -18,7 +18,7 @@ from .lines import BROADCAST_REPLY, ECHO, LEADING_ZERO, NOISE
 from .refusals import BUSY, FC6_ONLY, FC16_ONLY, HOLE, MAX_BLOCK, ODD_EXCEPTION
 from .timing import LATE, MIN_GAP, MUTE_AFTER_CONNECT, QUEUE_LAG, UNIT_SWITCH, WEDGED
 
-FAULT_PROFILES: Final = FaultyTable(
+FAULT_PROFILES: Final = FaultProfileTable(
     LATE,
     QUEUE_LAG,
     FOREIGN_TRANSACTION,

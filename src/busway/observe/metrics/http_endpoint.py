@@ -19,7 +19,7 @@ from ...errors import MissingExtra
 from ...pdu.functions import FunctionTable
 from ...session.pipeline import RequestObserver
 from ..http import HttpError, HttpRequest, HttpResponse, HttpService, bind_tcp, bound_name, parse_host_port
-from .observer import Classify, ClassifyByMark, MetricsObserver, classify_by_listener
+from .observer import Classify, ClassifyByPriority, MetricsObserver, classify_by_listener
 from .request_tally import RequestTally
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class MetricsSource(Protocol):
 
 
 @runtime_checkable
-class MarksDevices(Protocol):
+class KnowsPriorityHosts(Protocol):
     """Interface of a metrics source that knows priority hosts."""
 
     def is_priority(self, listener: str, host: str) -> bool:
@@ -180,4 +180,4 @@ def render(registry: "CollectorRegistry", accept: str) -> HttpResponse:
 
 
 def _classify(source: MetricsSource) -> Classify:
-    return ClassifyByMark(source.is_priority) if isinstance(source, MarksDevices) else classify_by_listener
+    return ClassifyByPriority(source.is_priority) if isinstance(source, KnowsPriorityHosts) else classify_by_listener

@@ -22,7 +22,7 @@ _MEMO_LIMIT: Final = 512
 _LINES: Final = ("rtu://", "ascii://")
 
 
-class ClassifyByMark:
+class ClassifyByPriority:
     """Classifies clients for the metrics: `PeerClass.PRIORITY` for priority hosts, otherwise as `classify_by_listener`.
 
     Args:
