@@ -19,7 +19,7 @@ def described(
 
 
 def in_words(description: Description) -> str:
-    """Function, direction and all fields in one line; what is wrong comes last, behind an exclamation mark."""
+    """Function, direction and all fields of a PDU in one line; errors come last, behind an exclamation mark."""
     fields = [f"{part.name} {part.text or part.data.hex(' ')}".rstrip() for part in description.parts[1:]]
     sentence = description.title
     if fields:

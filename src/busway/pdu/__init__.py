@@ -1,1 +1,1 @@
-"""Messages: one class per function, and the table that lists them. Start reading at ``read_items``."""
+"""Messages: one class for each Modbus function, and the table that lists them. Start reading at ``read_items``."""

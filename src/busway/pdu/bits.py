@@ -1,4 +1,4 @@
-"""Bits as the wire packs them: eight to a byte, the first item in the lowest bit (Application Protocol V1.1b3 §6.1).
+"""Packing of bits on the wire: eight to a byte, the first item in the lowest bit (Application Protocol V1.1b3 §6.1).
 
 Knows bytes and bools; knows no message.
 
@@ -21,7 +21,7 @@ _BITS_OF_BYTE = tuple(tuple(bool(byte >> bit & 1) for bit in range(8)) for byte 
 
 
 def as_state(name: str, value: object) -> bool:
-    """True or False of a boolean, of 0 and of 1.
+    """The bool for a coil value: True, False, 0 or 1; `InvalidRequest` for others.
 
     Args:
         name: what the value is, for the error.
@@ -44,7 +44,7 @@ def as_state(name: str, value: object) -> bool:
 
 
 def as_states(values: Iterable[object]) -> list[bool]:
-    """The states of an iterable. `InvalidRequest` says which value is none; nothing was sent."""
+    """The bools for several coil values. `InvalidRequest` names the invalid value; nothing was sent."""
     states = listed(values, "states", "True and False")
     for position, value in enumerate(states):
         if value.__class__ is not bool:
@@ -53,7 +53,7 @@ def as_states(values: Iterable[object]) -> list[bool]:
 
 
 def listed(values: Iterable[Value], what: str, of: str = "values") -> list[Value]:
-    """The values of an iterable, in their order.
+    """The values of an iterable as a list; `InvalidRequest` for a single value or a text.
 
     Args:
         values: anything that has an order: a list, a range, a generator, an array. At most 65536 are looked at.
@@ -74,7 +74,7 @@ def listed(values: Iterable[Value], what: str, of: str = "values") -> list[Value
 
 
 def is_several(values: object) -> bool:
-    """Whether these are values in an order, and not one: texts, bytes, sets and mappings are not."""
+    """Whether an object is a collection of values in order; texts, bytes, sets and mappings are not."""
     if isinstance(values, list | tuple):
         return True
     return isinstance(values, Iterable) and not isinstance(values, str | bytes | bytearray | memoryview | Set | Mapping)
@@ -86,7 +86,7 @@ def _shown(value: object) -> str:
 
 
 def pack_bits(values: Sequence[bool]) -> bytes:
-    """The bytes that hold ``values``, which are bools; unused bits of the last byte are zero."""
+    """Pack bools into bytes; unused bits of the last byte are zero."""
     packed = 0
     for position, value in enumerate(values):
         if value:
@@ -95,7 +95,7 @@ def pack_bits(values: Sequence[bool]) -> bytes:
 
 
 def unpack_bits(data: bytes, count: int) -> list[bool]:
-    """The first ``count`` bits of ``data``; fewer if there are fewer."""
+    """Unpack the first ``count`` bits of ``data``; fewer if there are fewer."""
     found: list[bool] = []
     for byte in data:
         found += _BITS_OF_BYTE[byte]
@@ -104,7 +104,7 @@ def unpack_bits(data: bytes, count: int) -> list[bool]:
 
 
 def slice_bits(data: bytes | bytearray, first: int, count: int) -> bytes:
-    """``count`` packed bits that start at bit ``first``, moved to the lowest bit; unused bits are zero."""
+    """Copy ``count`` packed bits that start at bit ``first``, moved to the lowest bit; unused bits are zero."""
     shift = first & 7
     start = first >> 3
     if not shift and not count & 7:

@@ -1,4 +1,4 @@
-"""Compiles declared fields into a constructor and two codecs, once, when a class of messages is made.
+"""Compiles the declared fields of a message class into its constructor, encoder and decoder, once.
 
 Knows how fields lie on the wire and how to write the source of a codec; knows no function.
 
@@ -19,7 +19,7 @@ from .malformed import MalformedPdu
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The compiled shape of a message: its head as one `struct.Struct`, then an optional variable part."""
+    """The compiled layout of a message: its fixed head as one `struct.Struct`, then an optional variable part."""
 
     head: struct.Struct
     names: tuple[str, ...]
@@ -33,12 +33,12 @@ class Layout:
 
 
 def attribute_names(cls: Any) -> tuple[str, ...]:
-    """The fields that an instance holds, in wire order."""
+    """The names of the fields that an instance of a message class holds, in wire order."""
     return tuple(name for name, field in cls.declared.items() if not isinstance(field, RestLength))
 
 
 def as_integer(name: str, value: object) -> int:
-    """An integer of any integer type except bool; `InvalidRequest` names the field otherwise."""
+    """Check that a value is an integer of any integer type except bool; `InvalidRequest` names the field otherwise."""
     if isinstance(value, bool):
         raise InvalidRequest(f"{name} must be an integer, not {value}")
     try:
@@ -48,14 +48,16 @@ def as_integer(name: str, value: object) -> int:
 
 
 def as_bytes(name: str, value: object) -> bytes:
-    """Bytes of any kind; `InvalidRequest` names the field otherwise. A number is none: ``bytes(2)`` would be 00 00."""
+    """Convert a bytes-like value to bytes; `InvalidRequest` names the field otherwise. Numbers are refused:
+    ``bytes(2)`` would be 00 00.
+    """
     if isinstance(value, bytes | bytearray | memoryview):
         return bytes(value)
     raise InvalidRequest(f"{name.replace('_', ' ')} must be bytes, not {value!r}")
 
 
 def as_tuple(name: str, value: object) -> tuple[Any, ...]:  # of whatever `_check_tail` looks at next
-    """A tuple of any iterable; `InvalidRequest` names the field otherwise."""
+    """Convert an iterable to a tuple; `InvalidRequest` names the field otherwise."""
     try:
         return tuple(value)  # type: ignore[arg-type]
     except TypeError:
@@ -63,7 +65,7 @@ def as_tuple(name: str, value: object) -> tuple[Any, ...]:  # of whatever `_chec
 
 
 def compile_message(cls: Any) -> None:  # Any: the attributes it sets are what makes the class a message
-    """Give ``cls``, whose fields are declared, its layout now, and its codecs when the first of them is needed.
+    """Compute the layout of a message class from its declared fields; its codecs are compiled when first needed.
 
     Compiling all 40 classes takes 40 ms, which a command that uses two of them should not pay.
     """
@@ -94,13 +96,13 @@ def _first_decode(cls: Any, pdu: bytes) -> Any:
 
 
 def _compile_pending(cls: Any) -> None:
-    """Compile the class, among ``cls`` and its bases, that declared what ``cls`` inherits."""
+    """Compile the codecs of a class, or of the base that declared its fields."""
     owner = next(one for one in cls.__mro__ if "codecs_pending" in one.__dict__)
     _compile_codecs(owner)
 
 
 def _compile_codecs(cls: Any) -> None:
-    """Give ``cls`` its constructor, ``encode`` and ``decode``."""
+    """Compile the constructor, ``encode`` and ``decode`` of a message class."""
     layout = cls.layout
     names = attribute_names(cls)
     self_coded = cls.self_coded
@@ -286,7 +288,7 @@ def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
 
 
 def _range_test(name: str, field: FixedField, *, received: bool = False) -> str:
-    """Source of the test that a value is out of range; empty where received bytes cannot be."""
+    """Source code of the test that a field value is out of range; empty if received bytes cannot be."""
     if field.values is not None:
         return f"{name} not in {field.values}"
     whole = 0xFF if field.width == 1 else 0xFFFF

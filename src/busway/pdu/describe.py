@@ -1,4 +1,4 @@
-"""Description of a PDU for a person: every field with its place, its value and its fault, if any.
+"""Describes a PDU for people: every field with its offset, its value and its fault, if any.
 
 Knows the declarations of functions and how to show them; sends and executes nothing. Unlike ``decode`` it never gives
 up: of a broken PDU it shows all fields that are there, and says of each rule which is broken.
@@ -29,7 +29,7 @@ _MOST_VALUES: Final = 24
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One field.
+    """One field of a described PDU.
 
     Attributes:
         offset: its first byte, counted from the function code.
@@ -48,7 +48,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """A whole PDU.
+    """A described PDU: its function and all its fields.
 
     Attributes:
         title: function and direction, ``3 (read holding registers), request``.
@@ -183,7 +183,7 @@ def _field_parts(pdu: bytes, kind: type[Message], shown: "_Meaning") -> Iterator
 
 
 def _item_parts(pdu: bytes, at: int, tail: RepeatedField, name: str) -> Iterator[Part]:
-    """The items of a repeated field; what cannot be an item comes as one last part."""
+    """The items of a repeated field; a rest that cannot be an item comes as one last part."""
     number = 0
     while at < len(pdu):
         number += 1
@@ -232,7 +232,7 @@ def _sub_code_name(code: int, data: bytes) -> str:
 
 
 class _Meaning:
-    """What the numbers of one function mean."""
+    """Explains the numbers of one function: addresses, counts and values."""
 
     def __init__(self, kind: type[Request], is_request: bool, request: Message | None) -> None:
         self._kind = kind
@@ -240,7 +240,7 @@ class _Meaning:
         self._request = request
 
     def number(self, name: str, value: int) -> str:
-        """A number of the head."""
+        """The meaning of a number in the fixed head of a PDU."""
         touch = next(
             (one for one in (self._kind.reads, self._kind.writes) if one is not None and one.address == name), None
         )
@@ -253,7 +253,7 @@ class _Meaning:
         return str(value)
 
     def data(self, data: bytes) -> str:
-        """The block at the end."""
+        """The meaning of the data at the end of a PDU, such as register values."""
         touch = self._kind.writes if self._is_request else self._kind.reads
         if touch is None:
             return ""

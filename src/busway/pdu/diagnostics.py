@@ -18,7 +18,7 @@ class ReadExceptionStatus(Request):
     code: ClassVar[FunctionCode] = FunctionCode.READ_EXCEPTION_STATUS
 
     class Reply(ReplyMessage):
-        """The eight bits."""
+        """The reply of function 07: eight status bits."""
 
         status: int = u8()
 
@@ -32,7 +32,7 @@ class GetCommEventCounter(Request):
     code: ClassVar[FunctionCode] = FunctionCode.GET_COMM_EVENT_COUNTER
 
     class Reply(ReplyMessage):
-        """Status FFFF while a program command runs, else 0; number of successful messages."""
+        """The reply of function 11: status FFFF while a program command runs, else 0; number of successful messages."""
 
         status: int = u16()
         event_count: int = u16()
@@ -48,7 +48,7 @@ class GetCommEventLog(Request):
     code: ClassVar[FunctionCode] = FunctionCode.GET_COMM_EVENT_LOG
 
     class Reply(ReplyMessage):
-        """Status, counts, and event bytes, the newest first."""
+        """The reply of function 12: status, counts, and event bytes, the newest first."""
 
         byte_count: ClassVar[RestLength] = rest_length(1, 6, 6 + 64)
         status: int = u16()
@@ -67,7 +67,9 @@ class ReportServerId(Request):
     code: ClassVar[FunctionCode] = FunctionCode.REPORT_SERVER_ID
 
     class Reply(ReplyMessage):
-        """What the device says of itself; the run indicator (00 off, FF on) stands where the device defines it."""
+        """The reply of function 17: identification and run indicator (00 off, FF on) in a layout of the
+        device's own.
+        """
 
         byte_count: ClassVar[RestLength] = rest_length(1, 0, 251)
         data: bytes = rest(0, 251)
@@ -77,20 +79,20 @@ class ReportServerId(Request):
 
 
 class Diagnostic(Request):
-    """08 Diagnostics with two bytes of data there and back; the classes below are its sub-functions (§6.8)."""
+    """08 Diagnostics with two bytes of data in request and reply; the classes below are its sub-functions (§6.8)."""
 
     sub_width = 2
     data: bytes = rest(2, 2, default=b"\x00\x00")
     allowed: ClassVar[tuple[bytes, ...]] = (b"\x00\x00",)
 
     class Reply(ReplyMessage):
-        """The data of the answer."""
+        """The reply of function 08 with its two bytes of data."""
 
         data: bytes = rest(2, 2)
 
         @property
         def value(self) -> int:
-            """The data as a number 0…65535."""
+            """The data of the reply as a number 0…65535."""
             return int.from_bytes(self.data, "big")
 
     def validate(self) -> str | None:
@@ -104,7 +106,9 @@ class Diagnostic(Request):
 
 
 class ReturnQueryData(Request):
-    """08/00 Return Query Data: any data comes back as it went (MODBUS Application Protocol V1.1b3 §6.8.1)."""
+    """08/00 Return Query Data: the reply repeats the data of the request (MODBUS Application Protocol V1.1b3
+    §6.8.1).
+    """
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.RETURN_QUERY_DATA
@@ -115,7 +119,7 @@ class ReturnQueryData(Request):
     if TYPE_CHECKING:  # made of the fields above when the class is
 
         class Reply(ReplyMessage):
-            """Repeats the fields of the request."""
+            """The reply of function 08/00: the same fields as the request."""
 
             data: bytes = rest(2, 250, 2)
 
@@ -157,7 +161,7 @@ class ChangeAsciiDelimiter(Diagnostic):
 
 
 class ForceListenOnly(Diagnostic):
-    """08/04 Force Listen Only Mode: no answer, to this and to all that follow until a restart (§6.8.1)."""
+    """08/04 Force Listen Only Mode: the unit answers nothing, not even this, until a restart (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.FORCE_LISTEN_ONLY
@@ -194,7 +198,7 @@ class ReturnBusExceptionErrorCount(Diagnostic):
 
 
 class ReturnServerMessageCount(Diagnostic):
-    """08/0E Return Server Message Count: own unit or broadcast (§6.8.1)."""
+    """08/0E Return Server Message Count: messages for this unit, and broadcasts (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_MESSAGE_COUNT

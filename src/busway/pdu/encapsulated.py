@@ -33,7 +33,7 @@ OBJECT_NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class IdentificationObject:
-    """One object: its number 0x00…0xFF and its value, at most 244 bytes (what fits one reply)."""
+    """One identification object: its number 0x00…0xFF and its value of at most 244 bytes (what fits one reply)."""
 
     number: int
     value: bytes
@@ -45,12 +45,12 @@ class IdentificationObject:
             raise InvalidRequest(f"value must be at most {MAX_OBJECT_SIZE} bytes, not {self.value!r}")
 
     def encode(self) -> bytes:
-        """Number, length, value."""
+        """Encode the identification object: number, length, value."""
         return bytes((self.number, len(self.value))) + self.value
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the object at ``at``."""
+        """Decode the identification object at offset ``at``. Returns it and the offset after it."""
         if at + 2 > len(data) or at + 2 + data[at + 1] > len(data):
             raise ValueError("the object is cut off")
         end = at + 2 + data[at + 1]
@@ -70,7 +70,9 @@ class ReadDeviceIdentification(Request):
     object_id: int = u8(default=0)
 
     class Reply(ReplyMessage):
-        """Objects; ``more_follows`` is FF if another request from ``next_object`` on is needed."""
+        """The reply of function 43/14: objects; ``more_follows`` is FF if a request from ``next_object`` on is
+        needed.
+        """
 
         level: int = u8(BASIC, INDIVIDUAL)
         conformity: int = u8()
@@ -131,7 +133,7 @@ class ReadDeviceIdentification(Request):
 
 
 class CanopenGeneralReference(Request):
-    """43/13 CANopen General Reference: carried as it is (MODBUS Application Protocol V1.1b3 §6.20)."""
+    """43/13 CANopen General Reference: its data are passed on unchanged (MODBUS Application Protocol V1.1b3 §6.20)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.ENCAPSULATED_INTERFACE
     sub_code: ClassVar[MeiType] = MeiType.CANOPEN_GENERAL_REFERENCE
@@ -140,7 +142,7 @@ class CanopenGeneralReference(Request):
     data: bytes = rest(0, 251)
 
     class Reply(ReplyMessage):
-        """The CANopen answer."""
+        """The reply of function 43/13: the CANopen answer."""
 
         data: bytes = rest(0, 251)
 

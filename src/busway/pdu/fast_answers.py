@@ -1,4 +1,4 @@
-"""The fast path: answers compiled for one device, wire to wire, with no message object between.
+"""Fast answers: functions compiled for one device that turn request bytes into reply bytes, without message objects.
 
 Knows the wire form of the table functions and the blocks they act on; knows no session and no hooks.
 
@@ -18,7 +18,7 @@ from ..codes import Table
 
 
 class Requester(Protocol):
-    """Who sent a request, for the record of a write: a `busway.session.responder.ClientIdentity`."""
+    """The client of a request, for the record of a write: a `busway.session.responder.ClientIdentity`."""
 
     peer: str
     listener: str
@@ -30,43 +30,45 @@ Answer = Callable[[bytes | bytearray, int, int, Requester], bytes | None]
 
 
 class Block(Protocol):
-    """A dense run of items in wire order. ``data`` may be replaced by another object at any time (grouped updates)."""
+    """Consecutive items of a table in wire order. ``data`` may be replaced by another object at any time (grouped
+    updates).
+    """
 
     @property
     def first(self) -> int:
-        """Address of the first item."""
+        """Address of the first item of the block."""
 
     @property
     def count(self) -> int:
-        """Number of items."""
+        """Number of items in the block."""
 
     @property
     def data(self) -> bytearray:
-        """The items: registers big-endian, bits packed from the lowest bit of the first byte."""
+        """The bytes of the block: registers big-endian, bits packed from the lowest bit of the first byte."""
 
     def put(self, position: int, count: int, data: bytes) -> bool | None:
-        """Replace ``count`` items from ``position`` (counted from ``first``), safely from any thread.
+        """Replace ``count`` items from ``position`` (counted from ``first``); safe from any thread.
 
         True if nothing was replaced, because writes are observed and the request has to take the generic path.
         """
 
 
 class ExchangingBlock(Block, Protocol):
-    """A block that also returns the values that a write replaces."""
+    """A block whose writes can also return the values that they replace."""
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
         """Replace ``count`` items as ``put`` does, and return their previous values, in one step."""
 
 
 class DirectModel(Protocol):
-    """A device that may offer its tables as plain blocks."""
+    """Interface of a device that offers its tables as plain blocks for the fast path."""
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """The block of a table if nothing needs to know of accesses to it (hook, mapping, holes), else None."""
+        """The block of a table if every access may bypass the device (no hook, mapping or hole), else None."""
 
 
 class ReadPlan:
-    """How one particular read of registers is answered: the bytes before the data, and the place of the data.
+    """How one particular read of registers is answered: the bytes before the data, and the position of the data.
 
     A poller repeats the same few reads. The bytes of a request after the transaction are the key of its plan, so one
     look-up checks protocol, length, unit, function, address and count: 0.4 µs, where a compiled answer takes 1.0.
@@ -81,7 +83,7 @@ class ReadPlan:
 
 
 def plan_read(unit: int, pdu: bytes, limit: int, block: Block) -> ReadPlan | None:
-    """Make the plan of a read of registers on TCP, or None if the read is not plainly valid."""
+    """Make the plan of a read of registers on TCP, or None if the read is invalid or needs other checks."""
     if len(pdu) != 5:
         return None
     address, count = _unpack_two(pdu, 1)
@@ -96,7 +98,7 @@ _unpack_two = struct.Struct(">HH").unpack_from
 
 
 def read_registers(code: int, limit: int, block: Block) -> Answer:
-    """Compile the answer of 03 or 04 for a plain block."""
+    """Compile the fast answer to function 03 or 04 for a plain block."""
     heads: list[bytes] = [bytes((code, 2 * count)) for count in range(limit + 1)]
     first, size = block.first, block.count
 
@@ -114,7 +116,7 @@ def read_registers(code: int, limit: int, block: Block) -> Answer:
 
 
 def read_bits(code: int, limit: int, block: Block) -> Answer:
-    """Compile the answer of 01 or 02 for a plain block."""
+    """Compile the fast answer to function 01 or 02 for a plain block."""
     first, size = block.first, block.count
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -133,7 +135,7 @@ def read_bits(code: int, limit: int, block: Block) -> Answer:
 
 
 def write_register(code: int, block: Block) -> Answer:
-    """Compile the answer of 06 for a plain block."""
+    """Compile the fast answer to function 06 for a plain block."""
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -149,7 +151,7 @@ def write_register(code: int, block: Block) -> Answer:
 
 
 def write_registers(code: int, limit: int, block: Block) -> Answer:
-    """Compile the answer of 16 for a plain block."""
+    """Compile the fast answer to function 16 for a plain block."""
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -174,7 +176,7 @@ _COIL_VALUES: Final = {b"\xff\x00": b"\x01", b"\x00\x00": b"\x00"}
 
 
 def write_coil(code: int, block: Block) -> Answer:
-    """Compile the answer of 05 for a plain block."""
+    """Compile the fast answer to function 05 for a plain block."""
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -191,7 +193,7 @@ def write_coil(code: int, block: Block) -> Answer:
 
 
 def write_coils(code: int, limit: int, block: Block) -> Answer:
-    """Compile the answer of 15 for a plain block."""
+    """Compile the fast answer to function 15 for a plain block."""
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:

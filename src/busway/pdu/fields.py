@@ -1,4 +1,4 @@
-"""Kinds of message fields: the vocabulary in which every function is declared.
+"""The kinds of message fields with which every function is declared.
 
 Knows widths, limits and positions on the wire; knows no function and no byte of a particular message.
 
@@ -18,7 +18,7 @@ _WIDTHS = {1: "B", 2: "H"}
 
 
 class _NoDefault:
-    """The type of `NO_DEFAULT`."""
+    """The type of `NO_DEFAULT`, which marks a field without a default."""
 
     def __repr__(self) -> str:
         return "<no default>"
@@ -30,7 +30,7 @@ NO_DEFAULT = _NoDefault()
 
 @dataclass(frozen=True, slots=True)
 class FixedField:
-    """An unsigned integer of one or two bytes, with its limits (both inclusive) or its only values."""
+    """An unsigned integer field of one or two bytes, with its limits (both inclusive) or its allowed values."""
 
     width: int
     low: int
@@ -40,13 +40,13 @@ class FixedField:
 
     @property
     def format(self) -> str:
-        """The letter of this width for `struct`."""
+        """The `struct` format letter for the width of the field."""
         return _WIDTHS[self.width]
 
 
 @dataclass(frozen=True, slots=True)
 class RestLength:
-    """A count of the bytes that follow it; computed when encoding, compared when decoding."""
+    """A field that counts the bytes after it; computed when encoding, checked when decoding."""
 
     width: int
     low: int
@@ -55,13 +55,13 @@ class RestLength:
 
     @property
     def format(self) -> str:
-        """The letter of this width for `struct`."""
+        """The `struct` format letter for the width of the field."""
         return _WIDTHS[self.width]
 
 
 @dataclass(frozen=True, slots=True)
 class RestField:
-    """The bytes from here to the end; their number has limits and a step."""
+    """A field of all bytes to the end of the message; their number has limits and a step."""
 
     low: int
     high: int
@@ -70,19 +70,19 @@ class RestField:
 
 
 class Item(Protocol):
-    """One element of a `repeated` field: it knows its own bytes."""
+    """Interface of one element of a `repeated` field, which encodes and decodes itself."""
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """The item that starts at ``at`` and the position behind it; `ValueError` where it does not fit."""
+        """Decode the item at offset ``at``. Returns it and the offset after it; `ValueError` if it is invalid."""
 
     def encode(self) -> bytes:
-        """The bytes of the item."""
+        """The encoded bytes of the item."""
 
 
 @dataclass(frozen=True, slots=True)
 class RepeatedField:
-    """Items of one kind to the end of the message."""
+    """A field of items of one kind to the end of the message."""
 
     item: type[Any]  # any class with the two methods of Item; a Protocol type cannot be called through type[]
     low: int
@@ -99,25 +99,25 @@ Field = FixedField | RestLength | RestField | RepeatedField
 
 
 def u8(low: int = 0, high: int = 0xFF, *, values: Sequence[int] | None = None, default: object = NO_DEFAULT) -> Any:
-    """One byte, ``low``…``high``, or one of ``values``."""
+    """Declare a field of one byte, ``low``…``high``, or one of ``values``."""
     return FixedField(1, low, high, tuple(values) if values is not None else None, default)
 
 
 def u16(low: int = 0, high: int = 0xFFFF, *, values: Sequence[int] | None = None, default: object = NO_DEFAULT) -> Any:
-    """Two bytes, big-endian, ``low``…``high``, or one of ``values``."""
+    """Declare a field of two bytes, big-endian, ``low``…``high``, or one of ``values``."""
     return FixedField(2, low, high, tuple(values) if values is not None else None, default)
 
 
 def rest_length(width: int = 1, low: int = 0, high: int = 0xFFFF, step: int = 1) -> RestLength:
-    """The number of bytes that follow this field, ``low``…``high`` and a multiple of ``step``."""
+    """Declare a field with the number of bytes that follow it, ``low``…``high`` and a multiple of ``step``."""
     return RestLength(width, low, high, step)
 
 
 def rest(low: int = 0, high: int = 252, step: int = 1, *, default: object = NO_DEFAULT) -> Any:
-    """All bytes to the end of the message, ``low``…``high`` of them, a multiple of ``step``."""
+    """Declare a field of all bytes to the end of the message, ``low``…``high`` of them, a multiple of ``step``."""
     return RestField(low, high, step, default)
 
 
 def repeated(item: type[Any], low: int = 1, high: int = 252, *, default: object = NO_DEFAULT) -> Any:
-    """Items of the class ``item`` to the end of the message, ``low``…``high`` of them."""
+    """Declare a field of items of the class ``item`` to the end of the message, ``low``…``high`` of them."""
     return RepeatedField(item, low, high, default)

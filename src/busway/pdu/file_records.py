@@ -1,4 +1,4 @@
-"""Functions 20 and 21: records of files, several groups in one request.
+"""Functions 20 and 21: reading and writing records of files, several groups in one request.
 
 A record is one 16-bit register. A file is 1…65535, a record 0…9999 (Application Protocol V1.1b3 §6.14, §6.15).
 """
@@ -42,7 +42,7 @@ def _check_reference(file: int, record: int) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class FileReference:
-    """``count`` registers of a file, from ``record`` on."""
+    """One group of function 20: ``count`` registers of a file, from ``record`` on."""
 
     file: int
     record: int
@@ -54,12 +54,12 @@ class FileReference:
         _check_word("count", self.count)
 
     def encode(self) -> bytes:
-        """Reference type 6, file, record and length: 7 bytes."""
+        """Encode the group: reference type 6, file, record and length, 7 bytes."""
         return _REFERENCE.pack(REFERENCE_TYPE, self.file, self.record, self.count)
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """The group at ``at``. Its reference type is kept apart: a wrong one is an address error (02), not a length."""
+        """Decode the group at ``at``. A wrong reference type is kept apart, because it is an address error (02)."""
         if at + 7 > len(data):
             raise ValueError(f"{len(data) - at} bytes where a group has 7")
         kind, file, record, count = _REFERENCE.unpack_from(data, at)
@@ -70,7 +70,7 @@ class FileReference:
 
 @dataclass(frozen=True, slots=True)
 class FileData:
-    """Registers to write to a file from ``record`` on, big-endian."""
+    """One group of function 21: registers to write to a file from ``record`` on, big-endian."""
 
     file: int
     record: int
@@ -83,21 +83,21 @@ class FileData:
 
     @property
     def count(self) -> int:
-        """Number of registers."""
+        """Number of registers in the group."""
         return len(self.data) // 2
 
     @property
     def registers(self) -> list[int]:
-        """The registers as numbers 0…65535."""
+        """The registers of the group as numbers 0…65535."""
         return unpack_registers(self.data)
 
     def encode(self) -> bytes:
-        """Reference type 6, file, record, length and the data."""
+        """Encode the group: reference type 6, file, record, length and the data."""
         return _REFERENCE.pack(REFERENCE_TYPE, self.file, self.record, self.count) + self.data
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """The group at ``at``."""
+        """Decode the group at ``at``. Returns it and the offset after it."""
         reference, start = FileReference.decode_from(data, at)
         end = start + 2 * reference.count
         if end > len(data):
@@ -107,7 +107,7 @@ class FileData:
 
 @dataclass(frozen=True, slots=True)
 class FileContent:
-    """Registers that were read from a file, big-endian; at most 127."""
+    """One group of a reply of function 20: registers read from a file, big-endian; at most 127."""
 
     data: bytes
 
@@ -118,16 +118,16 @@ class FileContent:
 
     @property
     def registers(self) -> list[int]:
-        """The registers as numbers 0…65535."""
+        """The registers of the group as numbers 0…65535."""
         return unpack_registers(self.data)
 
     def encode(self) -> bytes:
-        """Length of what follows, reference type 6, the data."""
+        """Encode the group: length of the rest, reference type 6, the data."""
         return bytes((1 + len(self.data), REFERENCE_TYPE)) + self.data
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """The group at ``at``."""
+        """Decode the group at ``at``. Returns it and the offset after it."""
         end = at + 1 + data[at]
         if data[at] < 1 or not data[at] % 2 or end > len(data):
             raise ValueError(f"file response length {data[at]} where {len(data) - at - 1} bytes follow")
@@ -144,14 +144,16 @@ class ReadFileRecord(Request):
     groups: tuple[FileReference, ...] = repeated(FileReference, 1, 35)
 
     class Reply(ReplyMessage):
-        """One content per group, in the order of the request."""
+        """The reply of function 20: one content for each group, in the order of the request."""
 
         byte_count: ClassVar[RestLength] = rest_length(1, 0x07 - 5, 0xFB)
         contents: tuple[FileContent, ...] = repeated(FileContent, 1, 35)
 
     @classmethod
     def of(cls, groups: Sequence[FileReference]) -> Self:
-        """The request for ``groups``; `InvalidRequest` where a record cannot be or the reply would not fit."""
+        """Create the request for ``groups``; `InvalidRequest` for an impossible record, or if the reply would
+        not fit.
+        """
         for group in groups:
             problem = _check_reference(group.file, group.record)
             if problem is not None:
@@ -165,7 +167,7 @@ class ReadFileRecord(Request):
         return None
 
     def reply_length(self) -> int:
-        """Bytes of the reply PDU."""
+        """Number of bytes of the reply PDU."""
         return 2 + sum(2 + 2 * group.count for group in self.groups)
 
     def reply_shape(self) -> tuple[int, bytes]:
@@ -199,13 +201,13 @@ class WriteFileRecord(Request):
     if TYPE_CHECKING:  # made of the fields above when the class is
 
         class Reply(ReplyMessage):
-            """Repeats the fields of the request."""
+            """The reply of function 21: the same fields as the request."""
 
             groups: tuple[FileData, ...] = repeated(FileData, 1, 27)
 
     @classmethod
     def of(cls, file: int, record: int, values: Iterable[int]) -> Self:
-        """The request that writes ``values`` (each 0…65535) to one file."""
+        """Create the request that writes ``values`` (each 0…65535) to one file."""
         problem = _check_reference(file, record)
         if problem is not None:
             raise InvalidRequest(problem)

@@ -1,4 +1,4 @@
-"""The table of functions: which classes a framer, session or decoder works with.
+"""The function table: the message classes that a framer, session or decoder works with, by function code.
 
 Knows the list; the classes know everything else.
 
@@ -20,7 +20,7 @@ AnyRequest = Request | OpaqueRequest | MalformedRequest
 
 
 class FunctionTable:
-    """Functions by code, and by code and sub-code. Raises `ValueError` for two functions of one code."""
+    """The message classes of functions by code and sub-code. Raises `ValueError` for two functions with one code."""
 
     __slots__ = ("_by_code", "_by_sub_code", "_sub_width")
 
@@ -62,7 +62,7 @@ class FunctionTable:
         return tuple(sorted({*self._by_code, *self._sub_width}))
 
     def find(self, data: bytes | bytearray, at: int, end: int) -> type[Request] | None:
-        """The class of the PDU that starts at ``at``, of either direction (the exception bit is not looked at)."""
+        """The class of the PDU that starts at ``at``, for request or reply; the exception bit is ignored."""
         code = data[at]
         found = self._by_code.get(code)
         if found is None and code in self._sub_width:
@@ -72,7 +72,7 @@ class FunctionTable:
         return found
 
     def decode_request(self, pdu: bytes) -> AnyRequest:
-        """The request in a PDU of 1…253 bytes with a function code below 0x80. Never raises for bytes received."""
+        """Decode a request PDU of 1…253 bytes with a function code below 0x80. Never raises for received bytes."""
         kind = self.find(pdu, 0, len(pdu))
         if kind is None:
             width = self._sub_width.get(pdu[0])
@@ -89,7 +89,9 @@ class FunctionTable:
             return MalformedRequest(pdu[0], kind, bytes(pdu), error.reason, error.code)
 
     def decode_reply(self, pdu: bytes) -> Message:
-        """The reply in a PDU: of its class, an `ExceptionResponse`, or an `OpaqueReply`. Raises `MalformedPdu`."""
+        """Decode a reply PDU: a reply of its class, an `ExceptionResponse`, or an `OpaqueReply`. Raises
+        `MalformedPdu`.
+        """
         if not pdu:
             raise MalformedPdu("an empty PDU")
         if pdu[0] & 0x80:
@@ -122,7 +124,9 @@ class FunctionTable:
 
 
 def _exception_length(data: bytes, at: int, end: int) -> int:
-    """Two bytes; a few devices answer 43/14 with ``AB 0E cc`` (Application Protocol V1.1b3, figure of §6.21)."""
+    """Length of an exception PDU: two bytes; a few devices answer 43/14 with ``AB 0E cc`` (Application Protocol V1.1b3,
+    figure of §6.21).
+    """
     if data[at] == FunctionCode.ENCAPSULATED_INTERFACE | 0x80:
         if end < at + 2:
             return NEED_MORE

@@ -1,4 +1,4 @@
-"""Messages that belong to no single function: exceptions, and requests and replies of unknown functions.
+"""Messages of no particular function: exceptions, and requests and replies of unknown functions.
 
 Knows their bytes; knows no function.
 """
@@ -12,7 +12,7 @@ from .message import UNKNOWN_LENGTH, Message, Request, SelfCoded
 
 
 class ExceptionResponse(SelfCoded):
-    """The negative answer of any function: its code + 0x80 and an exception code (Application Protocol §7)."""
+    """The exception reply of any function: its code + 0x80 and an exception code (Application Protocol §7)."""
 
     exception_bit = True
     function: int = u8(0, 0x7F)
@@ -20,12 +20,12 @@ class ExceptionResponse(SelfCoded):
 
     @property
     def meaning(self) -> str:
-        """The exception code in words."""
+        """The meaning of the exception code in words."""
         return exception_meaning(self.exception)
 
 
 def decode_exception(pdu: bytes) -> ExceptionResponse:
-    """The exception in a PDU. Raises `MalformedPdu`.
+    """Decode an exception PDU. Raises `MalformedPdu`.
 
     43 may be refused with ``AB 0E cc``, the form that the figure of its section prints (Application Protocol
     V1.1b3 §6.21): the MEI type in the middle says nothing more and is left out.
@@ -43,7 +43,7 @@ class OpaqueReply(SelfCoded):
 
 
 class OpaqueRequest(Request):
-    """A request whose function is not in the table: carried as bytes, so that it can be forwarded undecoded.
+    """A request whose function is not in the table: kept as bytes, so that it can be forwarded undecoded.
 
     Nothing is known of it, so it counts as a write.
     """
@@ -73,5 +73,5 @@ class MalformedRequest:
     code: int
 
     def encode(self) -> bytes:
-        """The PDU as it came."""
+        """The PDU as it was received."""
         return self.data

@@ -1,10 +1,10 @@
-"""The error for a received message that breaks a rule of its function, with the exception code to answer."""
+"""The error for a received message that breaks a rule of its function, with the exception code to reply."""
 
 from ..codes import ExceptionCode
 
 
 class MalformedPdu(ValueError):
-    """A received message breaks a rule of its function.
+    """Error: a received message breaks a rule of its function.
 
     Attributes:
         reason: which rule, in words.

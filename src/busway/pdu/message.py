@@ -1,4 +1,4 @@
-"""Messages: what a function declares, compiled once into its two codecs.
+"""Base classes of messages, whose declared fields are compiled once into encoder and decoder.
 
 Knows how declared fields become bytes and back; knows no particular function, no transport and no device.
 
@@ -31,7 +31,7 @@ NEED_MORE = 0
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A range of items that a request touches: the fact that access rules, hooks and routes look at."""
+    """A range of items that a request reads or writes, as access rules, hooks and routes check it."""
 
     table: Table
     address: int
@@ -49,7 +49,7 @@ class Touch:
 
 
 class _MessageType(type):
-    """Compiles a class body of field declarations into a slotted class with codecs."""
+    """Metaclass that turns a class body of field declarations into a slotted class with codecs."""
 
     def __new__(mcls, name: str, bases: tuple[type, ...], body: dict[str, Any], **options: Any) -> Any:
         declared = {key: value for key, value in body.items() if isinstance(value, Field)}
@@ -69,7 +69,7 @@ class _MessageType(type):
 
 
 def _complete(cls: Any, reply: Any) -> None:
-    """Compile a request that now has its code, and the reply that was declared inside it or echoes it."""
+    """Compile a request whose code is known now, and the reply that was declared inside it or equals it."""
     if reply is None and cls.echoes:
         reply = _MessageType("Reply", (ReplyMessage,), {"__qualname__": f"{cls.__qualname__}.Reply", **cls.declared})
         reply.__module__ = cls.__module__
@@ -111,16 +111,18 @@ class Message(metaclass=_MessageType):
     layout: ClassVar[Layout]
 
     def validate(self) -> str | None:
-        """Check a rule across fields. Returns what is wrong, or None. Subclasses with such a rule override it."""
+        """Check rules that involve several fields. Returns what is wrong, or None. Overridden by subclasses with such
+        rules.
+        """
         return None
 
     def encode(self) -> bytes:
-        """The PDU, function code first."""
+        """Encode the message as a PDU, function code first."""
         raise TypeError(f"{type(self).__name__} declares no code")
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
-        """The message of a whole PDU. Raises `MalformedPdu` where a limit or a length is broken."""
+        """Decode a whole PDU. Raises `MalformedPdu` if a limit or a length is broken."""
         raise TypeError(f"{cls.__name__} declares no code")
 
     @classmethod
@@ -145,7 +147,7 @@ class Message(metaclass=_MessageType):
         return layout.head.size
 
     def values(self) -> dict[str, Any]:
-        """The fields by name, in wire order."""
+        """The fields of the message by name, in wire order."""
         return {name: getattr(self, name) for name in attribute_names(type(self))}
 
     def __eq__(self, other: object) -> bool:
@@ -178,13 +180,13 @@ class Message(metaclass=_MessageType):
 
 
 class SelfCoded(Message):
-    """A message whose function code is itself a field, ``function``."""
+    """Base of messages whose function code is itself a field, ``function``."""
 
     self_coded = True
 
 
 class ReplyMessage(Message):
-    """The positive answer of a function: declared inside its request, which gives it the code."""
+    """Base of the positive reply of a function: declared inside its request, which gives it the code."""
 
 
 class Request(Message):
@@ -211,30 +213,32 @@ class Request(Message):
 
     @classmethod
     def direct(cls, model: "DirectModel") -> "Answer | None":
-        """The fast path of this function on a device, or None where there is none (see `busway.pdu.fast_answers`)."""
+        """The fast answer to this function on a device, or None if there is none (see `busway.pdu.fast_answers`)."""
         return None
 
     if TYPE_CHECKING:  # slots that are filled later; declared so, they are no fields of the message
 
         @property
         def memo(self) -> Any:
-            """What a session derived from this request (`remember`); of any type, because of any session."""
+            """Data that a session derived from this request and kept with `remember`; of any type, because of any
+            session.
+            """
 
         @property
         def wire(self) -> bytes:
-            """The encoded PDU."""
+            """The encoded PDU of a prepared request."""
 
         @property
         def expected_size(self) -> int:
-            """Bytes of the reply PDU, or `UNKNOWN_LENGTH`."""
+            """Number of bytes of the expected reply PDU, or `UNKNOWN_LENGTH`."""
 
         @property
         def expected_prefix(self) -> bytes:
-            """What the reply PDU starts with."""
+            """The first bytes of the expected reply PDU."""
 
     @classmethod
     def plan(cls, model: "DirectModel", unit: int, pdu: bytes) -> "ReadPlan | None":
-        """The plan of one request that will be asked again (`busway.pdu.fast_answers.ReadPlan`), or None."""
+        """The plan for answering one request that is repeated often (`busway.pdu.fast_answers.ReadPlan`), or None."""
         return None
 
     def apply(self, model: "DataModel", context: "Context") -> Message:
@@ -262,7 +266,9 @@ class Request(Message):
         return layout.head.size if layout.tail is None else UNKNOWN_LENGTH, bytes((self.code,))
 
     def prepare(self) -> bytes:
-        """Encode once, and keep what a client compares. Returns the PDU. A request that is sent again costs nothing."""
+        """Encode the request once, with what a client compares in its reply. Returns the PDU. Repeating it costs
+        nothing.
+        """
         wire = self.encode()
         size, prefix = self.reply_shape()
         _set_wire(self, wire)
@@ -271,11 +277,11 @@ class Request(Message):
         return wire
 
     def remember(self, memo: object) -> None:
-        """Keep what a session derived from this request in ``memo``."""
+        """Keep data that a session derived from this request in ``memo``."""
         _set_memo(self, memo)
 
     def accept(self, pdu: bytes) -> Message:
-        """The positive reply in ``pdu``. Raises `MalformedPdu` where it does not answer this request."""
+        """Decode the positive reply to this request. Raises `MalformedPdu` if it does not answer this request."""
         reply = self.Reply.decode(pdu)
         size, prefix = self.expected_size, self.expected_prefix
         if size != UNKNOWN_LENGTH and len(pdu) != size:
@@ -288,19 +294,19 @@ class Request(Message):
         return reply
 
     def check_reply(self, reply: Any) -> str | None:
-        """Compare this request with a decoded reply of its class. Returns what does not fit, or None."""
+        """Compare this request with a decoded reply of its class. Returns the mismatch, or None."""
         return None
 
 
 class TypedRequest(Protocol[Reply_co]):
-    """The type of a request for type checkers: `Unit.execute` returns an instance of its ``Reply``."""
+    """Type of a request for type checkers: `Unit.execute` returns an instance of its ``Reply``."""
 
     @property
     def Reply(self) -> type[Reply_co]:  # noqa: N802
-        """The class of the positive answer."""
+        """The class of the positive reply."""
 
     def encode(self) -> bytes:
-        """The PDU, function code first."""
+        """The encoded PDU, function code first."""
 
 
 def _rebuild(cls: type[Message], pdu: bytes) -> Message:
@@ -316,7 +322,7 @@ _set_memo = Request.__dict__["memo"].__set__
 
 
 def _taker_of(cls: Any) -> Any:  # a staticmethod of (bytes) -> message, or None
-    """Make the function that builds a reply of a byte count and data from its data alone: 0.2 µs; ``decode`` takes 1.0.
+    """Make a function that builds a reply of byte count and data from the data alone: 0.2 µs; ``decode`` takes 1.0.
 
     It is right only where length and first bytes were compared with what the request expects.
     """

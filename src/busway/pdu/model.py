@@ -1,4 +1,4 @@
-"""Interface of a device to the functions: the protocols that `Request.apply` uses.
+"""Interfaces of a device, by which a request executes itself (`Request.apply`).
 
 Knows the shape of a device; knows no device, store, session or transport.
 
@@ -30,7 +30,7 @@ class Refusal(Exception):
 
 
 class Diagnostics(Protocol):
-    """Communication state of the unit that a request is for (functions 08, 11, 12)."""
+    """Interface of the communication state of a unit (functions 08, 11, 12)."""
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
         """Execute a sub-function of 08 and return the data of its reply. `Refusal` 01 if it is not offered."""
@@ -43,7 +43,7 @@ class Diagnostics(Protocol):
 
 
 class Context(Protocol):
-    """Client, unit and diagnostics of a request."""
+    """Interface of the circumstances of a request: client, unit and diagnostics."""
 
     @property
     def peer(self) -> str:
@@ -55,30 +55,30 @@ class Context(Protocol):
 
     @property
     def diagnostics(self) -> Diagnostics:
-        """Counters and log of the unit."""
+        """Diagnostic counters and event log of the unit."""
 
 
 class Tables(Protocol):
-    """The four tables (Application Protocol V1.1b3 §4.3)."""
+    """Interface of the four tables of a device (Application Protocol V1.1b3 §4.3)."""
 
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
-        """Raise `Refusal` 02 unless all the items exist, and may be written if ``writes``.
+        """Raise `Refusal` 02 unless all items of a range exist, and may be written if ``writes``.
 
         With a ``context``, hooks that may veto a read are called too: function 23 has to know before it writes.
         """
 
     def read(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        """The bytes of ``count`` items from ``address`` on, in wire order."""
+        """Read ``count`` items of a table from ``address`` on, in wire order."""
 
     def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
-        """Replace the items, all or none."""
+        """Replace the items of a range, all or none."""
 
 
 class Records(Protocol):
-    """File records and queues (Application Protocol V1.1b3 §6.14, §6.15, §6.18)."""
+    """Interface of file records and queues of a device (Application Protocol V1.1b3 §6.14, §6.15, §6.18)."""
 
     def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
-        """``count`` registers of a file from ``record`` on."""
+        """Read ``count`` registers of a file from ``record`` on."""
 
     def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
         """Replace records of a file; with ``dry`` only check whether that would be refused."""
@@ -88,10 +88,10 @@ class Records(Protocol):
 
 
 class Identity(Protocol):
-    """A device's status and identification (functions 07, 17, 43/13, 43/14)."""
+    """Interface of a device's status and identification (functions 07, 17, 43/13, 43/14)."""
 
     def exception_status(self) -> int:
-        """Eight status bits."""
+        """The eight status bits of function 07."""
 
     def server_id(self) -> bytes:
         """The data of function 17: server id, run indicator (00 or FF), additional data."""
@@ -104,4 +104,4 @@ class Identity(Protocol):
 
 
 class DataModel(Tables, Records, Identity, Protocol):
-    """A whole device."""
+    """Interface of a whole device, as requests use it."""

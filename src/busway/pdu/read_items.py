@@ -14,19 +14,19 @@ from .model import Context, DataModel, Refusal
 
 
 class ReadBits(Request):
-    """Base of 01 and 02; a subclass names its code and its table."""
+    """Base of functions 01 and 02; a subclass names its code and its table."""
 
     address: int = u16()
     count: int = u16(1, MAX_READ_BITS)
 
     class Reply(ReplyMessage):
-        """The items, packed: the first in the lowest bit of the first byte."""
+        """The reply with the bits that were read, the first in the lowest bit of the first byte."""
 
         byte_count: ClassVar[RestLength] = rest_length(1, 1, MAX_READ_BITS // 8)
         data: bytes = rest(1, MAX_READ_BITS // 8)
 
         def bits(self, count: int) -> list[bool]:
-            """The first ``count`` items."""
+            """The first ``count`` bits of the reply as bools."""
             return unpack_bits(self.data, count)
 
     def reply_shape(self) -> tuple[int, bytes]:
@@ -57,20 +57,20 @@ class ReadDiscreteInputs(ReadBits):
 
 
 class ReadRegisters(Request):
-    """Base of 03 and 04; a subclass names its code and its table."""
+    """Base of functions 03 and 04; a subclass names its code and its table."""
 
     address: int = u16()
     count: int = u16(1, MAX_READ_REGISTERS)
 
     class Reply(ReplyMessage):
-        """The registers, big-endian."""
+        """The reply with the registers that were read, big-endian."""
 
         byte_count: ClassVar[RestLength] = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
         data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)
 
         @property
         def registers(self) -> list[int]:
-            """The registers as numbers 0…65535."""
+            """The registers of the reply as numbers 0…65535."""
             return unpack_registers(self.data)
 
     def reply_shape(self) -> tuple[int, bytes]:
@@ -112,7 +112,7 @@ class ReadFifoQueue(Request):
     address: int = u16()
 
     class Reply(ReplyMessage):
-        """The queued registers, the oldest first; they stay in the queue."""
+        """The reply of function 24: queued registers, the oldest first; they stay in the queue."""
 
         byte_count: ClassVar[RestLength] = rest_length(2, 2, 2 + 2 * MAX_FIFO_REGISTERS, 2)
         count: int = u16(0, MAX_FIFO_REGISTERS)
@@ -125,7 +125,7 @@ class ReadFifoQueue(Request):
 
         @property
         def registers(self) -> list[int]:
-            """The registers as numbers 0…65535."""
+            """The queued registers as numbers 0…65535."""
             return unpack_registers(self.data)
 
     most: ClassVar[int] = MAX_FIFO_REGISTERS
@@ -142,7 +142,7 @@ _REGISTERS = tuple(struct.Struct(f">{count}H").unpack for count in range(MAX_REA
 
 
 def unpack_registers(data: bytes) -> list[int]:
-    """Big-endian registers as numbers 0…65535."""
+    """Unpack big-endian registers into numbers 0…65535."""
     count = len(data) >> 1
     if count < len(_REGISTERS):
         return list(_REGISTERS[count](data))
@@ -161,5 +161,5 @@ def _read(model: DataModel, table: Table, address: int, count: int, context: Con
 
 @lru_cache(maxsize=4096, typed=True)
 def read_request(kind: Callable[[int, int], Request], address: int, count: int) -> Any:  # an instance of ``kind``
-    """Build a read of a range; the same range gives the same object, so a poller encodes each request once."""
+    """Create a read of a range; the same range gives the same object, so a poller encodes each request once."""
     return kind(address, count)

@@ -39,14 +39,14 @@ class WriteSingleCoil(Request):
     if TYPE_CHECKING:  # made of the fields above when the class is
 
         class Reply(ReplyMessage):
-            """Repeats the fields of the request."""
+            """The reply of function 05: the same fields as the request."""
 
             address: int = u16()
             value: int = u16()
 
     @classmethod
     def of(cls, address: int, value: bool) -> Self:
-        """The request that switches the coil at ``address`` (0…65535) on (True or 1) or off (False or 0).
+        """Create the request that switches the coil at ``address`` (0…65535) on (True or 1) or off (False or 0).
 
         Raises:
             InvalidRequest: ``value`` is anything else, a text such as ``"off"`` too. Nothing was sent.
@@ -65,7 +65,7 @@ class WriteSingleCoil(Request):
 
 
 class WriteSingleRegister(Request):
-    """06 Write Single Register (MODBUS Application Protocol V1.1b3 §6.6)."""
+    """06 Write Single Register: ``value`` to ``address`` (MODBUS Application Protocol V1.1b3 §6.6)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.WRITE_SINGLE_REGISTER
     writes: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, count=None)
@@ -77,7 +77,7 @@ class WriteSingleRegister(Request):
     if TYPE_CHECKING:  # made of the fields above when the class is
 
         class Reply(ReplyMessage):
-            """Repeats the fields of the request."""
+            """The reply of function 06: the same fields as the request."""
 
             address: int = u16()
             value: int = u16()
@@ -94,7 +94,7 @@ class WriteSingleRegister(Request):
 
 
 class WriteMultipleCoils(Request):
-    """15 Write Multiple Coils: 1…1968 from ``address`` (MODBUS Application Protocol V1.1b3 §6.11)."""
+    """15 Write Multiple Coils: 1…1968 coils from ``address`` on (MODBUS Application Protocol V1.1b3 §6.11)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.WRITE_MULTIPLE_COILS
     writes: ClassVar[Touch] = Touch(Table.COILS)
@@ -105,14 +105,14 @@ class WriteMultipleCoils(Request):
     data: bytes = rest(1, MAX_WRITE_BITS // 8)
 
     class Reply(ReplyMessage):
-        """The range that was written."""
+        """The reply of function 15: the range that was written."""
 
         address: int = u16()
         count: int = u16(1, MAX_WRITE_BITS)
 
     @classmethod
     def of(cls, address: int, values: Iterable[bool]) -> Self:
-        """The request that writes ``values`` from ``address`` on.
+        """Create the request that writes coils from ``address`` on.
 
         Raises:
             InvalidRequest: one of them is not True, False, 1 or 0, or there are none or too many. Nothing was sent.
@@ -140,7 +140,7 @@ class WriteMultipleCoils(Request):
 
 
 class WriteMultipleRegisters(Request):
-    """16 Write Multiple Registers: 1…123 from ``address`` (MODBUS Application Protocol V1.1b3 §6.12)."""
+    """16 Write Multiple Registers: 1…123 registers from ``address`` on (MODBUS Application Protocol V1.1b3 §6.12)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.WRITE_MULTIPLE_REGISTERS
     writes: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS)
@@ -151,14 +151,14 @@ class WriteMultipleRegisters(Request):
     data: bytes = rest(2, 2 * MAX_WRITE_REGISTERS, 2)
 
     class Reply(ReplyMessage):
-        """The range that was written."""
+        """The reply of function 16: the range that was written."""
 
         address: int = u16()
         count: int = u16(1, MAX_WRITE_REGISTERS)
 
     @classmethod
     def of(cls, address: int, values: Iterable[int]) -> Self:
-        """The request that writes ``values`` (each 0…65535) from ``address`` on."""
+        """Create the request that writes ``values`` (each 0…65535) from ``address`` on."""
         data = pack_registers(values)
         return cls(address, len(data) // 2, data)
 
@@ -182,7 +182,7 @@ class WriteMultipleRegisters(Request):
 
 
 class MaskWriteRegister(Request):
-    """22 Mask Write Register: (current AND and_mask) OR (or_mask AND NOT and_mask).
+    """22 Mask Write Register: sets a register to (current AND and_mask) OR (or_mask AND NOT and_mask).
 
     MODBUS Application Protocol V1.1b3 §6.16. Executing it twice has the same result as once, yet it is a write like
     any other: another client may have written in between.
@@ -200,7 +200,7 @@ class MaskWriteRegister(Request):
     if TYPE_CHECKING:  # made of the fields above when the class is
 
         class Reply(ReplyMessage):
-            """Repeats the fields of the request."""
+            """The reply of function 22: the same fields as the request."""
 
             address: int = u16()
             and_mask: int = u16()
@@ -215,7 +215,9 @@ class MaskWriteRegister(Request):
 
 
 class ReadWriteMultipleRegisters(Request):
-    """23 Read/Write Multiple Registers: writes 1…121, then reads 1…125 (MODBUS Application Protocol V1.1b3 §6.17)."""
+    """23 Read/Write Multiple Registers: writes 1…121 registers, then reads 1…125 (MODBUS Application Protocol V1.1b3
+    §6.17).
+    """
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_WRITE_MULTIPLE_REGISTERS
     reads: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, "read_address", "read_count")
@@ -228,19 +230,19 @@ class ReadWriteMultipleRegisters(Request):
     data: bytes = rest(2, 2 * MAX_READ_WRITE_WRITE_REGISTERS, 2)
 
     class Reply(ReplyMessage):
-        """The registers that were read after the write, big-endian."""
+        """The reply of function 23: the registers read after the write, big-endian."""
 
         byte_count: ClassVar[RestLength] = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
         data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)
 
         @property
         def registers(self) -> list[int]:
-            """The registers as numbers 0…65535."""
+            """The registers of the reply as numbers 0…65535."""
             return unpack_registers(self.data)
 
     @classmethod
     def of(cls, read_address: int, read_count: int, write_address: int, values: Iterable[int]) -> Self:
-        """The request that writes ``values`` (each 0…65535) and then reads."""
+        """Create the request that writes ``values`` (each 0…65535) and then reads."""
         data = pack_registers(values)
         return cls(read_address, read_count, write_address, len(data) // 2, data)
 
@@ -260,7 +262,7 @@ class ReadWriteMultipleRegisters(Request):
 
 
 def pack_registers(values: Iterable[int]) -> bytes:
-    """Numbers 0…65535 as big-endian registers; `InvalidRequest` names the first invalid one."""
+    """Pack numbers 0…65535 as big-endian registers; `InvalidRequest` names the first invalid one."""
     if not isinstance(values, Sequence) or len(values) > TABLE_SIZE:
         values = listed(values, "registers")
     try:

@@ -194,7 +194,7 @@ class _Socket(asyncio.DatagramProtocol):
         self._listener.listener_context.diagnosis.is_open = True
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
-        """A datagram has come: answer it."""
+        """Find the peer of a received datagram and answer it."""
         now = time.monotonic()
         peer = self._listener.peer_of(self, data, addr, now)
         if peer is not None:

@@ -214,7 +214,7 @@ class SerialServerSession:
         return self._last_byte + self._framing.send_gap
 
     def tick(self, now: float) -> list[FrameToSend]:
-        """Process the silence until ``now``. Returns the answers to send."""
+        """Process the silence of the line until ``now``. Returns the replies to send."""
         return [*filter(None, map(self.process, self._receiver.tick(now)))]
 
     def deadline(self) -> float | None:

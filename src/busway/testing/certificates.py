@@ -1,4 +1,4 @@
-"""Certificates for tests: valid ones, and one of each kind that must be refused.
+"""Certificates for tests: valid ones, and one of each kind that a peer must refuse.
 
 Knows what can be wrong with a certificate; knows no connection. Needs the package ``cryptography``.
 """
@@ -19,7 +19,7 @@ _STAND_IN: Final = "1.3.6.1.4.1.50316.802.2"
 
 @dataclass(frozen=True, slots=True)
 class CertificateFiles:
-    """Files of one certificate.
+    """Paths of the files of one certificate: certificate, key and authority.
 
     Attributes:
         certificate, key, authority: paths; ``authority`` is the one that its holder trusts.
@@ -32,11 +32,11 @@ class CertificateFiles:
     issued: Issued
 
     def options(self) -> dict[str, str]:
-        """Keywords and URL options that name the files."""
+        """Keywords or URL options that name the files of the certificate."""
         return {"certificate": str(self.certificate), "key": str(self.key), "authority": str(self.authority)}
 
     def query(self) -> str:
-        """The same behind the ``?`` of a URL."""
+        """The options that name the files as the query of a URL, after ``?``."""
         return "&".join(f"{name}={value}" for name, value in self.options().items())
 
 
@@ -66,37 +66,37 @@ class CertificateStore:
         days: float = 30.5,
         authority: Authority | None = None,
     ) -> CertificateFiles:
-        """A server certificate, by default of the trusted authority."""
+        """Create a server certificate, by default signed by the trusted authority."""
         return self.write(name, (authority or self.authority).server(hosts, name=name, days=days))
 
     def client(
         self, name: str = "client", *, role: str | None = None, days: float = 30.5, authority: Authority | None = None
     ) -> CertificateFiles:
-        """A client certificate, by default of the trusted authority."""
+        """Create a client certificate, by default signed by the trusted authority."""
         return self.write(name, (authority or self.authority).client(name, role=role, days=days))
 
     def expired_server(self) -> CertificateFiles:
-        """A server certificate that expired yesterday."""
+        """Create a server certificate that expired yesterday."""
         return self.server("expired server", days=_EXPIRED_DAYS)
 
     def expired_client(self, *, role: str | None = None) -> CertificateFiles:
-        """A client certificate that expired yesterday."""
+        """Create a client certificate that expired yesterday."""
         return self.client("expired client", role=role, days=_EXPIRED_DAYS)
 
     def self_signed(self, name: str = "self-signed", *, hosts: Sequence[str] = HOSTS) -> CertificateFiles:
-        """A self-signed certificate."""
+        """Create a self-signed certificate."""
         return self.write(name, Authority.self_signed(name, hosts))
 
     def client_with_role_value(self, value: bytes, *, name: str = "odd role") -> CertificateFiles:
-        """A client certificate whose role extension holds these bytes."""
+        """Create a client certificate whose role extension holds these raw bytes."""
         return self.write(name, self.authority.client_with(name, [value]))
 
     def client_with_two_roles(self, first: bytes, second: bytes, *, name: str = "two roles") -> CertificateFiles:
-        """A client certificate with two role extensions."""
+        """Create a client certificate with two role extensions."""
         return self.write(name, self._two_roles(name, first, second))
 
     def client_without_purpose(self, name: str = "any purpose") -> CertificateFiles:
-        """A client certificate without extended key usage."""
+        """Create a client certificate without extended key usage."""
         return self.write(name, self.authority.client_with(name, [], states_purpose=False))
 
     def revocation_list(
@@ -106,7 +106,7 @@ class CertificateStore:
         days: float = 30.5,
         name: str = "revoked",
     ) -> Path:
-        """A file with the revocation list of an authority: of the trusted one unless another is named.
+        """Create a file with the revocation list of an authority, by default the trusted one.
 
         Args:
             revoked: the certificates on it.
@@ -129,7 +129,7 @@ class CertificateStore:
         return files
 
     def _two_roles(self, name: str, first: bytes, second: bytes) -> Issued:
-        """Built with another number for the second role, then changed and signed again: no library makes such a one."""
+        """Issue a certificate with two role extensions, by changing and signing one again: no library makes it."""
         from cryptography import x509
         from cryptography.hazmat.primitives import hashes
         from cryptography.hazmat.primitives.asymmetric import ec
@@ -146,7 +146,7 @@ class CertificateStore:
 
 
 def _identifier(dotted: str) -> bytes:
-    """An object identifier in DER."""
+    """Encode an object identifier in DER."""
     first, second, *rest = (int(part) for part in dotted.split("."))
     content = bytes([first * 40 + second])
     for number in rest:
@@ -158,7 +158,7 @@ def _identifier(dotted: str) -> bytes:
 
 
 def _tagged(tag: int, content: bytes) -> bytes:
-    """A value in DER."""
+    """Encode a tagged value in DER."""
     size = len(content)
     if size < 0x80:
         return bytes([tag, size]) + content

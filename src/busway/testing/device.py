@@ -1,4 +1,4 @@
-"""A device whose content a test knows without looking."""
+"""A test device whose every value follows from its address, so that tests know it without reading."""
 
 from ..server.cells import Cells
 from ..server.device import Device
@@ -8,7 +8,7 @@ ITEMS = 1000
 
 
 def known_device(items: int = ITEMS) -> Device:
-    """A device with something of everything, and content that follows from the address.
+    """Create a device with all tables, a file and a queue, and values that follow from the addresses.
 
     Holding register ``n`` holds ``n``, input register ``n`` holds ``10000 + n``, coil ``n`` is on where ``n`` is even,
     discrete input ``n`` where ``n`` is a multiple of 3. The last ten holding registers and coils are read-only. File 1

@@ -60,7 +60,9 @@ LARGEST_BACKLOG = 4096
 
 @dataclass(slots=True)
 class _Pty:
-    """The near end, and a handle on the far end: without one, the near end fails whenever no program has it open."""
+    """The near end of a pseudo-terminal, with the far end kept open: otherwise the near end fails while no program has
+    it open.
+    """
 
     near: int
     far: int
@@ -83,7 +85,7 @@ class _Pty:
 
 @dataclass(slots=True)
 class _Order:
-    """A job for the line's thread."""
+    """A function to run in the line's thread, and its result."""
 
     action: Callable[[], object]
     done: threading.Event = field(default_factory=threading.Event)
@@ -99,7 +101,7 @@ class _Listener:
 
 
 class PacedLine:
-    """A bus with so many ports, in real time. A context manager; `close` ends it.
+    """A serial bus in real time with the given number of ports. A context manager; `close` ends it.
 
     Attributes:
         paths: where the ports are, by number. They are links; a path stays when its port is unplugged and comes back.
@@ -121,7 +123,7 @@ class PacedLine:
         seed: int = 0,
         granularity: float = GRANULARITY,
     ) -> None:
-        """Make the line and start it.
+        """Create the line and start it.
 
         Args:
             ports: how many, at least 1.
@@ -166,12 +168,12 @@ class PacedLine:
 
     @property
     def character_time(self) -> float:
-        """Seconds that one character takes."""
+        """Seconds that one character takes on the line."""
         return self._line.character_time
 
     @property
     def collisions(self) -> int:
-        """Characters that were spoilt because two ports talked at once."""
+        """Number of characters damaged because two ports sent at once."""
         return self._line.collisions
 
     @property
@@ -185,7 +187,7 @@ class PacedLine:
 
     @property
     def tap(self) -> list[LineByte]:
-        """Every character that has passed, with its time (``time.monotonic``) and port; the last 200 000 of them."""
+        """Every character seen on the line, with its time (``time.monotonic``) and port; the last 200 000 of them."""
         copied: list[LineByte] = []
         self._do(lambda: copied.extend(self._line.tap))
         return copied
@@ -195,7 +197,7 @@ class PacedLine:
         return gathered(self.tap, self.character_time, silence)
 
     def forget(self) -> None:
-        """Empty the tap and set the counters back."""
+        """Clear the recorded characters and the counters."""
 
         def clear() -> None:
             self._line.tap.clear()
@@ -226,7 +228,7 @@ class PacedLine:
         return self.paths[port]
 
     def wait_quiet(self, silence: float | None = None, timeout: float = 10.0) -> None:
-        """Wait until nothing was on the line for so long.
+        """Wait until the line was silent for so many seconds.
 
         Args:
             silence: seconds; 3.5 characters if not given.
@@ -241,7 +243,7 @@ class PacedLine:
             raise TimeoutError(f"the line was not quiet for {listener.silence:g} s within {timeout:g} s")
 
     def close(self) -> None:
-        """End the line: its paths are gone, and programs that have a port open get an error. May be called twice."""
+        """End the line: its ports vanish, and programs that have one open get an error. May be called twice."""
         if self._ended:
             return
         self._ended = True
@@ -290,7 +292,7 @@ class PacedLine:
                 self._tell_listeners(now)
 
     def _wake_at(self) -> float | None:
-        """When there is something to hand over, or a silence to report."""
+        """When characters have to be passed on, or a silence has to be reported."""
         next_byte, next_pause = self._line.deadline(), self._line.pause_at()
         if next_byte is not None and next_pause is not None:
             return min(next_pause, max(next_byte, self._handed_over_at + self._granularity)) - self._transit
@@ -307,7 +309,7 @@ class PacedLine:
         return wait_ready(watched, [], timeout)
 
     def _take(self, port: int, pty: _Pty, written_at: float) -> None:
-        """Put the bytes that a program has written on the line."""
+        """Put bytes that a program wrote to a port on the line."""
         try:
             data = os.read(pty.near, LARGEST_BACKLOG)
         except BlockingIOError:
@@ -316,7 +318,7 @@ class PacedLine:
         self._last_sound = written_at
 
     def _hand_over(self, passed: list[LineByte], at: float) -> None:
-        """Give the programs what has passed, not before ``at``."""
+        """Pass characters on to the programs at the ports, not before ``at``."""
         if not passed:
             return
         self._handed_over_at = self._last_sound = at
@@ -405,6 +407,8 @@ _PR_SET_TIMERSLACK = 29
 
 
 def _ask_for_exact_timers() -> None:
-    """Linux lets timers of a thread be 50 µs late to save power, half a character at 115 200 baud. Not of this one."""
+    """Ask Linux for exact timers in this thread: by default they may be 50 µs late, half a character at 115 200
+    baud.
+    """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)

@@ -1,4 +1,4 @@
-"""Two ends of a connection in memory: what an `asyncio` protocol writes to its transport arrives at the other one.
+"""Connections in memory: a pair of asyncio transports, where each gets what the other sends.
 
 Knows protocols and ``now``; knows no socket. Without an event loop nothing moves by itself, and a test sees every
 segment.
@@ -23,7 +23,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """Treatment of segments in transit.
+    """How segments travel between the ends: delay and division.
 
     Args:
         drop: probability, 0…1, that a segment is lost.
@@ -41,7 +41,7 @@ class Passage:
 
 
 class MemoryTransport(asyncio.Transport):
-    """One end. Attributes: ``written``, every segment so far."""
+    """One end of a connection in memory, as an asyncio transport. Attributes: ``written``, every segment so far."""
 
     def __init__(self, passage: Passage, extra: Mapping[str, Any]) -> None:  # Any: as asyncio has it
         super().__init__(dict(extra))
@@ -58,7 +58,7 @@ class MemoryTransport(asyncio.Transport):
     # What a protocol asks.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send a segment."""
+        """Send a segment to the other end."""
         if self._closing or not data:
             return
         assert self._pair is not None
@@ -73,19 +73,19 @@ class MemoryTransport(asyncio.Transport):
         self._pair.something_left()
 
     def close(self) -> None:
-        """Close after what was written has arrived."""
+        """Close this end after what was written has arrived."""
         if not self._closing:
             self._closing = True
             assert self._pair is not None
             self._pair.something_left()
 
     def abort(self) -> None:
-        """Close at once."""
+        """Close this end at once; segments in transit are dropped."""
         self.in_transit.clear()
         self.close()
 
     def is_closing(self) -> bool:
-        """Whether it was closed, by either end."""
+        """Whether either end of the connection was closed."""
         return self._closing
 
     def pause_reading(self) -> None:
@@ -99,14 +99,14 @@ class MemoryTransport(asyncio.Transport):
             self._pair.something_left()
 
     def is_reading(self) -> bool:
-        """Whether segments may arrive here."""
+        """Whether segments may arrive at this end."""
         return self._reading and not self._closing
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Accepted without effect: bytes in transit are not limited."""
+        """Do nothing: bytes in transit are not limited."""
 
     def get_write_buffer_size(self) -> int:
-        """Bytes on their way."""
+        """Number of bytes in transit from this end."""
         return sum(len(data) for _, data in self.in_transit)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
@@ -121,12 +121,12 @@ class MemoryTransport(asyncio.Transport):
     # What the pair asks.
 
     def join(self, pair: "MemoryPair", protocol: asyncio.BaseProtocol) -> None:
-        """Become an end of ``pair``."""
+        """Make this transport an end of ``pair``."""
         self._pair = pair
         self._protocol = protocol
 
     def due(self, now: float) -> bytes:
-        """What arrives at the other end next; empty for nothing."""
+        """The next segment that arrives at the other end by ``now``; empty if there is none."""
         if not self.in_transit or self.in_transit[0][0] > now:
             return b""
         data = self.in_transit.popleft()[1]
@@ -135,7 +135,7 @@ class MemoryTransport(asyncio.Transport):
         return data
 
     def take(self, data: bytes) -> None:
-        """Deliver received bytes to the protocol."""
+        """Deliver received bytes to the protocol of this end."""
         protocol = self._protocol
         if isinstance(protocol, asyncio.BufferedProtocol):
             while data and not self._closing:
@@ -149,7 +149,7 @@ class MemoryTransport(asyncio.Transport):
             protocol.data_received(data)
 
     def lose(self) -> bool:
-        """End this side. Whether it had not ended before."""
+        """End the connection at this end. Returns whether it was open before."""
         if self._lost:
             return False
         self._closing = self._lost = True
@@ -159,12 +159,12 @@ class MemoryTransport(asyncio.Transport):
 
     @property
     def has_ended(self) -> bool:
-        """Whether it is closed and nothing of it is on its way."""
+        """Whether this end is closed and nothing of it is in transit."""
         return self._closing and not self.in_transit
 
 
 class MemoryPair:
-    """A connection in memory.
+    """A connection in memory: two transports and their protocols.
 
     Args:
         first, second: the protocols at its ends.
@@ -198,12 +198,12 @@ class MemoryPair:
         self.second.join(self, second)
 
     def open(self) -> None:
-        """Tell both protocols that they are connected, the second one first, as a listener accepts."""
+        """Tell both protocols that they are connected; the second one first, like a listener that accepts."""
         self._protocols[1].connection_made(self.second)
         self._protocols[0].connection_made(self.first)
 
     def something_left(self) -> None:
-        """Schedule a delivery after a transport has sent or closed, if there is a schedule."""
+        """Schedule a delivery, after a transport has sent or closed, if a scheduler was given."""
         if self._schedule is not None and not self._scheduled:
             self._scheduled = True
             self._schedule(self._deliver_scheduled)
@@ -213,13 +213,13 @@ class MemoryPair:
         self.deliver()
 
     def deliver(self, seconds: float = 0.0) -> None:
-        """Let time pass and bring over what is due, until nothing is any more."""
+        """Let time pass and deliver what is due, until nothing is left."""
         self.now += seconds
         while self._step(self.first, self.second) or self._step(self.second, self.first):
             pass
 
     def _step(self, sender: MemoryTransport, receiver: MemoryTransport) -> bool:
-        """One segment, or the end of the connection; whether there was something."""
+        """Deliver one segment, or the end of the connection. Returns whether there was one."""
         if receiver.is_reading():
             data = sender.due(self.now)
             if data:

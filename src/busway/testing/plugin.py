@@ -1,4 +1,4 @@
-"""The pytest plugin: devices, lines and a clock as fixtures.
+"""The pytest plugin of busway: simulated devices, serial lines and a clock as fixtures.
 
 Knows pytest and the names of what it makes; imports the rest when a test asks for it, so that runs without Modbus pay
 next to nothing.
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Simulator(Protocol):
-    """What the fixture ``simulator`` gives."""
+    """Type of the fixture ``simulator``."""
 
     def __call__(
         self,
@@ -40,15 +40,15 @@ class Simulator(Protocol):
 
 
 class MakePacedLine(Protocol):
-    """What the fixture ``paced_line`` gives."""
+    """Type of the fixture ``paced_line``."""
 
     def __call__(self, ports: int = 2, baud: int = 9600, parity: str = "even", **options: Any) -> "PacedLine":
-        """A line until the test ends; arguments as of `busway.testing.line.PacedLine`."""
+        """Create a line that lasts until the test ends; arguments as of `busway.testing.line.PacedLine`."""
 
 
 @pytest.fixture
 def simulator() -> Iterator[Simulator]:
-    """A function that serves a device until the test ends, in a thread of its own: ``simulator({"4x1": 42})``.
+    """Fixture: a function that serves a device in a thread until the test ends: ``simulator({"4x1": 42})``.
 
     Its result has ``endpoint``, ``host`` and ``port``; values by address or name, ``device["4x1"]``; ``fault(…)`` as a
     context manager; ``reads`` and ``writes`` of clients.
@@ -67,7 +67,8 @@ def simulator() -> Iterator[Simulator]:
 
 @pytest.fixture
 def paced_line() -> Iterator[MakePacedLine]:
-    """A function that makes a serial line of pseudo-terminals in real time, until the test ends: ``paced_line()``.
+    """Fixture: a function that creates a real-time serial line of pseudo-terminals until the test ends:
+    ``paced_line()``.
 
     Its ``paths`` are the ports: one for the program under test, one for ``simulator(…, url=f"rtu://{path}")``.
     """
@@ -85,7 +86,7 @@ def paced_line() -> Iterator[MakePacedLine]:
 
 @pytest.fixture
 def busway_clock() -> "FakeClock":
-    """Time that stands still until the test moves it: ``busway_clock.advance(60.0)``."""
+    """Fixture: a clock that stands still until the test moves it: ``busway_clock.advance(60.0)``."""
     from ..faults.clock import FakeClock
 
     return FakeClock()

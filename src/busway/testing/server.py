@@ -1,4 +1,4 @@
-"""A Modbus TCP server with faults, for tests of clients: the real server and a real device with faults between them.
+"""A Modbus TCP server with faults, for tests of clients: the real server with a real device, and faults between them.
 
 Knows an event loop and a clock; faults, and how they reach connections, are in `busway.faults`.
 
@@ -40,7 +40,7 @@ LONGEST_WAIT = 10.0
 
 
 class FaultyServer:
-    """A server with faults; an asynchronous context manager. Faults can be added and switched from any thread.
+    """A Modbus TCP server with faults; an asynchronous context manager. Faults can be added from any thread.
 
     Args:
         device: the device of every unit; or devices by unit identifier, 0…255.
@@ -100,7 +100,7 @@ class FaultyServer:
         schedule: Schedule | None = None,
         **options: Any,  # Any: what the fault profile takes
     ) -> AppliedFault:
-        """Add a fault.
+        """Add a fault to the server.
 
         Args:
             fault_profile: its name, or a fault.
@@ -123,7 +123,7 @@ class FaultyServer:
 
     @property
     def clock(self) -> Clock:
-        """The clock of delays. Available once the server is started."""
+        """The clock that times delays. Available once the server is started."""
         assert self._clock is not None, "the server has not been started"
         return self._clock
 
@@ -138,7 +138,7 @@ class FaultyServer:
         return self._tap.accepted
 
     async def start(self) -> None:
-        """Listen on a free port of ``host``."""
+        """Start the server on a free port of ``host``."""
         self.loop = asyncio.get_running_loop()
         if self._clock is None:
             self._clock = LoopClock(self.loop)
@@ -146,7 +146,7 @@ class FaultyServer:
         (self.endpoint,) = self._server.endpoints
 
     async def stop(self) -> None:
-        """Stop listening and close all connections."""
+        """Stop the server and close all connections."""
         self._drop()
         await self._server.stop()
         await self.until(lambda: not self.connections)
@@ -161,14 +161,18 @@ class FaultyServer:
             faulty.connection.close()
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        """Wait in the server's own event loop until a condition about it holds. Raises `TimeoutError` after a while."""
+        """Wait, in the server's event loop, until a condition about the server holds. Raises `TimeoutError` after a
+        while.
+        """
         async with asyncio.timeout(LONGEST_WAIT):
             while not condition():
                 self._changed_here.clear()
                 await self._changed_here.wait()
 
     def wait_until(self, condition: Callable[[], bool]) -> None:
-        """Wait, in a thread that is not the server's, until a condition about it holds. Raises `TimeoutError`."""
+        """Wait, in a thread other than the server's, until a condition about the server holds. Raises
+        `TimeoutError`.
+        """
         with self._changed:
             if not self._changed.wait_for(condition, LONGEST_WAIT):
                 raise TimeoutError("what the test waits for did not happen")
@@ -197,7 +201,7 @@ class FaultyServer:
 def faulty_server(
     device: Device | Mapping[int, Device], *fault_profiles: str | Fault, **options: Any
 ) -> Iterator[FaultyServer]:  # Any: as FaultyServer says
-    """A `FaultyServer` in a thread of its own, for blocking clients.
+    """Context manager that runs a `FaultyServer` in a thread of its own, for blocking clients.
 
     Args:
         device: as in `FaultyServer`.
@@ -251,7 +255,7 @@ class _ServerThread:
 
 
 def _faults_of(fault_profiles: tuple[str | Fault, ...], options: Mapping[str, Any]) -> list[Fault]:
-    """The named faults; each option goes to the fault profiles that have it."""
+    """Create the named faults; each option goes to the fault profiles that have it."""
     named = [one if isinstance(one, Fault) else FAULT_PROFILES.named(one) for one in fault_profiles]
     known = {option for one in named if not isinstance(one, Fault) for option in one.options}
     for option in options:

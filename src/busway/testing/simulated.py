@@ -51,7 +51,7 @@ def simulated_device(
     speed: float = 1.0,
     clock: "Clock | None" = None,
 ) -> "Iterator[SimulatedDevice]":
-    """Serve a simulated device while the block runs.
+    """Context manager that serves a simulated device.
 
     Args:
         content: what it holds. A mapping of addresses (``"4x1"``, ``"holding:0"``, ``"0x1"``) to values: ``bool`` for
@@ -81,7 +81,8 @@ def simulated_device(
 
 
 class SimulatedDevice:
-    """A served device, as `simulated_device` yields it. All methods may be called from any thread.
+    """A simulated device that is being served, as `simulated_device` yields it. Its methods may be called from any
+    thread.
 
     Attributes:
         endpoints: URLs of its listeners as they are bound.
@@ -105,7 +106,7 @@ class SimulatedDevice:
 
     @property
     def endpoint(self) -> str:
-        """URL of its first listener: ``tcp://127.0.0.1:40123``."""
+        """URL of the first listener: ``tcp://127.0.0.1:40123``."""
         return self.endpoints[0]
 
     @property
@@ -126,7 +127,8 @@ class SimulatedDevice:
         return port
 
     def __getitem__(self, key: str) -> Any:  # what its type says
-        """The value of a point (``"tank.level"``, ``"3/voltage"``, an address that was given), or of a single item.
+        """Read a point (``"tank.level"``, ``"3/voltage"``, or an address that was given), or a single item by its
+        address.
 
         Raises:
             InvalidRequest: there is no such point and no such item.
@@ -137,8 +139,9 @@ class SimulatedDevice:
         return self._only_device(key).read(parse_address(key))
 
     def __setitem__(self, key: str, value: Any) -> None:  # what its type says
-        """Set a value, whether clients may write it or not. Raises `InvalidRequest` as `__getitem__`, or if it
-        does not fit."""
+        """Set a point or item, whether clients may write it or not. Raises `InvalidRequest` as `__getitem__`, or if it
+        does not fit.
+        """
         name = self._key(key)
         if name is not None:
             self.simulation.set(name, value, "test")
@@ -195,7 +198,7 @@ class SimulatedDevice:
             board.remove(name)
 
     def wait_for_write(self, address: str, *, timeout: float = 10.0) -> Any:  # what its type says
-        """Wait until a client has written an item that it had not written before this call; its value.
+        """Wait until a client writes an item again or for the first time. Returns its value.
 
         Args:
             address: the item, or the name of a point.
@@ -236,7 +239,7 @@ class SimulatedDevice:
         return found[0] if found else None
 
     def _standing_at(self, key: str) -> list[str]:
-        """The points at an address, in any notation."""
+        """The names of the points at an address in any notation."""
         try:
             place = parse_address(key)
         except InvalidRequest:
@@ -251,7 +254,7 @@ class SimulatedDevice:
 
 
 class _Thread:
-    """The thread that the server lives in."""
+    """The thread that runs the server of a simulated device."""
 
     def __init__(self, simulation: "Simulation", url: str) -> None:
         self._simulation = simulation
@@ -263,7 +266,7 @@ class _Thread:
         self.endpoints: list[str] = []
 
     def start(self) -> None:
-        """Listen; raises what listening raises."""
+        """Start the server; raises its errors."""
         self._thread.start()
         self._started.wait()
         if self._failure is not None:
@@ -271,7 +274,7 @@ class _Thread:
             raise self._failure
 
     def stop(self) -> None:
-        """End, and wait for it."""
+        """Stop the server, and wait for the thread to end."""
         if self._stop is not None:
             loop, event = self._stop
             loop.call_soon_threadsafe(event.set)
@@ -294,7 +297,7 @@ class _Thread:
 
 
 def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
-    """What a content declares."""
+    """The simulation that a test's content declares: a file, a text, or values by address."""
     from ..apps.simulator.includes import load_declaration, parse_declaration
 
     if isinstance(content, Mapping):
@@ -311,7 +314,7 @@ def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
 
 
 def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
-    """A device file with one unit. Without a number, the unit answers for all units."""
+    """The text of a device file with one unit. Without a number, the unit answers for all units."""
     from ..apps.simulator.device_text import device_text
     from ..config.files.simulation import SimulatedUnitSection
 
@@ -322,7 +325,7 @@ def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
 
 
 def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
-    """The points of some values by address. Raises `ConfigError` that names the address."""
+    """The points for values by address. Raises `ConfigError` that names the address."""
     from ..config.files.problems import FileError
     from ..config.files.schema import Source
     from ..config.files.simulation import SimulatedUnitSection
@@ -340,7 +343,7 @@ def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
 
 
 def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
-    """The points that a value at an address makes: keys of sections."""
+    """The keys of the points that a value at an address makes."""
     place = parse_address(address)
     if place.table is None:
         raise ConfigError("does not say which table; write 4x1 or holding:0", key=address)
@@ -373,7 +376,7 @@ def _kind(address: str, value: Any) -> dict[str, Any]:
 
 
 def _items(addresses: str | Collection[str] | None) -> dict[Table, list[tuple[int, int]]] | None:
-    """Addresses → ranges by table."""
+    """Addresses as item ranges by table; None for all."""
     if addresses is None:
         return None
     found: dict[Table, list[tuple[int, int]]] = {}

@@ -1,4 +1,4 @@
-"""A simulated serial bus: ports that send, characters that take their time, and faults of wires.
+"""A simulated serial bus without real time: ports, characters with durations, and faults of the wires.
 
 Knows character times and which port hears which; knows no clock, no thread and no device: every call is given the
 time, so that hours on a line pass in seconds and every run is the same. `PacedLine` puts real ports around it.
@@ -26,7 +26,7 @@ TAP_SIZE = 200_000
 
 @dataclass(slots=True)
 class LineByte:
-    """One character that has passed.
+    """One character that was seen on the line.
 
     Attributes:
         time: when its last bit passed, in seconds.
@@ -62,7 +62,7 @@ class Transmission:
 
 
 class VirtualLine:
-    """A bus with so many ports.
+    """A simulated serial bus with the given number of ports, driven by the caller's time.
 
     Attributes:
         ports: its ports, by number.
@@ -86,7 +86,7 @@ class VirtualLine:
         seed: int = 0,
         tap_size: int = TAP_SIZE,
     ) -> None:
-        """Make a quiet line.
+        """Create a silent line.
 
         Args:
             ports: how many, at least 1.
@@ -118,7 +118,7 @@ class VirtualLine:
         self._tolerance = self.character_time * 1e-6
 
     def deadline(self) -> float | None:
-        """When the next character will have passed; None while no port sends."""
+        """When the next character will have been sent; None while no port sends."""
         return min((port.head_end for port in self._talkers if port.talking), default=None)
 
     def pause_at(self) -> float | None:
@@ -126,11 +126,11 @@ class VirtualLine:
         return min((port.free_at for port in self._talkers if port.talking), default=None)
 
     def quiet_at(self) -> float | None:
-        """When everything written will have passed; None while no port sends."""
+        """When all written characters will have been sent; None while no port sends."""
         return max((port.free_at for port in self._talkers if port.talking), default=None)
 
     def advance(self, until: float) -> list[LineByte]:
-        """Let the time pass; gives the characters whose last bit has passed by ``until``, in order.
+        """Let time pass. Returns the characters that were completely sent by ``until``, in order.
 
         Each is also put into `VirtualPort.read` of those who heard it.
         """
@@ -151,15 +151,15 @@ class VirtualLine:
         self._cut.update(ports or range(len(self.ports)))
 
     def mend(self, *ports: int) -> None:
-        """Mend the wire to these ports, or to all."""
+        """Restore the wire to these ports, or to all."""
         self._cut.difference_update(ports or range(len(self.ports)))
 
     def inject(self, data: bytes, now: float) -> float:
-        """Put characters on the line that no port has sent; gives when the last will have passed."""
+        """Put characters on the line that no port has sent. Returns when the last of them is over."""
         return self._noise_source.write(data, now)
 
     def transmissions(self, silence: float | None = None) -> list[Transmission]:
-        """What the tap has heard, cut where there was a silence or another port spoke.
+        """The recorded characters, split at silences or where another port began to send.
 
         Args:
             silence: seconds that separate two transmissions of one port; 1.5 characters if not given.
@@ -244,7 +244,7 @@ class VirtualPort:
         self.passed_at: float = float("-inf")
 
     def write(self, data: bytes, now: float) -> float:
-        """Send characters, from ``now`` or as soon as the earlier ones have left.
+        """Send characters from ``now`` on, or as soon as the earlier ones are sent.
 
         Returns:
             When the last of them will have passed.
@@ -261,7 +261,7 @@ class VirtualPort:
         return self.free_at
 
     def read(self) -> Received:
-        """Take what was heard since the last call, and how many of it came damaged.
+        """The bytes received by this port since the last call, and how many of them are damaged.
 
         Damage shows only where there is a parity bit, as on a real port; the data has it in any case.
         """
@@ -272,37 +272,37 @@ class VirtualPort:
 
     @property
     def backlog(self) -> int:
-        """Characters that have not passed yet."""
+        """Number of written characters that are not sent yet."""
         return len(self._outgoing)
 
     # What the line asks.
 
     @property
     def head_begin(self) -> float:
-        """When the next character begins. Only while talking."""
+        """When the next character of this port begins. Only while it is sending."""
         return self._outgoing[0][0]
 
     @property
     def head_end(self) -> float:
-        """When the next character will have passed. Only while talking."""
+        """When the next character of this port ends. Only while it is sending."""
         return self._outgoing[0][0] + self._line.character_time
 
     def take(self) -> tuple[float, float, int]:
-        """The next character, which has passed: begin, end, value."""
+        """Remove the character that was just sent. Returns its begin, end and value."""
         begin, value = self._outgoing.popleft()
         self.talking = bool(self._outgoing)
         end = self.passed_at = begin + self._line.character_time
         return begin, end, value
 
     def hear(self, value: int, damaged: bool) -> None:
-        """Take a character that has arrived."""
+        """Receive a character."""
         self._data.append(value)
         if damaged and self._line.settings.parity is not Parity.NONE:
             self._errors += 1
 
 
 def gathered(tap: Iterable[LineByte], character_time: float, silence: float | None = None) -> list[Transmission]:
-    """The transmissions in what a tap has heard; see `VirtualLine.transmissions`."""
+    """Recorded characters of a line split into transmissions; see `VirtualLine.transmissions`."""
     limit = 1.5 * character_time if silence is None else silence
     found: list[Transmission] = []
     data = bytearray()

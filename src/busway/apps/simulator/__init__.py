@@ -1,4 +1,4 @@
-"""Devices that behave: built from files, and the plant of the demonstration.
+"""The simulator: devices whose values change by themselves, built from files, and the plant of the demonstration.
 
 ==============  =======================================================================
 `build`         device files → devices

@@ -1,4 +1,4 @@
-"""What lets points follow their behaviours: at each moment, which points change, in which order, and into what.
+"""The engine of a simulation: which points change at each moment, in which order, and to which values.
 
 Knows points, behaviours and the memory of devices; knows no clock: times are seconds of the simulation, handed in.
 
@@ -28,7 +28,7 @@ _LAST: Final = 1 << 30
 
 @dataclass(slots=True, eq=False)
 class Driven:
-    """A point that has a behaviour.
+    """A point with a behaviour, as the engine runs it.
 
     Attributes:
         point: the point.
@@ -47,7 +47,7 @@ class Driven:
 
 @dataclass(slots=True, eq=False)
 class _Group:
-    """Points of one unit that change at the same moments, or what observes after them.
+    """Points of one unit that change at the same moments, or behaviours that observe after them.
 
     Attributes:
         device: that holds them.
@@ -67,14 +67,14 @@ class _Group:
 
 @dataclass(slots=True, eq=False)
 class _Release:
-    """A point that is to follow its behaviour again, unless it was set once more meanwhile."""
+    """A scheduled end of holding a point, unless it was set again meanwhile."""
 
     point: SimulatedPoint
     held: int
 
 
 class _Batch:
-    """Groups of one unit that change at one moment, with what can be found out once: the loop over them is the speed.
+    """Groups of one unit that change at the same moment, with all look-ups done beforehand, for speed.
 
     Args:
         groups: of one unit.
@@ -99,7 +99,7 @@ class _Batch:
         ]
 
     def run(self, time: float) -> list[SimulatedPoint]:
-        """Let the points follow; those that have another value now."""
+        """Update the points of the groups for a time. Returns those with a new value."""
         changed: list[SimulatedPoint] = []
         changes = changed.append
         with self.device.lock:
@@ -120,7 +120,7 @@ class _Batch:
         return changed
 
     def _store(self) -> None:
-        """Put what is fresh into copies of the runs, and show them all at once."""
+        """Write the new values into copies of the runs, and show all of them at once."""
         shown: dict[RegisterRun | BitRun, bytearray] = {}
         for memory, points in self.memories.items():
             if points:
@@ -132,7 +132,7 @@ class _Batch:
 
 
 class Engine:
-    """All points that have a behaviour, and when each is to change.
+    """Runs all points with behaviours, each at its own moments.
 
     Args:
         driven: them.
@@ -158,7 +158,7 @@ class Engine:
             self._push(group.due(), rank, units.setdefault(id(group.device), len(units)), group)
 
     def deadline(self) -> float | None:
-        """When something is to be done next, in seconds of the simulation; None if nothing is."""
+        """When the next task is due, in seconds of the simulation; None without tasks."""
         return self._heap[0][0] if self._heap else None
 
     def drives(self, point: SimulatedPoint) -> bool:
@@ -166,7 +166,7 @@ class Engine:
         return point in self._driven
 
     def state_of(self, point: SimulatedPoint, time: float) -> float | None:
-        """What the behaviour of a point goes on from, as it was at the last moment before a time; None if nothing."""
+        """The value that a point's behaviour would continue from, as of the last moment before a time; None if none."""
         driven = self._driven.get(point)
         if driven is None:
             return None
@@ -205,7 +205,7 @@ class Engine:
         return not self._heap or self._heap[0][0] > until
 
     def _leave_out(self, until: float) -> None:
-        """Let what has several moments behind it begin with the last of them."""
+        """Skip missed moments: each overdue task continues with the latest one."""
         first = self._heap[0][4] if self._heap else None
         if not isinstance(first, _Group) or (first.step + 1) * first.every > until:
             return
@@ -219,7 +219,7 @@ class Engine:
             self._push(due, rank, unit, task)
 
     def _run(self, groups: list[_Group], rank: int, time: float) -> None:
-        """Do what some groups of one unit do at a moment."""
+        """Run some groups of one unit at a moment."""
         if rank == _LAST:
             for group in groups:
                 for driven in group.driven:
@@ -236,7 +236,7 @@ class Engine:
             self._changed(changed, time)
 
     def hold(self, point: SimulatedPoint, time: float) -> None:
-        """Let a point stay as it was set by hand at a time; for as long as its behaviour says, or until `release`."""
+        """Keep a point at the value set by hand at a time, for as long as its behaviour says, or until `release`."""
         driven = self._driven.get(point)
         if driven is None:
             return
@@ -250,14 +250,16 @@ class Engine:
             self._push(time + section.resume_after, -1, 0, _Release(point, point.held))
 
     def release(self, point: SimulatedPoint, time: float) -> None:
-        """Let a point follow its behaviour again; one that goes on from values goes on from what it holds."""
+        """Let a point follow its behaviour again; a behaviour that depends on its last value continues from the current
+        one.
+        """
         driven = self._driven.get(point)
         if driven is not None and point.held:
             _go_on(driven.behaviour, point, time)
             point.held = 0
 
     def begin(self, time: float, kept: Mapping[str, float]) -> None:
-        """Begin at another time than 0, at the last moment before it of each point.
+        """Start at a time other than 0, with each point at its last moment before it.
 
         Args:
             time: in seconds of the simulation.
@@ -286,18 +288,18 @@ _ROUNDING: Final = 1e-9
 
 
 def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
-    """Let a behaviour go on from what its point holds; from what is no number nothing can."""
+    """Let a behaviour continue from the value of its point, unless that is no number."""
     if math.isfinite(point.number):
         behaviour.resume(time, point.number)
 
 
 def is_observer(behaviour: Any) -> TypeGuard[Observer]:  # of any class
-    """Whether a behaviour sees other points over time."""
+    """Whether a behaviour depends on other points over time."""
     return hasattr(behaviour, "observe")
 
 
 def _groups(driven: Iterable[Driven]) -> list[tuple[_Group, int]]:
-    """The points by unit, moments and rank, and what observes after them."""
+    """The driven points grouped by unit, moments and rank, and the behaviours that observe after them."""
     found: dict[tuple[int, float, int], _Group] = {}
     for each in driven:
         device = each.point.device

@@ -1,4 +1,4 @@
-"""``[[fault]]`` sections and words of a command line → faults on a board, and lists of what there is.
+"""Adds faults to a simulation from ``[[fault]]`` sections and command-line words, and lists the fault profiles.
 
 Knows the schema and the fault profiles; reads no file.
 
@@ -20,7 +20,7 @@ from ...faults.switchboard import FaultSwitchboard
 def fault_problems(
     sections: Iterable[FaultSection], source: Source, fault_profiles: FaultProfileTable = FAULT_PROFILES
 ) -> list[ConfigError]:
-    """What the schema cannot know is wrong with the ``[[fault]]`` sections of a file, each with file, line and key.
+    """Errors in the ``[[fault]]`` sections of a file that the schema cannot find, each with file, line and key.
 
     Args:
         sections: as they stand in the file, under ``fault``.
@@ -55,7 +55,7 @@ def _section_problems(section: FaultSection, fault_profiles: FaultProfileTable) 
 
 
 def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[str]:
-    """Put the faults of sections on a board.
+    """Add the faults of ``[[fault]]`` sections to a switchboard.
 
     Returns:
         Their names.
@@ -91,7 +91,7 @@ def _put_on(board: FaultSwitchboard, section: FaultSection, name: str) -> str:
 
 
 def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
-    """What ``--fault`` asks for: the fault of that name is switched on, or a fault profile put on with its parameters.
+    """Apply ``--fault``: switch on the fault with that name, or add a fault profile with its parameters.
 
     Args:
         board: where.
@@ -111,7 +111,7 @@ def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
 
 
 def fault_profile_lines(fault_profiles: FaultProfileTable = FAULT_PROFILES) -> list[str]:
-    """What ``--list-faults`` shows: each fault profile with what happens, and its parameters below."""
+    """The lines that ``--list-faults`` prints: each fault profile with its effect, and its parameters."""
     width = max(len(name) for name in fault_profiles)
     lines = []
     for one in fault_profiles.values():

@@ -1,4 +1,4 @@
-"""A simulation file and the files that it includes → one declaration, every fault at its line in its file.
+"""Loads a simulation file with all files that it includes; every error names its line in its own file.
 
 Knows files by their names, includes and parameters; what stands in a file is known by its schema
 (`busway.config.files.simulation`). It builds nothing (`busway.apps.simulator.builder` does).
@@ -53,7 +53,7 @@ MOST_LEVELS: Final = 32
 
 @dataclass(frozen=True, slots=True)
 class DeclaredUnit:
-    """A section ``[[unit]]`` as it holds in the end, and where it stands.
+    """A ``[[unit]]`` section after includes and parameters, with its origin.
 
     Attributes:
         section: what it says; with several numbers, for a device each.
@@ -66,7 +66,7 @@ class DeclaredUnit:
     path: Path
 
     def problem(self, path: Path, sentence: str) -> ConfigError:
-        """A sentence about what stands at a path in the section, with file, line and key."""
+        """The error for a path in the unit's section, with file, line and key."""
         return self.source.problem((*self.path, *path), sentence)
 
 
@@ -90,7 +90,7 @@ class SimulationDeclaration:
 def load_declaration(
     path: str | os.PathLike[str], *, changes: Mapping[str, Any] | None = None
 ) -> SimulationDeclaration:  # Any: options of several types
-    """What a simulation file declares, includes and all.
+    """Load a simulation file with all its includes.
 
     Args:
         path: the file, in TOML. Every device file and every configuration file is one.
@@ -107,7 +107,7 @@ def load_declaration(
 def parse_declaration(
     text: str, name: str, *, changes: Mapping[str, Any] | None = None, read: Reader = read_included
 ) -> SimulationDeclaration:
-    """What a text declares.
+    """Parse the text of a simulation file, with all its includes.
 
     Args:
         text: the content of the file.
@@ -135,21 +135,21 @@ def parse_declaration(
 
 
 class _Count:
-    """How many more files may be taken in."""
+    """Counter of the files that may still be included."""
 
     def __init__(self, most: int) -> None:
         self._most = most
         self._left = most
 
     def take(self) -> None:
-        """Take one. Raises `ConfigError` where there are none left."""
+        """Count one more included file. Raises `ConfigError` above the limit."""
         if not self._left:
             raise ConfigError(f"more than {self._most} files would be included, with all that they include")
         self._left -= 1
 
 
 class _Including:
-    """Takes in what files include.
+    """Collects the units of included files.
 
     Args:
         read: gives the text of a file.
@@ -197,7 +197,7 @@ class _Including:
             raise FileError([_included(each, name, f"{parent.name}:{line}") for each in error.problems]) from None
 
     def _whole(self, source: Source, parameters: Mapping[str, Parameter], identity: str) -> Iterator[DeclaredUnit]:
-        """The units of a file as they are, and those that it includes itself."""
+        """The units of a file unchanged, and those of the files that it includes."""
         filled = replace(source, data=own_units(FilledSource(source, parameters)))
         profile = filled.checked(ProfileFile)
         if not profile.unit and not profile.include:
@@ -209,7 +209,7 @@ class _Including:
     def _several(
         self, source: Source, parameters: Mapping[str, Parameter], numbers: Sequence[int], asked: tuple[Source, Path]
     ) -> Iterator[DeclaredUnit]:
-        """Units of the one section of a file: one for each number, or one for all where none differs."""
+        """Units from the single section of a file: one for each number, or one for all if none differs."""
         sections = source.data.get("unit")
         if not isinstance(sections, list) or len(sections) != 1 or "include" in source.data:
             parent, at = asked
@@ -242,7 +242,7 @@ def _checked_unit(source: Source, index: int) -> DeclaredUnit:
 
 
 def _included(error: ConfigError, name: str, where: str) -> ConfigError:
-    """A problem of an included file, with who includes it; of any other file, as it is."""
+    """The error of an included file, with the including file added; errors of other files unchanged."""
     if error.file != name:
         return error
     return ConfigError(f"{error.message} (included by {where})", file=error.file, line=error.line, key=error.key)
@@ -253,7 +253,7 @@ def _identity(name: str) -> str:
 
 
 def _refuse_repeated(file: SimulationFile, units: Sequence[DeclaredUnit], source: Source) -> None:
-    """A unit that is there twice, which the schema sees only within one file."""
+    """Refuse a unit number that several files declare; within one file the schema does."""
     owners: dict[int, DeclaredUnit] = {}
     problems: list[ConfigError] = []
     for each in units:

@@ -1,4 +1,5 @@
-"""A small plant: a tank that consumers empty, with a pump that fills it; a meter; a thermometer. Three devices.
+"""The plant of the demonstration: a tank that consumers empty and a pump fills, a meter, and a thermometer; three
+devices.
 
 Knows its physics as functions of state and time, and its points; knows no clock and no connection.
 
@@ -117,7 +118,7 @@ _LONGEST_STEP: Final = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Controls:
-    """What the plant is told: the level to keep, in metres, and whether the pump may run."""
+    """The settings of the plant: the level to keep, in metres, and whether the pump may run."""
 
     target: float = 2.0
     pump_enabled: bool = True
@@ -125,7 +126,7 @@ class Controls:
 
 @dataclass(frozen=True, slots=True)
 class PlantState:
-    """How the plant stands.
+    """The state of the plant: level, pump, energy and time.
 
     Attributes:
         time: seconds of the clock since it began.
@@ -141,7 +142,7 @@ class PlantState:
 
 
 def advance(state: PlantState, controls: Controls, seconds: float) -> PlantState:
-    """The plant some seconds of the clock later."""
+    """The state of the plant after some more seconds."""
     while seconds > 0:
         step = min(seconds, _LONGEST_STEP)
         seconds -= step
@@ -162,34 +163,34 @@ def _step(state: PlantState, controls: Controls, seconds: float) -> PlantState:
 
 
 def _pumps(state: PlantState, controls: Controls) -> bool:
-    """Whether the pump runs: started below the band, stopped above it, and as before within."""
+    """Whether the pump runs: started below the level band, stopped above it, unchanged within."""
     if not controls.pump_enabled or state.level >= controls.target + BAND:
         return False
     return state.is_pumping or state.level <= controls.target - BAND
 
 
 def flow(state: PlantState) -> float:
-    """What the pump delivers, in cubic metres per hour: a little less against a full tank."""
+    """Flow of the pump in cubic metres per hour: slightly less against a full tank."""
     return PUMP_FLOW * (1 - 0.04 * state.level) if state.is_pumping else 0.0
 
 
 def consumption(time: float) -> float:
-    """What the consumers take, in cubic metres per hour, ``time`` seconds after the beginning."""
+    """Consumption in cubic metres per hour, ``time`` seconds after the start."""
     return 15.0 + 5.0 * math.sin(time * 2 * math.pi / 7)
 
 
 def temperature(time: float) -> float:
-    """Of the tank, in degrees Celsius, in steps of 0.1."""
+    """Temperature of the tank in degrees Celsius, in steps of 0.1."""
     return round(18.0 + 1.5 * math.sin(time * 2 * math.pi / 30), 1)
 
 
 def power(state: PlantState) -> int:
-    """What the plant draws, in watts."""
+    """Power consumption of the plant, in watts."""
     return IDLE_POWER + (round(PUMP_POWER * (0.9 + 0.03 * state.level)) if state.is_pumping else 0)
 
 
 class Plant:
-    """The plant and the devices that show it.
+    """The plant with the three devices that show its state.
 
     Attributes:
         devices: what is served, by unit.
@@ -207,7 +208,7 @@ class Plant:
         self.tick(0.0)
 
     def tick(self, seconds: float) -> None:
-        """Move on by some seconds of the clock: obey what was written, and show how it stands, each device at once."""
+        """Advance the plant by some seconds: apply written controls, and update each device at once."""
         tank, meter = self.points[TANK], self.points[METER]
         controls = Controls(tank["tank.target"], tank["pump.enabled"])
         self.state = state = advance(self.state, controls, seconds)

@@ -1,4 +1,4 @@
-"""The named points of a device: what its application reads and writes, in the points' units of measure.
+"""Named points of a device for its application, read and written in their unit of measure.
 
 Knows points and the device that holds them; knows no connection.
 """
@@ -14,7 +14,7 @@ from ...values.refusal import shown
 
 
 class Points:
-    """Values by name, ``points["tank.level"]``, from any thread.
+    """The named points of a device: ``points["tank.level"]``, from any thread.
 
     Args:
         device: the device that holds them.
@@ -27,25 +27,25 @@ class Points:
 
     @property
     def sections(self) -> Mapping[str, PointSection]:
-        """The declarations by name, in the order of the file."""
+        """The declarations of the points by name, in the order of the file."""
         return self._sections
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._sections)
 
     def __getitem__(self, name: str) -> Any:  # what the point's type says
-        """The value, in the unit of measure. Raises `InvalidRequest` if there is no such point."""
+        """Read a point in its unit of measure. Raises `InvalidRequest` if there is no such point."""
         section = self._section(name)
         return section.physical(self._device.read(section.place, section.form))
 
     def __setitem__(self, name: str, value: Any) -> None:
-        """Set the value. Raises `InvalidRequest` if it does not fit, or if there is no such point."""
+        """Set a point. Raises `InvalidRequest` if the value does not fit, or if there is no such point."""
         section = self._section(name)
         raw = section.raw(value)
         self._device.write(section.place, raw if section.form is None else [raw], section.form)
 
     def update(self) -> AbstractContextManager[None]:
-        """A group of changes that become visible together, as `Device.update`."""
+        """Context manager that groups changes which become visible together, as `Device.update`."""
         return self._device.update()
 
     def _section(self, name: str) -> PointSection:

@@ -1,4 +1,4 @@
-"""A point that behaves, its unit, and a change of its value.
+"""A simulated point, its unit, and a change of its value.
 
 Knows the device that holds the point; knows no behaviour beyond its name, and no clock: times are seconds of the
 simulation since its beginning.
@@ -74,93 +74,95 @@ class SimulatedPoint:
 
     @property
     def section(self) -> SimulatedPointSection:
-        """Its declaration."""
+        """The declaration of the point."""
         return self.form.section
 
     @property
     def name(self) -> str:
-        """Its name in its unit."""
+        """Name of the point in its unit."""
         return self.form.section.name
 
     @property
     def table(self) -> Table:
-        """The table it stands in."""
+        """Table that the point is in."""
         return self.form.table
 
     @property
     def address(self) -> int:
-        """Its first item, 0-based as on the wire."""
+        """Address of the point's first item, 0-based as on the wire."""
         return self.form.address
 
     @property
     def bit(self) -> int | None:
-        """The bit of its register, 0…15; None for whole items."""
+        """Bit number of the point in its register, 0…15; None for whole items."""
         return self.form.bit
 
     @property
     def notation(self) -> str:
-        """Its address as people write it: ``4x101``."""
+        """Address of the point as people write it: ``4x101``."""
         return format_address(self.form.section.place)
 
     @property
     def type(self) -> str:
-        """The type of its registers, or ``bit``."""
+        """Name of the point's value type, or ``bit``."""
         return "bit" if self.form.form is None else self.form.form.name
 
     @property
     def order(self) -> str:
-        """Byte and register order in letters; empty for one bit."""
+        """Byte and register order of the point in letters; empty for one bit."""
         return "" if self.form.form is None else self.form.form.order
 
     @property
     def scale(self) -> float:
-        """What a step of the registers is in the unit of measure."""
+        """Change of the value, in the unit of measure, for one step of the raw number."""
         return self.form.section.scale
 
     @property
     def unit_of_measure(self) -> str:
-        """``V``, ``°C``."""
+        """Unit of measure of the point, such as ``V`` or ``°C``."""
         return self.form.section.unit_of_measure
 
     @property
     def description(self) -> str:
-        """What it is."""
+        """Description of the point from its file."""
         return self.form.section.description
 
     @property
     def access(self) -> str:
-        """What Modbus may: ``read`` or ``read-write``."""
+        """What Modbus clients may do with the point: ``read`` or ``read-write``."""
         return "read-write" if self.form.section.is_writable else "read"
 
     @property
     def minimum(self) -> float | None:
-        """The least that may be written."""
+        """Smallest value that may be written to the point."""
         return self.form.section.minimum
 
     @property
     def maximum(self) -> float | None:
-        """The most that may be written."""
+        """Largest value that may be written to the point."""
         return self.form.section.maximum
 
     @property
     def enumeration(self) -> Mapping[str, int]:
-        """Names of its numbers; empty if they have none."""
+        """Names of the point's values; empty if they have none."""
         return self.form.section.enumeration
 
     @property
     def behaviour(self) -> str:
-        """What makes it change, in a few words; empty if nothing does."""
+        """Short description of the point's behaviour; empty if it has none."""
         section = self.form.section.behaviour
         return "" if section is None else described(section)
 
     @property
     def is_held(self) -> bool:
-        """Whether it was set by hand and does not follow its behaviour."""
+        """Whether the point was set by hand and does not follow its behaviour."""
         return self.held > 0
 
     @property
     def value(self) -> Any:  # what its type says
-        """The value in the unit of measure, as a client reads it; None where the registers mean nothing in the type."""
+        """Value of the point in its unit of measure, as a client reads it; None if the registers are invalid in its
+        type.
+        """
         try:
             return self.section.physical(self._decoded())
         except BadReply:
@@ -168,19 +170,19 @@ class SimulatedPoint:
 
     @property
     def label(self) -> str | None:
-        """The name of the value, if it has one."""
+        """Name of the current value, if it has one."""
         value = self.value
         return next((name for name, number in self.enumeration.items() if number == value), None)
 
     @property
     def raw(self) -> str:
-        """Its registers in hexadecimal, ``4366 8000``; of one bit ``0`` or ``1``."""
+        """Registers of the point in hexadecimal, ``4366 8000``; for one bit ``0`` or ``1``."""
         if self.form.form is None:
             return str(int(self._decoded()))
         return (self.device.peek(self.table, self.address, self.form.size) or b"").hex(" ", 2).upper()
 
     def look(self) -> None:
-        """Take over what the registers hold, after another client has written them."""
+        """Take over the current content of the registers, after a client has written them."""
         try:
             self.stored = self._decoded()
         except BadReply:
@@ -189,14 +191,14 @@ class SimulatedPoint:
         self.number = float(value) if isinstance(value, int | float) else math.nan
 
     def _decoded(self) -> Any:  # what its type says
-        """What the registers hold, in the type."""
+        """The content of the point's registers, decoded by its type."""
         form, offset = self.form.form, self.offset
         if form is None:
             return bool(self.memory.data[offset >> 3] >> (offset & 7) & 1)
         return form.decode(self.memory.data[offset : offset + 2 * form.registers])[0]
 
     def put(self, value: Any) -> None:  # what its type says
-        """Set the registers to a value in the unit of measure, or to its name.
+        """Set the point to a value in the unit of measure, or to the name of one.
 
         Raises:
             InvalidRequest: it does not fit the type, the range or the names.
@@ -213,7 +215,7 @@ class SimulatedPoint:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedUnit:
-    """A unit of a simulation.
+    """One unit of a simulation with its device and points.
 
     Attributes:
         unit: its number, 0…255.
@@ -232,7 +234,7 @@ class SimulatedUnit:
 
 @dataclass(frozen=True, slots=True)
 class PointChanged:
-    """A new value of a point.
+    """A new value of a simulated point, with its time and origin.
 
     Attributes:
         point: which.
@@ -248,5 +250,5 @@ class PointChanged:
 
     @property
     def key(self) -> str:
-        """``UNIT/NAME``."""
+        """Key of the changed point: ``UNIT/NAME``."""
         return self.point.key

@@ -1,4 +1,4 @@
-"""A simulation: units whose points follow their behaviours, and what a person or a program does to them meanwhile.
+"""A running simulation: units whose points follow their behaviours, and can be set by people and programs.
 
 Knows files of simulations, the engine and a clock; knows no page. What goes wrong on purpose is the fault board's.
 
@@ -52,17 +52,17 @@ Watcher = Callable[[list[PointChanged]], object]
 
 
 class SimulationTimer(Protocol):
-    """Something that is to be done."""
+    """Interface of a scheduled callback of a clock."""
 
     def cancel(self) -> None:
-        """Do it no more."""
+        """Cancel the scheduled callback."""
 
 
 class SimulationClock(Protocol):
-    """What tells the time and does things at it; `busway.testing.FakeClock` is one."""
+    """Interface of a clock that also schedules callbacks; `busway.testing.FakeClock` is one."""
 
     def now(self) -> float:
-        """Seconds, monotonic."""
+        """The current time in seconds, monotonic."""
 
     def call_at(self, when: float, callback: Callable[[], object]) -> SimulationTimer:
         """Call ``callback`` once, when ``now()`` has reached ``when``."""
@@ -78,7 +78,7 @@ class _LoopClock:
 
 
 class Simulation:
-    """Units that behave as a file says.
+    """Simulated units from a file, whose points follow their behaviours.
 
     Args:
         file: path of a simulation file; or what `busway.apps.simulator.includes.parse_declaration` gave.
@@ -140,17 +140,17 @@ class Simulation:
 
     @property
     def time(self) -> float:
-        """Seconds of the simulation since its beginning."""
+        """Current time of the simulation, in seconds since its start."""
         return self._time if self._clock is None else self._time_at(self._clock.now())
 
     @property
     def changes(self) -> int:
-        """New values that behaviours gave so far."""
+        """Number of new values that behaviours have produced so far."""
         return self._engine.changes
 
     @property
     def left_out(self) -> int:
-        """Moments of units that were left out so far, because the program could not keep up."""
+        """Number of moments of units skipped so far, because the program could not keep up."""
         return self._engine.left_out
 
     def point(self, key: str) -> SimulatedPoint:
@@ -178,8 +178,8 @@ class Simulation:
         self._tell(changes)
 
     def release(self, key: str) -> None:
-        """Let a point follow its behaviour again, from its next moment on. A counter, a lag and a random walk go on
-        from what the point holds. From any thread.
+        """Let a point that was set by hand follow its behaviour again, from its next moment on. A counter, a lag and a
+        random walk continue from the current value. From any thread.
 
         Raises:
             InvalidRequest: there is no such point.
@@ -189,7 +189,7 @@ class Simulation:
             self._engine.release(point, self.time)
 
     def watch(self, callback: Watcher) -> Callable[[], None]:
-        """Call a function with the changes of values whenever there are some, several at a time.
+        """Call a function with changed values, several at a time. Returns a function that ends it.
 
         Args:
             callback: called in the thread that made the change; what it raises is logged.
@@ -206,13 +206,13 @@ class Simulation:
 
     @property
     def faults(self) -> "Faults":
-        """What goes wrong on purpose; by their names on ``board``."""
+        """The faults of the simulated devices; by their names on ``board``."""
         return self.board.faults
 
     # ---- time
 
     def tick(self, now: float) -> None:
-        """Let all points follow until a time; none of the moments before it is left out.
+        """Update all points up to a time, without skipping moments.
 
         Args:
             now: seconds of the clock, monotonic. Without a clock, the first time is the beginning.
@@ -223,7 +223,7 @@ class Simulation:
         self._engine.run(self._time)
 
     def deadline(self) -> float | None:
-        """When something is to be done next, in seconds of the clock; None if nothing is, or before a first time."""
+        """When the next task is due, in seconds of the clock; None without tasks, or before the start."""
         due = self._engine.deadline()
         if due is None or self._origin is None:
             return None
@@ -233,7 +233,7 @@ class Simulation:
         return began + (due - time) / self.speed
 
     def change_speed(self, speed: float) -> None:
-        """Let time go faster or slower from now on; where it runs, in the thread of its event loop.
+        """Change the speed of the simulated time from now on; call it in the thread of the running event loop.
 
         Args:
             speed: seconds of the simulation in one second of the clock, above 0.
@@ -247,13 +247,13 @@ class Simulation:
         self._arm_if_running()
 
     def pause(self) -> None:
-        """Let time stand still: points keep their values, and can be set as ever. Thread as of `change_speed`."""
+        """Stop the simulated time: points keep their values, and can still be set. Thread as of `change_speed`."""
         self._count_from_here()
         self.is_paused = True
         self._arm_if_running()
 
     def resume(self) -> None:
-        """Let time go on where it stood. Thread as of `change_speed`."""
+        """Continue the simulated time from where it stopped. Thread as of `change_speed`."""
         self._count_from_here()
         self.is_paused = False
         self._arm_if_running()
@@ -263,7 +263,7 @@ class Simulation:
             self._arm()
 
     def _count_from_here(self) -> None:
-        """Count time from this moment on; without a clock, from the next `tick`."""
+        """Measure simulated time from this moment on; without a clock, from the next `tick`."""
         if self._clock is None:
             self._origin = None
         elif self._origin is not None:
@@ -281,36 +281,36 @@ class Simulation:
 
     @property
     def file(self) -> SimulationFile:
-        """The sections of the file, with the units of all includes."""
+        """The sections of the simulation file, with the units of all includes."""
         return self.declaration.file
 
     @property
     def listeners(self) -> tuple[Listener, ...]:
-        """Where it listens."""
+        """The listeners that the file declares."""
         return self.declaration.configuration.listeners
 
     @property
     def access(self) -> AccessRules | None:
-        """The rules that the file has."""
+        """The access rules of the file; None without any."""
         return self.declaration.configuration.access
 
     @property
     def audit(self) -> str | None:
-        """Path of the audit log."""
+        """Path of the audit log; None without one."""
         return self.declaration.configuration.audit
 
     @property
     def control(self) -> str | None:
-        """Where it is controlled; None for the usual place."""
+        """Address of the control socket; None for the default one."""
         return self.declaration.configuration.control
 
     @property
     def at_once(self) -> frozenset[str]:
-        """Sections that hold at once when the file is read again."""
+        """Names of the sections that take effect at once when the file is read again."""
         return self.declaration.configuration.at_once
 
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> "Server":  # Any: as `busway.serve`
-        """A server for the units, not started yet: as `Configuration.serve`, which it asks."""
+        """Create a server for the units, not started yet; as `Configuration.serve`, which it calls."""
         server = self.declaration.configuration.serve(
             listen, **{"units": {number: unit.device for number, unit in self.units.items()}, **options}
         )
@@ -320,30 +320,31 @@ class Simulation:
         return server
 
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Nothing: units and listeners need a new start."""
+        """Do nothing: changed units and listeners take effect at the next start."""
         return []
 
     @property
     def functions(self) -> FunctionTable:
-        """The functions that it decodes."""
+        """The table of functions that the server of the simulation decodes."""
         return STANDARD
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer of requests, of every server that is made from now on."""
+        """Register an observer of requests for every server that is created from now on."""
         self._observers.append(observer)
 
     # ---- running
 
     @property
     def server(self) -> "Server":
-        """The server. Raises `ConfigError` while there is none."""
+        """The running server. Raises `ConfigError` if there is none."""
         if self._server is None:
             raise ConfigError("the simulation does not run", key="server")
         return self._server
 
     @asynccontextmanager
     async def running(self, *listen: str) -> AsyncIterator[Self]:
-        """Serve the units, and let their points follow: ``async with simulation.running("tcp://127.0.0.1:0"): …``.
+        """Context manager that serves the units and runs their behaviours: ``async with
+        simulation.running("tcp://127.0.0.1:0"): …``.
 
         Args:
             listen: URLs, instead of those of the file.
@@ -358,7 +359,7 @@ class Simulation:
 
     @asynccontextmanager
     async def driven(self, server: Any) -> AsyncIterator[Self]:  # Any: what `serve` gave, or a `Service` started
-        """Let the points follow while a server of `serve` runs.
+        """Context manager that runs the behaviours while a server of `serve` runs.
 
         Args:
             server: it; it is started and stopped by who made it.
@@ -395,7 +396,7 @@ class Simulation:
             self.keep()
 
     def _arm(self) -> None:
-        """Set the one timer to what is due next."""
+        """Set the timer to the next task."""
         clock, deadline = self._clock, self.deadline()
         if self._timer is not None:
             self._timer.cancel()
@@ -420,20 +421,20 @@ class Simulation:
     # ---- changes
 
     def _followed(self, points: list[SimulatedPoint], time: float) -> None:
-        """The engine has given points new values."""
+        """Report new values that the engine has given to points."""
         if self._watchers:
             self._tell(
                 [PointChanged(point, point.section.physical(point.stored), time, SIMULATION) for point in points]
             )
 
     def _written(self, points: Sequence[SimulatedPoint], peer: str) -> None:
-        """Modbus has written points; the device's lock is held."""
+        """Handle a Modbus write to points; the device's lock is held."""
         for point in points:
             point.look()
         self._tell(self._held(points, peer))
 
     def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChanged]:
-        """Points have values that were set by hand."""
+        """Note points that were set by hand. Returns their changes."""
         time = self.time
         changes = []
         for point in points:
@@ -463,7 +464,7 @@ class Simulation:
     # ---- values over restarts
 
     def _begin(self) -> None:
-        """The first moment: of a new simulation, or of one that goes on."""
+        """Start a new simulation, or continue one from its saved state."""
         path = self.declaration.state
         kept = None
         if path is not None:
@@ -499,12 +500,12 @@ class Simulation:
             self._engine.hold(point, self._time)
 
     def keep(self) -> None:
-        """Put the values into the file in which they are kept, now; nothing where they are not. Failures are logged."""
+        """Save the state of the simulation now, if it has a file for that. Failures are logged."""
         if self.declaration.state is not None:
             self._save(self.declaration.state, self._snapshot())
 
     async def _keep_on(self, path: str, ended: asyncio.Event) -> None:
-        """Keep the values from time to time, and never stop for a full disk."""
+        """Save the state from time to time; a full disk does not end that."""
         while True:
             with suppress(TimeoutError):
                 await asyncio.wait_for(ended.wait(), self.declaration.file.simulation.keep_every)

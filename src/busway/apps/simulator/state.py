@@ -1,4 +1,4 @@
-"""Values of a simulation over a restart: a file of JSON.
+"""Saves the values of a simulation in a JSON file, so that it continues after a restart.
 
 Knows the file; knows no device.
 
@@ -30,7 +30,7 @@ ASIDE: Final = ".broken"
 
 @dataclass(frozen=True, slots=True)
 class KeptPoint:
-    """What is kept of a point.
+    """The saved state of one point.
 
     Attributes:
         value: in the unit of measure; None where the behaviour alone is kept.
@@ -45,7 +45,7 @@ class KeptPoint:
 
 @dataclass(frozen=True, slots=True)
 class KeptState:
-    """What is kept of a simulation.
+    """The saved state of a simulation.
 
     Attributes:
         time: seconds since its beginning.
@@ -57,7 +57,7 @@ class KeptState:
 
 
 def save_state(path: str, state: KeptState) -> None:
-    """Put a state into a file. Raises `ConfigError` where that cannot be; then the one before still stands."""
+    """Save a state to a file. Raises `ConfigError` on failure; then the earlier file is unchanged."""
     document = {
         "kind": _KIND,
         "version": _VERSION,
@@ -84,7 +84,7 @@ def save_state(path: str, state: KeptState) -> None:
 
 
 def check_state(path: str) -> str:
-    """The path without links of a state, or of a file that is not there yet.
+    """The path of a state file with links resolved; the file need not exist yet.
 
     Raises:
         ConfigError: it is no regular file, is no state, or is reached by a link of another user; it stays as it is.
@@ -95,7 +95,7 @@ def check_state(path: str) -> str:
 
 
 def load_state(path: str) -> KeptState | None:
-    """The state in a file; None where there is no file.
+    """Load the state from a file; None if there is no file.
 
     Raises:
         ConfigError: the file is not a valid state; it was renamed, with ``.broken`` after its name. Or as of
@@ -113,7 +113,7 @@ def load_state(path: str) -> KeptState | None:
 
 
 def _put_aside(place: str) -> str:
-    """Rename an invalid state; its new place, for a sentence."""
+    """Rename an invalid state file. Returns the new path, for a message."""
     aside = f"{place}{ASIDE}"
     try:
         os.replace(place, check_state(aside))

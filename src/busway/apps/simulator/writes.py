@@ -1,4 +1,4 @@
-"""What Modbus writes to the points of a unit: told to the simulation.
+"""Reports Modbus writes to the points of a unit to the simulation.
 
 Knows points and the hooks of devices; knows no behaviour. What does not fit a point is refused before
 (`busway.config.device_writes`).
@@ -17,7 +17,7 @@ Told = Callable[[Sequence[SimulatedPoint], str], None]
 
 
 def watch_writes(device: Device, points: Sequence[SimulatedPoint], told: Told) -> None:
-    """Tell all writes to some points of a device from now on."""
+    """Report all writes to some points of a device from now on."""
     for table in Table:
         inside = [point for point in points if point.table is table]
         if inside and table.is_writable:
@@ -25,7 +25,7 @@ def watch_writes(device: Device, points: Sequence[SimulatedPoint], told: Told) -
 
 
 class _Writes:
-    """Writes to one table of one unit.
+    """The watched points in one table of a unit.
 
     Args:
         points: those that stand in it.
@@ -38,7 +38,7 @@ class _Writes:
         self._told = told
 
     def tell(self, change: Change) -> None:
-        """Say what was written."""
+        """Report the points that a write has touched."""
         touched = self._items.touched(change.address, change.address + change.count)
         if touched:
             self._told([self._points[index] for index in touched], change.peer)

@@ -1,4 +1,4 @@
-"""What makes values change: each behaviour is a function of the simulation's time, and of a state of its own.
+"""Behaviours, which make simulated values change: each is a function of the simulation's time and its own state.
 
 Knows time as a number; knows no clock, no device and no register. The keys in files are known by
 `busway.config.files.behaviours`.

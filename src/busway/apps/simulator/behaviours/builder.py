@@ -1,4 +1,4 @@
-"""A section of a file → its behaviour.
+"""Builds behaviours from the sections of a simulation file.
 
 Knows every kind; knows no device: what expressions read is handed in.
 """
@@ -30,7 +30,7 @@ from .waves import Constant, Ramp, Sine, Square
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a behaviour needs beside its section.
+    """What a behaviour needs beside its section: other points, recordings and the seed.
 
     Attributes:
         key: of the point, ``UNIT/NAME``.
@@ -55,7 +55,7 @@ class Surroundings:
 
 
 def make_behaviour(section: BehaviourSection, around: Surroundings) -> Behaviour:
-    """The behaviour of a point."""
+    """Build the behaviour that a section declares."""
     match section:
         case ConstantSection():
             return Constant(section)

@@ -1,4 +1,4 @@
-"""Behaviours of chance, which are the same for the same seed: noise and random walk.
+"""Random behaviours, equal for equal seeds: noise and random walk.
 
 1. What is drawn at a step depends on the seed, the point and the number of the step alone: however often the engine
    comes by, and whatever else is drawn, step 1000 is step 1000.
@@ -16,12 +16,12 @@ _TO_UNIT: Final = 2.0**-53
 
 
 def stream_of(seed: int, key: str) -> int:
-    """The beginning of a point's own numbers."""
+    """The number that starts a point's own sequence of random numbers."""
     return int.from_bytes(blake2b(f"{seed}/{key}".encode(), digest_size=8).digest())
 
 
 def drawn(stream: int, index: int) -> float:
-    """Number ``index`` of a stream, 0 ≤ x < 1, equally distributed: the mixing of SplitMix64, by position."""
+    """Random number ``index`` of a sequence, 0 ≤ x < 1, uniform: SplitMix64 by position."""
     word = (stream + index * _GOLDEN) & _WORD
     word = ((word ^ word >> 30) * 0xBF58476D1CE4E5B9) & _WORD
     word = ((word ^ word >> 27) * 0x94D049BB133111EB) & _WORD
@@ -29,7 +29,7 @@ def drawn(stream: int, index: int) -> float:
 
 
 class Noise:
-    """Values around a mean, each step by itself."""
+    """Behaviour ``noise``: random values around a mean, each independent of the others."""
 
     __slots__ = ("_every", "_is_normal", "_mean", "_spread", "_stream")
 
@@ -41,7 +41,7 @@ class Noise:
         self._stream = stream
 
     def value(self, time: float) -> float:
-        """As `Behaviour.value`."""
+        """The random value of the step that a time is in."""
         step = round(time / self._every)
         if not self._is_normal:
             return self._mean + self._spread * (2 * drawn(self._stream, step) - 1)
@@ -50,15 +50,15 @@ class Noise:
         return self._mean + self._spread * radius * math.cos(2 * math.pi * drawn(self._stream, 2 * step + 1))
 
     def resume(self, time: float, value: float) -> None:
-        """Nothing: no value depends on the one before."""
+        """Do nothing: no value depends on the one before."""
 
     def state(self, time: float) -> float | None:
-        """None."""
+        """None: noise has no state to keep."""
         return None
 
 
 class RandomWalk:
-    """Steps up and down, turned back at the ends.
+    """Behaviour ``random-walk``: random steps up and down, reflected at the limits.
 
     Args:
         section: what the file says.
@@ -81,7 +81,7 @@ class RandomWalk:
         self._step = 0
 
     def value(self, time: float) -> float:
-        """As `Behaviour.value`; steps that the engine left out are made here."""
+        """The value at a time; steps that the engine skipped are made first."""
         last = round(time / self._every)
         value = self._value
         for step in range(self._step + 1, last + 1):
@@ -95,10 +95,10 @@ class RandomWalk:
         return value
 
     def resume(self, time: float, value: float) -> None:
-        """As `Behaviour.resume`."""
+        """Continue the walk from a value at a time."""
         self._value = value
         self._step = math.floor(time / self._every + 1e-9)
 
     def state(self, time: float) -> float | None:
-        """The value."""
+        """The current value of the walk."""
         return self._value

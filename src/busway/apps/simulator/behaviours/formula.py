@@ -1,10 +1,10 @@
-"""A value that is an expression over other points and the time."""
+"""Behaviour ``formula``: a value computed from other points and the time."""
 
 from ....points.expression import Bound
 
 
 class Formula:
-    """The value of an expression.
+    """Behaviour of a point whose value is an expression.
 
     Args:
         compute: the expression, bound to its points.
@@ -16,8 +16,8 @@ class Formula:
         self.value: Bound = compute
 
     def resume(self, time: float, value: float) -> None:
-        """Nothing: the value follows from other points."""
+        """Do nothing: the value follows from other points."""
 
     def state(self, time: float) -> float | None:
-        """None."""
+        """None: a formula has no state to keep."""
         return None

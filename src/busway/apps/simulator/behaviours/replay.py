@@ -1,4 +1,4 @@
-"""Recorded values: lines ``time,value`` → a behaviour.
+"""Behaviour ``replay``: recorded values from lines ``time,value``.
 
 Knows the text of such a file; reads none.
 
@@ -23,7 +23,7 @@ _STATES: Final = {"on": 1.0, "true": 1.0, "off": 0.0, "false": 0.0}
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Values over time.
+    """Recorded values over time.
 
     Attributes:
         times: seconds since the first of them, rising, the first 0.
@@ -35,13 +35,13 @@ class Recording:
 
     @property
     def length(self) -> float:
-        """Seconds from the beginning to where it begins anew."""
+        """Seconds from the start of the recording until it repeats."""
         times = self.times
         return times[-1] + (times[-1] - times[-2] if len(times) > 1 else 1.0)
 
 
 def parse_recording(text: str, name: str) -> Recording:
-    """The recording in a text.
+    """Parse the lines ``time,value`` of a recording.
 
     Args:
         text: the content of the file.
@@ -102,7 +102,7 @@ def _is_heading(line: str) -> bool:
 
 
 class Replay:
-    """A recording as a behaviour.
+    """Behaviour of a point that replays a recording.
 
     Args:
         recording: the values.
@@ -121,7 +121,7 @@ class Replay:
         self._length = recording.length
 
     def value(self, time: float) -> float:
-        """As `Behaviour.value`."""
+        """The recorded value at a time."""
         times, values = self._recording.times, self._recording.values
         if self._repeats:
             time %= self._length
@@ -132,8 +132,8 @@ class Replay:
         return values[at] + part * (values[at + 1] - values[at])
 
     def resume(self, time: float, value: float) -> None:
-        """Nothing: the value follows from the time."""
+        """Do nothing: the value follows from the time."""
 
     def state(self, time: float) -> float | None:
-        """None."""
+        """None: a replay has no state to keep."""
         return None

@@ -1,4 +1,4 @@
-"""Behaviours that go on from their last value: counter and first-order lag.
+"""Behaviours that continue from their last value: counter and first-order lag.
 
 1. A number as rate or target gives a closed form of the time since the last `resume`: nothing is summed up, nothing
    drifts.
@@ -13,7 +13,7 @@ from ....points.expression import Bound
 
 
 class SteadyCounter:
-    """A sum at a rate that does not change.
+    """Behaviour ``counter`` with a constant rate.
 
     Args:
         rate: per second.
@@ -30,22 +30,22 @@ class SteadyCounter:
         self._since = 0.0
 
     def value(self, time: float) -> float:
-        """As `Behaviour.value`."""
+        """The count at a time."""
         value = self._start + self._rate * max(time - self._since, 0.0)
         return value if self._rollover is None else value % self._rollover
 
     def resume(self, time: float, value: float) -> None:
-        """As `Behaviour.resume`."""
+        """Continue counting from a value at a time."""
         self._since = time
         self._start = value
 
     def state(self, time: float) -> float | None:
-        """The value at that time."""
+        """The count at a time."""
         return self.value(time)
 
 
 class Counter:
-    """A sum at a rate that is an expression.
+    """Behaviour ``counter`` whose rate is an expression.
 
     Args:
         rate: per second.
@@ -63,29 +63,29 @@ class Counter:
         self._seen = 0.0
 
     def value(self, time: float) -> float:
-        """As `Behaviour.value`."""
+        """The count at a time."""
         value = self._value + self._seen * max(time - self._time, 0.0)
         self._value = value if self._rollover is None else value % self._rollover
         self._time = max(time, self._time)
         return self._value
 
     def observe(self, time: float) -> None:
-        """As `Observer.observe`."""
+        """Note the rate at a time, for counting until the next moment."""
         rate = self._rate(time)
         self._seen = rate if math.isfinite(rate) else 0.0
 
     def resume(self, time: float, value: float) -> None:
-        """As `Behaviour.resume`."""
+        """Continue counting from a value at a time."""
         self._time = time
         self._value = value
 
     def state(self, time: float) -> float | None:
-        """The sum."""
+        """The current count."""
         return self._value
 
 
 class SteadyLag:
-    """An exponential approach to a target that does not change.
+    """Behaviour ``lag`` with a constant target: an exponential approach.
 
     Args:
         target: where it goes.
@@ -102,22 +102,22 @@ class SteadyLag:
         self._since = 0.0
 
     def value(self, time: float) -> float:
-        """As `Behaviour.value`."""
+        """The value at a time."""
         way = self._start - self._target
         return self._target + way * math.exp(min(self._since - time, 0.0) / self._time_constant)
 
     def resume(self, time: float, value: float) -> None:
-        """As `Behaviour.resume`."""
+        """Continue the approach from a value at a time."""
         self._since = time
         self._start = value
 
     def state(self, time: float) -> float | None:
-        """The value at that time."""
+        """The value at a time."""
         return self.value(time)
 
 
 class Lag:
-    """An exponential approach to a target that is an expression.
+    """Behaviour ``lag`` whose target is an expression: an exponential approach.
 
     Args:
         target: where it goes.
@@ -135,7 +135,7 @@ class Lag:
         self._seen = math.nan
 
     def value(self, time: float) -> float:
-        """As `Behaviour.value`."""
+        """The value at a time."""
         if math.isfinite(self._seen):
             way = self._value - self._seen
             self._value = self._seen + way * math.exp(min(self._time - time, 0.0) / self._time_constant)
@@ -143,14 +143,14 @@ class Lag:
         return self._value
 
     def observe(self, time: float) -> None:
-        """As `Observer.observe`."""
+        """Note the target at a time, for the approach until the next moment."""
         self._seen = self._target(time)
 
     def resume(self, time: float, value: float) -> None:
-        """As `Behaviour.resume`."""
+        """Continue the approach from a value at a time."""
         self._time = time
         self._value = value
 
     def state(self, time: float) -> float | None:
-        """The value."""
+        """The current value of the approach."""
         return self._value

@@ -10,20 +10,20 @@ from ....config.files.behaviours import ConstantSection, RampSection, SineSectio
 
 
 class _Timeless:
-    """What has no state."""
+    """Base of behaviours without a state."""
 
     __slots__ = ()
 
     def resume(self, time: float, value: float) -> None:
-        """Nothing: the value follows from the time."""
+        """Do nothing: the value follows from the time."""
 
     def state(self, time: float) -> float | None:
-        """None."""
+        """None: there is no state to keep."""
         return None
 
 
 class Constant(_Timeless):
-    """One value."""
+    """Behaviour ``constant``: always the same value."""
 
     __slots__ = ("_value",)
 
@@ -31,12 +31,12 @@ class Constant(_Timeless):
         self._value = float(section.value)
 
     def value(self, time: float) -> float:
-        """As `Behaviour.value`."""
+        """The constant value, whatever the time."""
         return self._value
 
 
 class Ramp(_Timeless):
-    """A straight line, and what comes after it."""
+    """Behaviour ``ramp``: a straight line, then holding, repeating or going back."""
 
     __slots__ = ("_at_end", "_duration", "_first", "_rise")
 
@@ -47,7 +47,7 @@ class Ramp(_Timeless):
         self._at_end = section.at_end
 
     def value(self, time: float) -> float:
-        """As `Behaviour.value`."""
+        """The value of the ramp at a time."""
         duration = self._duration
         if self._at_end == "hold":
             part = min(time / duration, 1.0)
@@ -60,7 +60,7 @@ class Ramp(_Timeless):
 
 
 class Sine(_Timeless):
-    """A sine, which begins at its mean upwards, ``phase`` degrees on."""
+    """Behaviour ``sine``: a sine wave that starts at its mean, rising, shifted by ``phase`` degrees."""
 
     __slots__ = ("_amplitude", "_factor", "_mean", "_period", "_phase")
 
@@ -72,12 +72,12 @@ class Sine(_Timeless):
         self._phase = math.radians(section.phase)
 
     def value(self, time: float) -> float:
-        """As `Behaviour.value`."""
+        """The value of the sine wave at a time."""
         return self._mean + self._amplitude * math.sin(time % self._period * self._factor + self._phase)
 
 
 class Square(_Timeless):
-    """High for the part ``duty`` of each period, which it begins with; then low."""
+    """Behaviour ``square``: high for the part ``duty`` at the start of each period, then low."""
 
     __slots__ = ("_duty", "_high", "_low", "_period", "_shift")
 
@@ -89,5 +89,5 @@ class Square(_Timeless):
         self._shift = section.phase / 360 * section.period
 
     def value(self, time: float) -> float:
-        """As `Behaviour.value`."""
+        """The value of the square wave at a time."""
         return self._high if (time + self._shift) % self._period < self._duty else self._low
