@@ -19,6 +19,7 @@ import pytest
 from failing_sockets import UNANSWERED, Fault, Wire, WireConnector, connected_by
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import wait_until
 
 import busway
 from busway.pdu.message import Message, Request
@@ -273,14 +274,6 @@ def test_what_a_thread_could_not_send_leaves_while_another_one_waits_for_its_rep
         waiting.join(IN_TIME)
         assert not waiting.is_alive()
     wire.close()
-
-
-def wait_until(condition: Callable[[], object]) -> None:
-    """Wait for what another thread does."""
-    until = time.monotonic() + IN_TIME
-    while not condition():
-        assert time.monotonic() < until
-        time.sleep(0.001)
 
 
 def suppressed(read: Callable[..., Any], address: int) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 from handles import open_handles
+from waiting import until
 
 import busway
 from busway.framing.rtu import encode_rtu
@@ -182,14 +183,6 @@ async def answered(link: busway.AsyncLink) -> list[int]:
         except (busway.LinkDown, busway.NoReply):
             await asyncio.sleep(0.02)
     raise AssertionError("it did not come back")
-
-
-async def until(condition: object) -> None:
-    for _ in range(500):
-        if condition():  # type: ignore[operator]
-            return
-        await asyncio.sleep(0.01)
-    raise AssertionError("it did not happen")
 
 
 @pytest.mark.clause("S15")

@@ -1,9 +1,10 @@
 """Serving on a real port (a pseudo-terminal on a paced line)."""
 
 import asyncio
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
+from waiting import until
 
 import busway
 from busway.framing.rtu import encode_rtu
@@ -31,12 +32,10 @@ def url(line: PacedLine, options: str = "", framing: str = "rtu") -> str:
     return f"{framing}://{line.paths[1]}?baud={BAUD}{options}"
 
 
-async def until(condition: Callable[[], bool]) -> None:
-    for _ in range(500):
-        if condition():
-            return
-        await asyncio.sleep(0.01)
-    raise AssertionError("it did not happen")
+async def until_spoken(line: PacedLine, count: int = 1) -> None:
+    """Wait until the server has sent so many frames, the last of them whole."""
+    await until(lambda: len(spoken(line)) == count)
+    await asyncio.to_thread(line.wait_quiet)
 
 
 def spoken(line: PacedLine) -> list[bytes]:
@@ -58,7 +57,7 @@ async def test_server_counts_what_passes_and_speaks_for_its_own_units_alone(line
         ):
             line.inject(frame)
             await asyncio.to_thread(line.wait_quiet, 0.02)
-        await until(lambda: len(spoken(line)) == 1)
+        await until_spoken(line)
         assert spoken(line) == [encode_rtu(5, b"\x03\x04\x00\x09\x00\x00")]
         (status,) = server.status().listeners
         assert status.endpoint == server.endpoints[0] == f"rtu://{line.paths[1]}"
@@ -115,7 +114,7 @@ async def test_two_requests_back_to_back_on_a_real_line_are_executed_and_the_las
     async with busway.serve(url(line), units={5: device}) as server:
         last = encode_rtu(5, b"\x06\x00\x01\x00\x08")
         line.inject(encode_rtu(5, b"\x06\x00\x00\x00\x09") + last)
-        await until(lambda: bool(spoken(line)))
+        await until_spoken(line)
         await asyncio.to_thread(line.wait_quiet, 0.02)
         assert device.holding_registers[:2] == [9, 8]
         assert spoken(line) == [last]
@@ -195,7 +194,7 @@ async def test_server_that_takes_no_more_still_answers_what_it_was_asked_and_not
         await handler.asked.wait()
         await server.take_no_more()
         handler.go_on.set()
-        await until(lambda: len(spoken(line)) == 1)
+        await until_spoken(line)
         line.inject(READ)
         await until(lambda: server.status().listeners[0].foreign == 1)
         await asyncio.to_thread(line.wait_quiet, 0.02)
@@ -225,7 +224,7 @@ async def test_slow_handler_answers_late_and_not_when_somebody_has_spoken(line: 
         line.inject(READ)
         await handler.asked.wait()
         handler.go_on.set()
-        await until(lambda: len(spoken(line)) == 1)
+        await until_spoken(line)
         handler.go_on.clear()
         handler.asked.clear()
         line.inject(READ)
@@ -251,7 +250,7 @@ async def test_handler_that_fails_shows_as_a_steady_error(line: PacedLine) -> No
 
     async with busway.serve(url(line), responder=Broken()) as server:  # type: ignore[arg-type]
         line.inject(READ)
-        await until(lambda: len(spoken(line)) == 1)
+        await until_spoken(line)
         assert spoken(line) == [encode_rtu(5, b"\x83\x04")]
         assert server.status().listeners[0].indicators.error is StatusIndicator.ON
         assert server.status().counters.responder_failures == 1
@@ -272,7 +271,7 @@ async def test_taken_port_is_an_error_that_names_the_holder_and_an_absent_one_is
         line.replug(1)
         await until(lambda: server.status().listeners[0].is_open)
         line.inject(READ)
-        await until(lambda: len(spoken(line)) == 1)
+        await until_spoken(line)
 
 
 @pytest.mark.real_time
@@ -281,7 +280,7 @@ async def test_server_can_be_stopped_and_started_again(line: PacedLine) -> None:
     for number in range(3):
         async with server:
             line.inject(READ)
-            await until(lambda number=number: len(spoken(line)) == number + 1)  # type: ignore[misc]
+            await until_spoken(line, number + 1)
     await server.reset()
     assert server.status().counters.requests == 0
     await server.stop()

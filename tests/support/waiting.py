@@ -8,11 +8,17 @@ LONGEST_WAIT = 10.0
 """Seconds after which something that should happen at once has failed."""
 
 
+TURNS_AT_ONCE = 1000
+"""Turns of the event loop after which other threads, such as that of a line, get time too."""
+
+
 async def until(condition: Callable[[], object], seconds: float = LONGEST_WAIT) -> None:
     """Let the event loop turn until ``condition()`` holds. Raises `TimeoutError`."""
+    turns = 0
     async with asyncio.timeout(seconds):
-        while not condition():  # noqa: ASYNC110 - what the condition looks at tells nobody when it changes
-            await asyncio.sleep(0)
+        while not condition():
+            turns += 1
+            await asyncio.sleep(0 if turns < TURNS_AT_ONCE else 0.002)
 
 
 def wait_until(condition: Callable[[], object], seconds: float = LONGEST_WAIT) -> None:

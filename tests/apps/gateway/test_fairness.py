@@ -3,6 +3,7 @@
 import asyncio
 
 import pytest
+from waiting import until
 
 import busway
 from busway.apps.gateway.gateway import Gateway
@@ -31,7 +32,7 @@ async def test_a_flooding_client_costs_another_at_most_one_transaction_of_waitin
             await flooding.unit(1).read_holding_registers(0, count=1)
             await polite.unit(1).read_holding_registers(0, count=1)
             flood = [asyncio.create_task(flooding.unit(1).read_holding_registers(n, count=10)) for n in range(100, 160)]
-            await asyncio.sleep(0.05)
+            await until(lambda: len(order) >= 5)  # the flood is on the wire
             waits = []
             for n in range(500, 510):
                 before = len(order)

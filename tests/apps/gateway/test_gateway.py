@@ -285,7 +285,8 @@ async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
             asked = asyncio.create_task(link.unit(1).read_holding_registers(1000, count=1))
             await until(lambda: gateway.open_requests == 1)
             draining = asyncio.create_task(gateway.drain(5))
-            await asyncio.sleep(0.01)
+            await settle()
+            await settle()  # the gateway settles too before it waits
             gate.opened.set()
             assert await asked == [1000]
             assert await draining == 0

@@ -1,12 +1,12 @@
 """The API of the collector's page: committed values, history with gaps, links, devices, sinks."""
 
 import re
-import time
 from typing import Any
 from urllib.request import urlopen
 
 import pytest
 from page_collector import WatchedCollector, watched_collector
+from waiting import wait_until
 
 import busway
 from busway.apps.collector.store.frames import BucketTable
@@ -16,15 +16,8 @@ from busway.apps.web.collector_page import _trend
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory: pytest.TempPathFactory) -> Any:
     with watched_collector(tmp_path_factory.mktemp("plant")) as running:
-        until(lambda: all(running.ask("/api/values")[1]["quality"]))
+        wait_until(lambda: all(running.ask("/api/values")[1]["quality"]), 30)
         yield running
-
-
-def until(holds: Any) -> None:
-    limit = time.monotonic() + 30
-    while not holds():
-        assert time.monotonic() < limit
-        time.sleep(0.05)
 
 
 def test_values_stand_in_the_order_of_the_points_with_quality_and_reason(plant: WatchedCollector) -> None:
@@ -40,7 +33,7 @@ def test_values_stand_in_the_order_of_the_points_with_quality_and_reason(plant: 
 
 def test_a_value_that_is_shown_is_in_the_store(plant: WatchedCollector) -> None:
     plant.device.holding_registers[1] = 4711
-    until(lambda: plant.ask("/api/values")[1]["value"][1] == 4711)
+    wait_until(lambda: plant.ask("/api/values")[1]["value"][1] == 4711, 30)
     assert 4711 in busway.Store(plant.collector.configuration.store).read("pump/level", since="1m").value
 
 
@@ -75,7 +68,7 @@ def test_devices_say_how_they_do(plant: WatchedCollector) -> None:
 def test_sinks_say_how_far_behind_they_are(plant: WatchedCollector) -> None:
     (sink,) = plant.ask("/api/sinks")[1]["sinks"]
     assert sink["name"] == "lines"
-    until(lambda: plant.ask("/api/sinks")[1]["sinks"][0]["sent"] > 0)
+    wait_until(lambda: plant.ask("/api/sinks")[1]["sinks"][0]["sent"] > 0, 30)
 
 
 def test_the_page_and_all_that_it_names_are_served(plant: WatchedCollector) -> None:

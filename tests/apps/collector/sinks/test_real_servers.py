@@ -25,25 +25,35 @@ from busway.apps.collector.store.writer import StoreWriter
 READS = 30
 WANTED = [float(number) for number in range(READS)]
 QUICK = DeliveryOptions(age=0, most=20)
+RETAINED = "retained"
+"""The topic of a message that a subscriber hears as soon as it has subscribed."""
 
 
 @contextlib.asynccontextmanager
 async def heard(server: ForeignServer, folder: Path, *options: str) -> AsyncIterator[list[tuple[str, dict[str, Any]]]]:
-    """What mosquitto_sub hears, as topic and JSON."""
+    """What mosquitto_sub hears from now on, as topic and JSON."""
     messages: list[tuple[str, dict[str, Any]]] = []
-    command = [needed("mosquitto_sub"), "-h", "127.0.0.1", "-p", str(server.port), "-V", "mqttv5", "-q", "1"]
-    command += ["-t", "#", "-F", "%t\t%p", *options]
+    where = ["-h", "127.0.0.1", "-p", str(server.port), "-V", "mqttv5", "-q", "1", *options]
+    retain = [needed("mosquitto_pub"), *where, "-r", "-t", RETAINED, "-m", "{}"]
+    await asyncio.to_thread(subprocess.run, retain, check=True, timeout=20)
+    command = [needed("mosquitto_sub"), *where, "-t", "#", "-F", "%t\t%p"]
     process = await asyncio.create_subprocess_exec(*command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
     async def collect() -> None:
         assert process.stdout is not None
         while line := await process.stdout.readline():
             topic, _, payload = line.decode().rstrip("\n").partition("\t")
+            if topic == RETAINED:
+                subscribed.set()
+                continue
             with contextlib.suppress(ValueError):
                 messages.append((topic, json.loads(payload)))
 
+    subscribed = asyncio.Event()
     task = asyncio.create_task(collect())
     try:
+        async with asyncio.timeout(20):
+            await subscribed.wait()
         yield messages
     finally:
         with contextlib.suppress(ProcessLookupError):
@@ -67,7 +77,6 @@ async def test_a_broker_that_was_down_gets_everything_in_order(tmp_path: Path) -
         sink = MqttSink("127.0.0.1", server.port, topic="plant/{device}", timeout=2.0)
         delivery = delivery_to(sink, writer, QUICK)
         async with heard(server, tmp_path) as messages:
-            await asyncio.sleep(0.3)  # mosquitto_sub says nowhere that it has subscribed
             await run_until(delivery, lambda: len(currents(messages)) == 10)
             assert {topic for topic, _ in messages} == {"plant/meter-7"}
         server.stop()
@@ -75,7 +84,6 @@ async def test_a_broker_that_was_down_gets_everything_in_order(tmp_path: Path) -
         await run_until(delivery, lambda: delivery.status().error is not None)
         server.start()
         async with heard(server, tmp_path) as again:
-            await asyncio.sleep(0.3)
             await run_until(delivery, lambda: len(currents(again)) == 20)
         assert currents(messages) + currents(again) == WANTED
         assert delivery.status().error is None
