@@ -215,7 +215,7 @@ MASTERS: dict[str, Callable[[str, int, float], None] | None] = {
 
 
 def command_of(master: str, path: str, reads: int, timeout: float, folder: Path) -> list[str] | str:
-    """How a master is started, or why it can not be."""
+    """How a master is started, or why it cannot be started."""
     arguments = [path, str(reads), str(timeout)]
     if master == "libmodbus":
         program = compiled(folder)

@@ -1,6 +1,6 @@
 """What works with nothing installed beside busway, and what the rest says that needs more.
 
-Each program runs in a process of its own, in which the optional packages can not be found.
+Each program runs in a process of its own, in which the optional packages cannot be found.
 """
 
 import subprocess

@@ -151,7 +151,7 @@ static void agree_on_credentials(const char *certificate, const char *key, const
     if (!credentials || SSL_CTX_use_certificate_chain_file(credentials, certificate) != 1 ||
         SSL_CTX_use_PrivateKey_file(credentials, key, SSL_FILETYPE_PEM) != 1 ||
         SSL_CTX_load_verify_locations(credentials, authority, NULL) != 1)
-        die("the certificate, the key or the authority can not be used");
+        die("the certificate, the key or the authority cannot be used");
     SSL_CTX_set_verify(credentials, SSL_VERIFY_PEER | SSL_VERIFY_FAIL_IF_NO_PEER_CERT, NULL);
     SSL_CTX_set_session_id_context(credentials, (const unsigned char *)"floor", 5);
 }

@@ -245,7 +245,7 @@ static void agree_on_credentials(const char *certificate, const char *key, const
     if (!credentials || SSL_CTX_use_certificate_chain_file(credentials, certificate) != 1 ||
         SSL_CTX_use_PrivateKey_file(credentials, key, SSL_FILETYPE_PEM) != 1 ||
         SSL_CTX_load_verify_locations(credentials, authority, NULL) != 1)
-        fail("the certificate, the key or the authority can not be used");
+        fail("the certificate, the key or the authority cannot be used");
     SSL_CTX_set_verify(credentials, SSL_VERIFY_PEER, NULL);
 }
 

@@ -68,7 +68,7 @@ static double cpu_of(pid_t process) {
     clockid_t clock;
     struct timespec time;
     if (clock_getcpuclockid(process, &clock) || clock_gettime(clock, &time))
-        fail("the CPU time of process %d can not be read", process);
+        fail("the CPU time of process %d cannot be read", process);
     return (double)time.tv_sec + (double)time.tv_nsec / 1e9;
 }
 

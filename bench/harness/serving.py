@@ -27,7 +27,7 @@ class Shape:
 
 
 def start(bench: Bench, running: ExitStack, wanted: Mapping[str, Callable[[], Command]]) -> dict[str, children.Server]:
-    """Start every server that can be started, on the servers' core; one that can not is said and left out."""
+    """Start every server that can be started, on the servers' core; one that cannot is said and left out."""
     started = {}
     for name, command in wanted.items():
         try:

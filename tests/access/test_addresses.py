@@ -31,7 +31,7 @@ def test_who_may_connect_and_why(access, host, allowed, why):
 
 
 @pytest.mark.parametrize("name", ["allow", "deny"])
-def test_an_entry_that_can_not_be_names_its_list(name):
+def test_an_entry_that_cannot_be_names_its_list(name):
     with pytest.raises(ConfigError) as caught:
         AddressList(**{name: ["10.0.0.1/8"]})
     assert caught.value.key == name

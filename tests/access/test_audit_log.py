@@ -1,4 +1,4 @@
-"""The audit log's file: when lines stand in it, what happens when it can not be written, rotation and rights."""
+"""The audit log's file: when lines stand in it, what happens when it cannot be written, rotation and rights."""
 
 import asyncio
 import errno
@@ -170,7 +170,7 @@ def test_a_full_disk_is_said_once_and_what_is_kept_is_written_when_there_is_room
     assert (log.is_failing, log.lost, log.written) == (False, 0, 5)
 
 
-def test_what_can_not_be_kept_is_counted_and_the_file_says_how_much(tmp_path, time, monkeypatch):
+def test_what_cannot_be_kept_is_counted_and_the_file_says_how_much(tmp_path, time, monkeypatch):
     monkeypatch.setattr("busway.access.audit_log._KEPT", 100)
     disk = Disk(monkeypatch, room=0)
     log = opened(tmp_path, time)
@@ -215,7 +215,7 @@ def test_after_a_rotation_it_goes_on_in_the_new_file_with_whole_lines(tmp_path, 
     assert json.loads(last)["lines"] == log.lost == 1
 
 
-def test_a_rotation_to_a_place_that_can_not_be_keeps_the_old_file(tmp_path, time):
+def test_a_rotation_to_a_place_that_cannot_be_keeps_the_old_file(tmp_path, time):
     (tmp_path / "folder").mkdir()
     log = AuditLog(tmp_path / "folder" / "log", clock=time, schedule=time.schedule)
     log.append("1\n")
@@ -246,14 +246,14 @@ def test_lines_after_the_end_are_counted_as_lost(tmp_path, time):
         ({"repeat_interval": 3601}, "repeat_interval"),
     ],
 )
-def test_what_can_not_be_is_refused(tmp_path, options, key):
+def test_what_cannot_be_is_refused(tmp_path, options, key):
     with pytest.raises(ConfigError) as caught:
         AuditLog(tmp_path / "log", **options)
     assert caught.value.key == key
     assert not (tmp_path / "log").exists()
 
 
-def test_a_file_that_can_not_be_opened_is_named(tmp_path):
+def test_a_file_that_cannot_be_opened_is_named(tmp_path):
     with pytest.raises(ConfigError, match="the audit log cannot be opened"):
         AuditLog(tmp_path / "nowhere" / "log")
 

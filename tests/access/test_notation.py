@@ -25,7 +25,7 @@ def test_units(written, units):
 
 
 @pytest.mark.parametrize("written", ["", "a", "5-1", "1-2-3", 256, -1, "1-256", True, "1,,2", ["1", None], "-5"])
-def test_units_that_can_not_be(written):
+def test_units_that_cannot_be(written):
     with pytest.raises(ConfigError):
         parse_units(written)
 
@@ -55,7 +55,7 @@ def test_functions(written, functions):
 
 
 @pytest.mark.parametrize("written", ["raed", 0, 128, "3/1", "8/", "8/x", "", True, None, [None]])
-def test_functions_that_can_not_be(written):
+def test_functions_that_cannot_be(written):
     with pytest.raises((ConfigError, TypeError)):
         parse_functions(written)
 
@@ -99,7 +99,7 @@ def test_items(written, table, items):
         (True, HOLDING),
     ],
 )
-def test_items_that_can_not_be(written, table):
+def test_items_that_cannot_be(written, table):
     with pytest.raises(ConfigError):
         parse_items(written, table)
 

@@ -379,7 +379,7 @@ def check(world: World, asked: Sequence[tuple[int, int, bytes]]) -> None:
         reply = world.ask(who, unit, pdu)
         if refusals:
             right = {bytes((pdu[0] | 0x80, code)) for code in refusals}
-            if pdu[0] == 22 and unit != 1:  # a limit can not be judged where there is no register to look at: 0B
+            if pdu[0] == 22 and unit != 1:  # a limit cannot be judged where there is no register to look at: 0B
                 right.add(world.expected(unit, pdu))
             assert reply in right
             # Function 22 under limits looks at the register, by `peek`; nothing else is touched.

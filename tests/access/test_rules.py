@@ -1,4 +1,4 @@
-"""Rules and policies: which rule decides about which items of a request, and which rules can not be."""
+"""Rules and policies: which rule decides about which items of a request, and which rules are refused."""
 
 import pytest
 
@@ -305,7 +305,7 @@ def test_a_name_is_given_once(names):
         ({"code": 2, "table": "holding", "roles": ["a"]}, "code"),
     ],
 )
-def test_a_rule_that_can_not_be_names_what_is_wrong(fields, key):
+def test_a_rule_that_cannot_be_names_what_is_wrong(fields, key):
     with pytest.raises(ConfigError) as caught:
         Rule.of(**fields)
     assert caught.value.key == key

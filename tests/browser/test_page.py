@@ -212,7 +212,7 @@ def test_a_fault_that_is_switched_on_fails_a_client_as_described(page, unit, kee
     assert unit.read("4x3") in (0, 1, 2)
 
 
-def test_a_fault_that_can_not_be_is_refused_in_words(page, complaints):
+def test_a_fault_that_cannot_be_is_refused_in_words(page, complaints):
     open_view(page, "faults")
     page.select_option("#fault-name", "late")
     page.fill("#fault-options [data-name=delay]", "-1")

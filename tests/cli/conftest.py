@@ -75,8 +75,8 @@ def peer() -> Iterator[Callable[..., str]]:
 
 
 @pytest.fixture
-def nobody() -> Iterator[str]:
-    """The URL of a port on which nobody listens, held so that nobody else takes it."""
+def closed_port() -> Iterator[str]:
+    """The URL of a port that no program listens on; it is held, so that no other program takes it."""
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         yield f"tcp://127.0.0.1:{holder.getsockname()[1]}"

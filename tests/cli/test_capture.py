@@ -67,7 +67,7 @@ def test_a_server_captures_each_connection_until_it_is_stopped(run: Callable[...
         ["serve"],
     ],
 )
-def test_a_file_that_can_not_be_written_is_named_and_nothing_is_done(
+def test_a_file_that_cannot_be_written_is_named_and_nothing_is_done(
     run: Callable[..., Any], command: list[str]
 ) -> None:
     result = run(*command, "--capture", "/there/is/no/such/folder")

@@ -86,7 +86,7 @@ def test_the_commands_it_names_are_commands_that_work(run: Run, tmp_path: Path) 
         (["lab", "--role", ""], "a role has 1…65535 bytes"),
     ],
 )
-def test_what_can_not_be_is_said_and_nothing_is_written(
+def test_what_cannot_be_is_said_and_nothing_is_written(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], sentence: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -96,7 +96,7 @@ def test_what_can_not_be_is_said_and_nothing_is_written(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_directory_that_can_not_be_made_is_named(run: Run, tmp_path: Path) -> None:
+def test_a_directory_that_cannot_be_made_is_named(run: Run, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     result = run("certs", str(tmp_path / "file" / "lab"))
     assert result.code == 2

@@ -135,7 +135,7 @@ def test_urls_are_enough_for_the_common_case() -> None:
         (["tcp://127.0.0.1:0", "tcp://10.0.0.5", "--allow", "x"], "--allow"),
     ],
 )
-def test_what_can_not_be_ends_with_code_2_and_a_sentence(arguments: list[str], sentence: str) -> None:
+def test_what_cannot_be_ends_with_code_2_and_a_sentence(arguments: list[str], sentence: str) -> None:
     with Busway("gateway", *arguments) as program:
         out, said = program.end()
     assert (program.process.returncode, out) == (2, "")
@@ -160,7 +160,7 @@ def test_check_prints_the_routing_table_and_what_is_odd(write_file: Callable[...
     assert said == f"{file}:15: link[1].name: warning: no route leads to 'spare'\n"
 
 
-def test_check_refuses_what_can_not_work_with_line_and_key(write_file: Callable[..., Path]) -> None:
+def test_check_refuses_what_cannot_work_with_line_and_key(write_file: Callable[..., Path]) -> None:
     twice = '[[route]]\nunits = "1"\nlink = "hall"\n'
     file = write_file("rtu:///dev/not-there", rest=twice)
     file.write_text(file.read_text().replace('name = "office"', 'name = "office"\nclient_deadline = 0.2'))

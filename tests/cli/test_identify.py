@@ -59,5 +59,5 @@ def test_a_level_that_is_refused_is_asked_lower(run: Callable[..., Any], peer: C
     assert [line.split()[-1] for line in result.out.splitlines()] == ["A", "B", "C"]
 
 
-def test_no_connection_ends_as_5(run: Callable[..., Any], nobody: str) -> None:
-    assert run("identify", nobody).code == 5
+def test_no_connection_ends_as_5(run: Callable[..., Any], closed_port: str) -> None:
+    assert run("identify", closed_port).code == 5

@@ -1,4 +1,4 @@
-"""`busway read`: values on stdout, what is wrong on stderr, and nothing sent where the arguments can not be."""
+"""`busway read`: values on stdout, what is wrong on stderr, and nothing sent where the arguments are invalid."""
 
 import json
 import math
@@ -91,10 +91,10 @@ def test_an_address_that_the_device_refuses_does_not_hide_the_others(run: Callab
     ],
 )
 def test_a_bad_argument_costs_one_sentence_that_names_it_and_nothing_is_sent(
-    run: Callable[..., Any], nobody: str, arguments: list[str], words: list[str]
+    run: Callable[..., Any], closed_port: str, arguments: list[str], words: list[str]
 ) -> None:
-    result = run("read", nobody, *arguments)
-    assert result.code == 2  # a connection to nobody would end as 5
+    result = run("read", closed_port, *arguments)
+    assert result.code == 2  # an attempt to connect would end as 5
     assert result.out == ""
     assert len(result.err.splitlines()) == 1
     for word in words:
@@ -136,10 +136,10 @@ def test_no_reply_ends_as_3(run: Callable[..., Any], peer: Callable[..., str]) -
     assert len(result.err.splitlines()) == 1
 
 
-def test_no_connection_ends_as_5(run: Callable[..., Any], nobody: str) -> None:
-    result = run("read", nobody, "4x1")
+def test_no_connection_ends_as_5(run: Callable[..., Any], closed_port: str) -> None:
+    result = run("read", closed_port, "4x1")
     assert result.code == 5
-    assert nobody in result.err
+    assert closed_port in result.err
 
 
 def test_a_broken_reply_ends_as_6(run: Callable[..., Any], peer: Callable[..., str]) -> None:

@@ -128,9 +128,9 @@ def test_one_bad_register_is_a_record_and_spoils_no_other(
 
 
 def test_a_device_that_is_not_there_leaves_records_with_the_reason(
-    run: Callable[..., Any], nobody: str, plant: str
+    run: Callable[..., Any], closed_port: str, plant: str
 ) -> None:
-    result = run("read", nobody, "--points", plant, "--json", "level", "double", "--timeout", "1s")
+    result = run("read", closed_port, "--points", plant, "--json", "level", "double", "--timeout", "1s")
     found = records(result)
     assert result.code == 5
     assert found["level"]["reason"] == "no connection"
@@ -162,18 +162,18 @@ def test_a_ready_made_device_and_a_register_map_are_files_too(
         (["--type", "int16"], ["--type", "--points"]),
     ],
 )
-def test_what_can_not_be_is_refused_before_anything_is_sent(
-    run: Callable[..., Any], nobody: str, plant: str, arguments: list[str], words: list[str]
+def test_what_cannot_be_is_refused_before_anything_is_sent(
+    run: Callable[..., Any], closed_port: str, plant: str, arguments: list[str], words: list[str]
 ) -> None:
-    result = run("read", nobody, "--points", plant, *arguments)
+    result = run("read", closed_port, "--points", plant, *arguments)
     assert result.code == 2
     assert all(word in result.err for word in words), result.err
 
 
-def test_all_that_is_wrong_with_the_file_is_said(run: Callable[..., Any], nobody: str, tmp_path: Path) -> None:
+def test_all_that_is_wrong_with_the_file_is_said(run: Callable[..., Any], closed_port: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.toml"
     file.write_text('[[unit]]\nunit = 1\npoint = [{ name = "a" }, { name = "b", address = "9x1" }]\n', encoding="utf-8")
-    result = run("read", nobody, "--points", str(file))
+    result = run("read", closed_port, "--points", str(file))
     assert result.code == 2
     assert "bad.toml:3: unit[0].point[0].address: is missing" in result.err
     assert "unit[0].point[1].address" in result.err
@@ -211,7 +211,7 @@ def test_watching_reads_again_with_the_time_and_ends_quietly_with_an_interrupt(u
     assert first["time"] < second["time"]
 
 
-def test_neither_addresses_nor_points_is_refused(run: Callable[..., Any], nobody: str) -> None:
-    result = run("read", nobody)
+def test_neither_addresses_nor_points_is_refused(run: Callable[..., Any], closed_port: str) -> None:
+    result = run("read", closed_port)
     assert result.code == 2
     assert "--points" in result.err

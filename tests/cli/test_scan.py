@@ -199,8 +199,8 @@ def test_a_device_that_ignores_the_unit_is_recognised(run: Run, device: Callable
     assert result.out.splitlines()[-1].startswith("all of them answer alike")
 
 
-def test_a_device_that_is_not_there_ends_the_scan(run: Run, nobody: str) -> None:
-    result = run("scan", nobody, "--units", "1-10")
+def test_a_device_that_is_not_there_ends_the_scan(run: Run, closed_port: str) -> None:
+    result = run("scan", closed_port, "--units", "1-10")
     assert result.code == 5
     assert not result.out
 
@@ -221,7 +221,7 @@ def test_a_device_that_is_not_there_ends_the_scan(run: Run, nobody: str) -> None
         (["tcp://127.0.0.1", "--units", "256"], "--units"),
     ],
 )
-def test_what_can_not_be_is_one_clear_sentence_and_nothing_is_sent(
+def test_what_cannot_be_is_one_clear_sentence_and_nothing_is_sent(
     run: Run, arguments: list[str], complaint: str
 ) -> None:
     result = run("scan", *arguments)

@@ -87,7 +87,7 @@ def test_a_url_in_the_place_of_the_file_is_sent_to_its_option(run: Callable[...,
     assert "--listen tcp://127.0.0.1:0" in result.err
 
 
-def test_a_file_that_can_not_be_read_is_named(run: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_is_named(run: Callable[..., Any], tmp_path: Path) -> None:
     result = run("serve", str(tmp_path / "nothing.toml"))
     assert result.code == 2
     assert result.err.splitlines() == [f"{tmp_path / 'nothing.toml'}: cannot be read: no such file or directory"]
@@ -111,7 +111,7 @@ def test_a_port_that_is_taken_ends_as_5(run: Callable[..., Any], url: str) -> No
 
 
 @pytest.mark.parametrize("listen", ["nowhere", "http://127.0.0.1:0", "tcp://127.0.0.1:70000"])
-def test_an_endpoint_that_can_not_be_is_named(run: Callable[..., Any], listen: str) -> None:
+def test_an_endpoint_that_cannot_be_is_named(run: Callable[..., Any], listen: str) -> None:
     result = run("serve", "--listen", listen)
     assert result.code == 2
     (sentence,) = result.err.splitlines()

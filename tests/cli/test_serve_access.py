@@ -171,7 +171,7 @@ def test_metrics_are_offered_where_they_are_wanted(tmp_path: Path) -> None:
             assert b"busway_" in answer.read()
 
 
-def test_a_place_for_metrics_that_can_not_be_is_refused_by_the_name_of_the_option(run: Callable[..., Any]) -> None:
+def test_a_place_for_metrics_that_cannot_be_is_refused_by_the_name_of_the_option(run: Callable[..., Any]) -> None:
     done = run("serve", "--metrics", "here")
     assert done.code == 2
     assert done.err == "busway: --metrics: an address such as 127.0.0.1:9502 is needed, not 'here'\n"

@@ -193,7 +193,7 @@ def test_a_bad_file_is_refused_with_file_and_line(run: Callable[..., Any], file:
 @pytest.mark.parametrize(
     ("option", "value"), [("--speed", "0"), ("--speed", "fast"), ("--seed", "-1"), ("--seed", "x"), ("--for", "0")]
 )
-def test_an_option_that_can_not_be_is_refused_by_its_name(
+def test_an_option_that_cannot_be_is_refused_by_its_name(
     run: Callable[..., Any], file: Path, option: str, value: str
 ) -> None:
     result = run("simulate", str(file), f"{option}={value}")
@@ -208,14 +208,14 @@ def test_an_option_that_can_not_be_is_refused_by_its_name(
         (["--api-token", "token"], "--api-token: goes with --api only"),
     ],
 )
-def test_a_control_page_that_can_not_be_is_refused_by_its_option(
+def test_a_control_page_that_cannot_be_is_refused_by_its_option(
     run: Callable[..., Any], file: Path, words: list[str], sentence: str
 ) -> None:
     result = run("simulate", str(file), *words)
     assert (result.code, result.err) == (2, f"busway: {sentence}\n")
 
 
-def test_a_state_that_can_not_be_read_is_said(file: Path) -> None:
+def test_a_state_that_cannot_be_read_is_said(file: Path) -> None:
     (file.parent / "state.json").write_text('{"kind": "busway simulation state"')
     with simulating(str(file), "--for", "10ms") as (process, _):
         _, said = process.communicate(timeout=20)

@@ -95,7 +95,7 @@ def test_fault_that_there_is_not_is_said_with_its_words(file: Path, words: str, 
     assert "Traceback" not in done.stderr
 
 
-def test_fault_of_a_file_that_can_not_be_is_said_with_its_line(file: Path) -> None:
+def test_fault_of_a_file_that_cannot_be_is_said_with_its_line(file: Path) -> None:
     file.write_text(FILE + "parameters = { seconds = -1.0 }\n")
     done = _run(str(file), "--check")
     assert done.returncode == 2

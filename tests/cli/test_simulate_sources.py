@@ -104,12 +104,12 @@ def test_a_clone_without_a_map_finds_what_there_is(tank: str, tmp_path: Path, ru
 
 
 def test_a_file_that_is_there_is_not_overwritten_without_force(
-    tank: str, nobody: str, points: Path, tmp_path: Path, run: Callable[..., Any]
+    tank: str, closed_port: str, points: Path, tmp_path: Path, run: Callable[..., Any]
 ) -> None:
     file = tmp_path / "tank.toml"
     file.write_text("# mine", encoding="utf-8")
-    # Nobody is asked: that would end with 5.
-    result = run("simulate", "--clone", nobody, "--map", str(points), "--out", str(file))
+    # No device is asked: that would end with 5.
+    result = run("simulate", "--clone", closed_port, "--map", str(points), "--out", str(file))
     assert (result.code, result.err) == (2, f"{file}: is there already; --force writes over it\n")
     assert file.read_text(encoding="utf-8") == "# mine"
     assert run("simulate", "--clone", tank, "--map", str(points), "--out", str(file), "--force").code == 0
@@ -138,14 +138,14 @@ def test_a_point_that_the_device_has_not_is_said_and_left_out(tank: str, points:
 
 
 def test_a_device_that_is_not_there_ends_with_the_code_for_it(
-    nobody: str, points: Path, run: Callable[..., Any]
+    closed_port: str, points: Path, run: Callable[..., Any]
 ) -> None:
-    result = run("simulate", "--clone", nobody, "--map", str(points))
+    result = run("simulate", "--clone", closed_port, "--map", str(points))
     assert result.code == 5
     assert result.out == ""
 
 
-def test_a_file_that_can_not_be_written_is_said(tank: str, points: Path, run: Callable[..., Any]) -> None:
+def test_a_file_that_cannot_be_written_is_said(tank: str, points: Path, run: Callable[..., Any]) -> None:
     result = run("simulate", "--clone", tank, "--map", str(points), "--out", "/nowhere/plant.toml")
     assert result.code == 2
     assert "/nowhere/plant.toml: cannot be written: no such file or directory" in result.err

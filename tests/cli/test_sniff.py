@@ -194,7 +194,7 @@ def test_the_statistics_come_also_when_a_connection_ends() -> None:
         (["rtu:///dev/null", "--capture", "/there/is/no/such/folder"], 2, "cannot be opened"),
     ],
 )
-def test_what_can_not_be_is_one_clear_sentence(
+def test_what_cannot_be_is_one_clear_sentence(
     run: Callable[..., Any], arguments: list[str], code: int, complaint: str
 ) -> None:
     result = run("sniff", *arguments)

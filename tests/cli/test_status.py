@@ -153,7 +153,7 @@ def test_a_program_that_does_not_answer_is_said_and_does_not_hide_the_others(
         (["--watch", "10ms"], 2, "--watch: a time of 0.1"),
     ],
 )
-def test_what_can_not_be_asked_is_named(
+def test_what_cannot_be_asked_is_named(
     home: Path, run: Callable[..., Any], arguments: list[str], code: int, words: str
 ) -> None:
     result = run("status", *arguments)

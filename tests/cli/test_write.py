@@ -87,10 +87,10 @@ def test_the_function_can_be_chosen(
         ([], ["ADDRESS"]),
     ],
 )
-def test_what_can_not_be_written_is_refused_before_anything_is_sent(
-    run: Callable[..., Any], nobody: str, arguments: list[str], words: list[str]
+def test_what_cannot_be_written_is_refused_before_anything_is_sent(
+    run: Callable[..., Any], closed_port: str, arguments: list[str], words: list[str]
 ) -> None:
-    result = run("write", nobody, *arguments)
+    result = run("write", closed_port, *arguments)
     assert result.code == 2
     assert result.out == ""
     assert len(result.err.splitlines()) == 1
@@ -186,8 +186,8 @@ def test_a_write_that_is_not_read_back_says_that_it_was_written(
     assert "it was written, but could not be read back" in result.err
 
 
-def test_a_broadcast_cannot_be_verified(run: Callable[..., Any], nobody: str) -> None:
-    line = nobody.replace("tcp://", "rtu+tcp://")
+def test_a_broadcast_cannot_be_verified(run: Callable[..., Any], closed_port: str) -> None:
+    line = closed_port.replace("tcp://", "rtu+tcp://")
     result = run("write", line, "4x1", "1", "--unit", "0", "--verify")
     assert (result.code, result.out) == (2, "")
     assert "broadcast" in result.err

@@ -247,7 +247,7 @@ def test_a_blocking_link_closes_what_was_idle_too_long_at_its_next_call(monkeypa
 
 
 @pytest.mark.parametrize("hold", ["0", "-1", "0.001", "90000", "never", "", "nan"])
-def test_a_hold_that_can_not_be_is_refused_by_name(hold: str) -> None:
+def test_a_hold_that_cannot_be_is_refused_by_name(hold: str) -> None:
     with pytest.raises(busway.ConfigError) as caught:
         busway.open(f"tcp://127.0.0.1?hold={hold}")
     assert caught.value.key == "hold"

@@ -254,7 +254,7 @@ def test_unit_is_255_where_none_is_named(via: ClientKind) -> None:
         ("tcp://127.0.0.1?connect_timeout=fast", {}, "connect_timeout"),
     ],
 )
-def test_option_that_can_not_be_is_refused_and_named(
+def test_option_that_cannot_be_is_refused_and_named(
     via: ClientKind, url: str, options: dict[str, object], key: str
 ) -> None:
     with pytest.raises(busway.ConfigError) as caught, via.link(url, **options):

@@ -55,7 +55,7 @@ async def test_an_event_loop_has_such_a_limit_too() -> None:
     ],
 )
 @pytest.mark.clause("T33")
-def test_a_parameter_that_can_not_be_is_refused_by_name(options: dict[str, object], key: str) -> None:
+def test_a_parameter_that_cannot_be_is_refused_by_name(options: dict[str, object], key: str) -> None:
     with pytest.raises(busway.ConfigError) as caught:
         ManagementParameters(**options)  # type: ignore[arg-type]
     assert caught.value.key == key

@@ -72,7 +72,7 @@ def test_a_failure_inside_a_transaction_ends_it_with_its_reason_and_the_next_one
 
 
 @pytest.mark.clause("T21", "T37")
-def test_a_connection_that_can_not_be_had_ends_the_transaction_before_anything_is_sent(via: ClientKind) -> None:
+def test_a_connection_that_cannot_be_had_ends_the_transaction_before_anything_is_sent(via: ClientKind) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         with via.link(f"tcp://127.0.0.1:{probe.getsockname()[1]}", max_transactions=4) as link:
@@ -106,7 +106,7 @@ def test_a_host_that_does_not_answer_ends_the_transaction_with_the_connect_timeo
 
 
 @pytest.mark.clause("T37")
-def test_a_name_that_can_not_be_resolved_ends_the_transaction_with_that_reason(via: ClientKind) -> None:
+def test_a_name_that_cannot_be_resolved_ends_the_transaction_with_that_reason(via: ClientKind) -> None:
     with via.link("tcp://no-such-host.invalid", max_transactions=4, connect_timeout=30.0) as link:
         with pytest.raises(busway.LinkDown, match="cannot be resolved"):
             link.unit(1).read_holding_registers(0, count=1)

@@ -108,7 +108,7 @@ def test_nothing_wanted_is_nothing_asked() -> None:
         (("4x1", "uint16", 1, 2), "v: an address, a type and a count are wanted"),
     ],
 )
-def test_what_can_not_be_names_the_name_and_nothing_is_sent(wanted: Any, sentence: str) -> None:
+def test_what_cannot_be_names_the_name_and_nothing_is_sent(wanted: Any, sentence: str) -> None:
     with busway.connect("tcp://127.0.0.1:1") as link, pytest.raises(InvalidRequest) as caught:
         link.unit(1).read_many({"good": "4x1", "v": wanted})
     assert caught.value.message.startswith(sentence)

@@ -240,7 +240,7 @@ def test_nobody_listens_behind_an_interface_and_the_error_says_so(via: ClientKin
 
 
 @pytest.mark.clause("T20")
-def test_a_system_that_can_not_bind_to_an_interface_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_system_that_cannot_bind_to_an_interface_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delattr(socket, "SO_BINDTODEVICE")
     with pytest.raises(busway.ConfigError) as caught:
         busway.connect("tcp://127.0.0.1", interface="lo")

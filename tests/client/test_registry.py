@@ -196,7 +196,7 @@ def test_blocking_links_make_room_too() -> None:
 
 
 @pytest.mark.parametrize("supported", [0, -1, 65_536])
-def test_a_limit_that_can_not_be_is_refused(supported: int) -> None:
+def test_a_limit_that_cannot_be_is_refused(supported: int) -> None:
     with pytest.raises(busway.ConfigError) as caught:
         LocalConnections().limit(supported)
     assert caught.value.key == "supported"

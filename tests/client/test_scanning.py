@@ -44,7 +44,7 @@ def test_a_tcp_address_is_asked_for_every_unit_and_the_device_itself() -> None:
         ("tcp://127.0.0.1:1", {"timout": 1}, "timout: unknown option of tcp://127.0.0.1:1; is it timeout?"),
     ],
 )
-def test_what_can_not_be_is_refused(url: str, arguments: dict[str, object], sentence: str) -> None:
+def test_what_cannot_be_is_refused(url: str, arguments: dict[str, object], sentence: str) -> None:
     with pytest.raises(busway.ConfigError) as caught:
         busway.scan(url, **arguments)  # type: ignore[arg-type]
     assert str(caught.value) == sentence

@@ -163,7 +163,7 @@ async def test_a_client_has_one_limit_until_its_last_link_is_closed() -> None:
 
 
 @pytest.mark.parametrize("scope", ["server", "process", ""])
-def test_a_scope_that_can_not_be_is_refused(scope: str) -> None:
+def test_a_scope_that_cannot_be_is_refused(scope: str) -> None:
     with pytest.raises(busway.ConfigError) as caught:
         busway.open("tcp://127.0.0.1", scope=scope)
     assert caught.value.key == "scope"

@@ -244,7 +244,7 @@ async def test_one_port_has_one_user_in_a_process_and_links_of_one_loop_share_it
 
 
 @pytest.mark.real_time
-def test_two_loops_can_not_share_a_port(line: PacedLine) -> None:
+def test_two_loops_cannot_share_a_port(line: PacedLine) -> None:
     async def other() -> None:
         async with busway.open(url(line)):
             pass
@@ -288,7 +288,7 @@ def test_two_loops_can_not_share_a_port(line: PacedLine) -> None:
         ("rtu://ttyUSB0", "three slashes"),
     ],
 )
-def test_setting_that_can_not_be_is_one_clear_error(endpoint: str, words: str) -> None:
+def test_setting_that_cannot_be_is_one_clear_error(endpoint: str, words: str) -> None:
     with pytest.raises(busway.ConfigError, match=words):
         busway.connect(endpoint)
 

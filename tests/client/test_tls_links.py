@@ -402,9 +402,7 @@ def test_two_users_with_different_certificates_do_not_share_a_link(
         ({"key": "x.key"}, "there is a key, but no certificate"),
     ],
 )
-def test_options_that_can_not_be_are_refused(
-    operator: CertificateFiles, options: dict[str, str], sentence: str
-) -> None:
+def test_options_that_cannot_be_are_refused(operator: CertificateFiles, options: dict[str, str], sentence: str) -> None:
     with pytest.raises(ConfigError) as caught:
         read_blocking(f"tls://localhost:1?{query({'authority': operator.authority, **options})}")
     assert sentence in str(caught.value)
@@ -439,7 +437,7 @@ def test_an_own_certificate_that_expires_is_said_when_the_link_is_made(
 def test_a_client_does_without_the_package_that_a_listener_needs(
     good_server: CertificateFiles, operator: CertificateFiles, tmp_path: Path
 ) -> None:
-    """In a process of its own, where ``cryptography`` can not be found."""
+    """In a process of its own, where ``cryptography`` cannot be found."""
     (tmp_path / "cryptography.py").write_text("raise ImportError('not here')")
     program = (
         "import busway, sys\n"

@@ -248,7 +248,7 @@ async def test_nothing_is_in_the_way_while_no_fault_is_on() -> None:
         assert faulty.conversation.contact.last_received == seen
 
 
-async def test_running_server_can_not_be_attached_to() -> None:
+async def test_running_server_cannot_be_attached_to() -> None:
     async with busway.serve("tcp://127.0.0.1:0", units=known_device()) as server:
         with pytest.raises(busway.ConfigError, match="a running server"):
             FaultSwitchboard().attach(server)

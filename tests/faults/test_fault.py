@@ -127,7 +127,7 @@ def test_same_seed_strikes_the_same_requests_and_another_one_others() -> None:
         lambda: Schedule(lasts=3, every=2),
     ],
 )
-def test_choice_that_can_not_be_is_refused(make: object) -> None:
+def test_choice_that_cannot_be_is_refused(make: object) -> None:
     assert callable(make)
     with pytest.raises(ConfigError):
         make()

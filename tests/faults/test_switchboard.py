@@ -47,7 +47,7 @@ def test_unknown_name_lists_those_there_are(ask: str) -> None:
         getattr(board, ask)("lat", **({"on": True} if ask == "switch" else {}))
 
 
-def test_what_can_not_be_put_on_is_refused_with_its_key_and_nothing_changes() -> None:
+def test_what_cannot_be_put_on_is_refused_with_its_key_and_nothing_changes() -> None:
     board = FaultSwitchboard()
     board.add("late", name="x")
     for options, key in (

@@ -201,7 +201,7 @@ def test_flush_gives_up_an_unfinished_frame() -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"delimiter": 0x80}, {"delimiter": -1}, {"character_timeout": 0.0}])
-def test_a_setting_that_can_not_be_is_refused(wrong: dict[str, float]) -> None:
+def test_a_setting_that_cannot_be_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="not"):
         receiver(**wrong)
 

@@ -1,4 +1,4 @@
-"""MBAP: whatever the stream is cut into, the same frames; lengths that can not be break it at once."""
+"""MBAP: whatever the stream is cut into, the same frames; a length outside of the limits breaks it at once."""
 
 from itertools import pairwise
 
@@ -67,7 +67,7 @@ def test_any_cut_of_any_stream_gives_the_same_frames(
 
 @pytest.mark.clause("T28")
 @pytest.mark.parametrize("length", [0, 1, MAX_LENGTH + 1, 255, 65_535])
-def test_a_length_that_can_not_be_breaks_the_stream_as_soon_as_it_is_there(length: int) -> None:
+def test_a_length_that_cannot_be_breaks_the_stream_as_soon_as_it_is_there(length: int) -> None:
     receiver = MbapReceiver()
     good = receiver.receive(REQUEST)
     [broken] = receiver.receive(b"\x00\x08\x00\x00" + length.to_bytes(2, "big"))

@@ -524,7 +524,7 @@ def test_automatic_learns_from_the_first_read_that_the_line_echoes() -> None:
 
 
 @pytest.mark.clause("S15")
-def test_automatic_holds_a_first_write_reply_until_it_can_not_be_the_echo() -> None:
+def test_automatic_holds_a_first_write_reply_until_it_cannot_be_the_echo() -> None:
     line = master(1, 6, size=5, echo=Echo.AUTOMATIC)
     line.receiver.sent(WRITE, line.now)
     line.bytes(WRITE)

@@ -50,7 +50,7 @@ def test_on_a_network_characters_have_no_duration() -> None:
 
 
 @pytest.mark.parametrize("wrong", [{"data_bits": 6}, {"stop_bits": 3}, {"baud": 0}])
-def test_a_setting_that_can_not_be_is_refused(wrong: dict[str, int]) -> None:
+def test_a_setting_that_cannot_be_is_refused(wrong: dict[str, int]) -> None:
     with pytest.raises(ValueError, match="not"):
         SerialTiming.of_line(**wrong)
 

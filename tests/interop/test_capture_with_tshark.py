@@ -112,7 +112,7 @@ def test_the_crc_is_the_one_of_the_line(file: Path) -> None:
     assert tshark(file, "mbrtu.crc16.status", preferences=["mbrtu.crc_verification:TRUE"]) == [["1"]]
 
 
-def test_what_tshark_can_not_decode_has_our_words_as_comment(file: Path) -> None:
+def test_what_tshark_cannot_decode_has_our_words_as_comment(file: Path) -> None:
     with Capture(file.open("wb")) as capture:
         line = capture.line("rtu:///dev/ttyS0")
         line.heard(frame(7, "07", REQUEST))

@@ -165,7 +165,7 @@ def test_stopping_cuts_off_what_hangs_and_leaves_no_thread_and_no_socket() -> No
         stopping.start()
         assert received(silent) == b""
         assert received(asker) == b""
-        assert stopping.is_alive()  # an answer that is being made is waited for, though nobody takes it
+        assert stopping.is_alive()  # `stop` waits for the answer in progress, although its client has been disconnected
         answers.set()
         stopping.join(10)
     assert set(threading.enumerate()) <= before

@@ -438,7 +438,7 @@ async def test_closing_leaves_no_thread_and_no_socket(device: busway.Device) -> 
     await again.close()
 
 
-async def test_an_address_that_can_not_be_is_named(device: busway.Device) -> None:
+async def test_an_address_that_cannot_be_is_named(device: busway.Device) -> None:
     server = busway.serve(FREE_TCP, units={1: device})
     with pytest.raises(ConfigError, match="metrics: an address such as"):
         start_metrics(server, "nowhere")

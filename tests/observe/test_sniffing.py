@@ -188,6 +188,6 @@ def test_a_listener_hears_by_the_preset_too() -> None:
         ("rtu:///dev/ttyS0?data_bits=7", "data_bits"),
     ],
 )
-def test_a_line_that_can_not_be_heard_is_refused(url: str, complaint: str) -> None:
+def test_a_line_that_cannot_be_heard_is_refused(url: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         line_to_hear(url)

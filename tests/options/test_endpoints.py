@@ -1,4 +1,4 @@
-"""URLs of peers and lines: what each scheme means, defaults, and sentences about what can not be."""
+"""URLs of peers and lines: what each scheme means, defaults, and the errors of invalid URLs."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""Lists of addresses and networks: what is in them, however a host is written, and which entries can not be."""
+"""Lists of addresses and networks: what is in them, however a host is written, and which entries are refused."""
 
 import ipaddress
 
@@ -56,7 +56,7 @@ def test_the_most_specific_entry_that_holds_a_host_is_found(entries, host, found
         (7, "7 is no text"),
     ],
 )
-def test_an_entry_that_can_not_be_is_named(entry, said):
+def test_an_entry_that_cannot_be_is_named(entry, said):
     with pytest.raises(ConfigError) as caught:
         Networks(["10.0.0.1", entry], key="allow")
     assert said in caught.value.message

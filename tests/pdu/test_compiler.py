@@ -143,7 +143,7 @@ def test_the_short_way_exists_where_the_rest_of_a_reply_is_data() -> None:
         assert kind.take is None
 
 
-def test_a_message_that_would_not_fit_a_pdu_can_not_be_built() -> None:
+def test_a_message_that_would_not_fit_a_pdu_cannot_be_built() -> None:
     class Long(Request):
         code = 0x44
         first: int = u8()

@@ -72,7 +72,7 @@ def test_a_wrong_reference_type_is_02_after_the_lengths_were_right(pdu: str) -> 
 
 
 @pytest.mark.clause("A15")
-def test_what_would_not_fit_one_reply_can_not_be_asked_for() -> None:
+def test_what_would_not_fit_one_reply_cannot_be_asked_for() -> None:
     # 2 + (2 + 2n) bytes: n = 124 gives 252
     assert ReadFileRecord((FileReference(1, 0, 124),)).reply_length() == 252
     with pytest.raises(InvalidRequest, match="the reply would have 254 bytes; at most 253 fit"):
@@ -94,14 +94,14 @@ def test_what_would_not_fit_one_reply_can_not_be_asked_for() -> None:
         (1, -1, r"record must be 0…\d+, not -1"),
     ],
 )
-def test_a_record_that_can_not_be_is_refused_before_it_is_sent(file: int, record: int, sentence: str) -> None:
+def test_a_record_that_cannot_be_is_refused_before_it_is_sent(file: int, record: int, sentence: str) -> None:
     with pytest.raises(InvalidRequest, match=sentence):
         ReadFileRecord.of([FileReference(file, record, 1)])
     with pytest.raises(InvalidRequest, match=sentence):
         WriteFileRecord.of(file, record, [1])
 
 
-def test_a_group_that_does_not_fit_its_bytes_can_not_be_built() -> None:
+def test_a_group_that_does_not_fit_its_bytes_cannot_be_built() -> None:
     with pytest.raises(InvalidRequest, match="count must be 0…65535, not 70000"):
         FileReference(1, 1, 70_000)
     with pytest.raises(InvalidRequest, match="data must be bytes, two for each register"):

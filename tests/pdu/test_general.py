@@ -24,7 +24,7 @@ def test_a_positive_reply_is_no_exception() -> None:
 
 
 @pytest.mark.parametrize(("function", "exception"), [(128, 1), (-1, 1), (3, 256), (3, -1)])
-def test_an_exception_that_does_not_fit_its_bytes_can_not_be_built(function: int, exception: int) -> None:
+def test_an_exception_that_does_not_fit_its_bytes_cannot_be_built(function: int, exception: int) -> None:
     with pytest.raises(InvalidRequest, match=r"must be 0…"):
         ExceptionResponse(function, exception)
 

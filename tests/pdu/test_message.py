@@ -78,7 +78,7 @@ def test_a_request_that_was_sent_is_still_the_same_value() -> None:
         (lambda: ReadCoils(-1, 1), "address must be 0…65535, not -1"),
     ],
 )
-def test_a_range_beyond_the_table_can_not_be_asked_for(make: Any, sentence: str) -> None:
+def test_a_range_beyond_the_table_cannot_be_asked_for(make: Any, sentence: str) -> None:
     with pytest.raises(InvalidRequest, match=sentence):
         make()
 

@@ -179,7 +179,7 @@ def test_23_reads_up_to_125_and_writes_up_to_121(read: int, write: int) -> None:
         (1, 122, "write count must be 1…121, not 122"),
     ],
 )
-def test_23_beyond_its_limits_can_not_be_built(read: int, write: int, sentence: str) -> None:
+def test_23_beyond_its_limits_cannot_be_built(read: int, write: int, sentence: str) -> None:
     with pytest.raises(InvalidRequest, match=sentence):
         ReadWriteMultipleRegisters.of(0, read, 0, [0] * write)
 

@@ -36,7 +36,7 @@ def test_a_computed_point_needs_all_its_inputs_and_is_as_uncertain_as_they_are()
         assert derivation.apply(broken)["twice"] == Reading(None, Reason.NO_INPUT)
 
 
-def test_what_can_not_be_computed_is_bad_and_what_lies_outside_its_range_uncertain() -> None:
+def test_what_cannot_be_computed_is_bad_and_what_lies_outside_its_range_uncertain() -> None:
     derivation = Derivation([computed("share", "a / b", conversion=Conversion(valid=(0.0, 1.0)))])
     assert derivation.apply({"a": Reading(1), "b": Reading(0)})["share"] == Reading(None, Reason.NOT_A_NUMBER)
     assert derivation.apply({"a": Reading(3), "b": Reading(2)})["share"] == Reading(1.5, Reason.OUT_OF_RANGE)

@@ -41,7 +41,7 @@ def test_what_is_written_is_computed(text: str, value: float) -> None:
 @pytest.mark.parametrize(
     "text", ["1 / (a - 2)", "sqrt(-1)", "log(0)", "exp(1e9)", "(-8) ** 0.5", "1 % 0", "10.0 ** 400"]
 )
-def test_what_can_not_be_computed_is_no_number(text: str) -> None:
+def test_what_cannot_be_computed_is_no_number(text: str) -> None:
     assert math.isnan(computed(text))
 
 

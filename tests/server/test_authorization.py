@@ -11,12 +11,12 @@ import busway
 def test_a_host_that_is_refused_is_closed_unheard_and_counted() -> None:
     asked: list[str] = []
 
-    def nobody(host: str) -> bool:
+    def deny(host: str) -> bool:
         asked.append(host)
         return False
 
     device = busway.Device(holding_registers=10)
-    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: device}, authorize=nobody) as server:
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: device}, authorize=deny) as server:
         port = int(server.endpoints[0].rpartition(":")[2])
         with socket.create_connection(("127.0.0.1", port), 5) as client:
             try:

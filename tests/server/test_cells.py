@@ -1,4 +1,4 @@
-"""Declarations of tables: what exists, what it holds, and the sentence for what can not be."""
+"""Declarations of tables: what exists, what it holds, and the error of an invalid one."""
 
 from typing import Any
 
@@ -82,7 +82,7 @@ def test_the_declared_list_is_not_kept() -> None:
         (Cells(count=5, read_only=[4]), False, "a range is its first address and a count, not 4"),  # type: ignore[list-item]
     ],
 )
-def test_what_can_not_be_is_refused_with_its_argument_named(declared: Any, bits: bool, sentence: str) -> None:
+def test_what_cannot_be_is_refused_with_its_argument_named(declared: Any, bits: bool, sentence: str) -> None:
     with pytest.raises(ConfigError) as caught:
         lay_out(declared, key="coils", bits=bits)
     assert sentence in str(caught.value)

@@ -419,7 +419,7 @@ async def test_reply_given_before_the_handler_returns_goes_out_before_what_break
 
     async with busway.serve(ANY_PORT, responder=ScriptedHandler(decide)) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
-        writer.write(_question(5) + bytes.fromhex("0002 0000 0000 01 03"))  # a length of 0 can not be
+        writer.write(_question(5) + bytes.fromhex("0002 0000 0000 01 03"))  # a length of 0 is outside of the limits
         async with asyncio.timeout(5):
             assert await reader.read(-1) == _answer(5)
         await _close(writer)

@@ -445,7 +445,7 @@ async def test_connections_and_classes_of_devices_are_shown_with_what_they_did()
 
 
 @pytest.mark.clause("T28")
-async def test_stream_that_can_not_be_followed_shows_on_the_indicators() -> None:
+async def test_stream_that_cannot_be_followed_shows_on_the_indicators() -> None:
     async with served() as server:
         client = await Client.of(server)
         assert server.status().listeners[0].indicators.error.value == "off"

@@ -74,7 +74,7 @@ async def test_two_connections_are_two_wires() -> None:
     assert len(told.gone) == 2
 
 
-async def test_peer_over_udp_is_a_wire_that_can_not_be_closed() -> None:
+async def test_peer_over_udp_is_a_wire_that_cannot_be_closed() -> None:
     told = Told()
     server = busway.serve("udp://127.0.0.1:0", units={1: busway.Device(holding_registers=1)})
     server.use_tap(told)

@@ -164,7 +164,7 @@ def test_a_hook_of_a_range_is_called_for_what_touches_it(address: int, count: in
     assert (bool(reads), bool(writes)) == (called, called)
 
 
-def test_an_access_that_can_not_be_calls_no_hook() -> None:
+def test_an_access_that_cannot_be_calls_no_hook() -> None:
     device = Device(holding_registers=10)
     called: list[object] = []
     device.on_read("holding_registers", called.append)
@@ -229,7 +229,7 @@ def test_a_decorator_gives_the_function_back() -> None:
     assert device.on_read("coils")(function) is function
 
 
-def test_what_a_hook_learns_can_not_be_changed() -> None:
+def test_what_a_hook_learns_cannot_be_changed() -> None:
     device = Device(holding_registers=1)
 
     @device.on_write("holding_registers")
@@ -251,7 +251,7 @@ def test_what_a_hook_learns_can_not_be_changed() -> None:
         ("coils", {"address": 0, "count": 0}, "not within"),
     ],
 )
-def test_a_hook_that_can_not_be_is_refused_before_it_sees_a_function(
+def test_a_hook_that_cannot_be_is_refused_before_it_sees_a_function(
     table: str, options: dict[str, Any], sentence: str
 ) -> None:
     device = Device(coils=1)

@@ -22,7 +22,7 @@ def test_text_is_sent_as_utf_8_and_measured_so() -> None:
 
 
 @pytest.mark.parametrize("objects", [{256: "x"}, {-1: "x"}, {"0": "x"}, {True: "x"}, {3: 5}, {3: b"x" * 245}])
-def test_an_object_that_can_not_be_is_refused(objects: Any) -> None:
+def test_an_object_that_cannot_be_is_refused(objects: Any) -> None:
     with pytest.raises(ConfigError, match="identification"):
         identification_objects(objects)
 

@@ -371,7 +371,7 @@ async def test_request_with_another_protocol_is_discarded_and_the_stream_goes_on
 @pytest.mark.clause("T28")
 @pytest.mark.parametrize("length", [0, 1, 255, 256, 260, 0x7FFF, 0xFFFF])
 @pytest.mark.parametrize("behind", ["", "01", "01 03", "01 03 0000 0001"])
-async def test_length_that_can_not_be_ends_the_connection_after_earlier_requests_were_answered(
+async def test_length_that_cannot_be_ends_the_connection_after_earlier_requests_were_answered(
     length: int, behind: str, devices: dict[int, busway.Device]
 ) -> None:
     broken = bytes.fromhex("0009 0000") + length.to_bytes(2, "big") + bytes.fromhex(behind)

@@ -62,7 +62,7 @@ def test_records_that_do_not_exist_are_refused(reference: FileReference, code: i
     assert refusal_of(plant(), ReadFileRecord((FileReference(4, 1, 1), reference))) == code
 
 
-def test_one_group_that_can_not_be_written_leaves_all_groups_as_they_were() -> None:
+def test_one_group_that_cannot_be_written_leaves_all_groups_as_they_were() -> None:
     device = plant()
     for bad in (FileData(3, 10, b"\0\1"), FileData(3, 11, b"\0\1"), FileData(9, 0, b"\0\1")):
         request = WriteFileRecord((FileData(4, 1, b"\0\1"), bad))
@@ -89,7 +89,7 @@ def test_the_last_record_of_the_largest_file_is_9999() -> None:
 
 
 @pytest.mark.parametrize("files", [{0: 1}, {65536: 1}, {"4": 1}, {4: 10_001}, {4: {10_000: 1}}, {4: [65536]}])
-def test_files_that_can_not_be_are_refused(files: Any) -> None:
+def test_files_that_cannot_be_are_refused(files: Any) -> None:
     with pytest.raises(ConfigError, match="files"):
         Device(files=files)
 
@@ -133,6 +133,6 @@ def test_a_value_that_is_no_register_is_not_queued() -> None:
 
 
 @pytest.mark.parametrize("fifos", [{-1: []}, {65536: []}, {"7": []}, {7: [65536]}, {7: ["1"]}, {7: 5}])
-def test_queues_that_can_not_be_are_refused(fifos: Any) -> None:
+def test_queues_that_cannot_be_are_refused(fifos: Any) -> None:
     with pytest.raises(ConfigError, match="fifos"):
         Device(fifos=fifos)

@@ -98,7 +98,7 @@ async def test_start_and_stop_may_be_repeated() -> None:
 
 
 @pytest.mark.clause("T38")
-async def test_listener_that_can_not_be_had_is_named_and_the_others_are_closed_again() -> None:
+async def test_listener_that_cannot_be_had_is_named_and_the_others_are_closed_again() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -123,7 +123,7 @@ async def test_listener_that_can_not_be_had_is_named_and_the_others_are_closed_a
         ("tcp://127.0.0.1:70000", "70000|[Pp]ort"),
     ],
 )
-def test_endpoint_that_can_not_be_listened_on_is_refused_at_construction(endpoint: str, words: str) -> None:
+def test_endpoint_that_cannot_be_listened_on_is_refused_at_construction(endpoint: str, words: str) -> None:
     with pytest.raises(busway.ConfigError, match=words):
         busway.serve(endpoint, units=_device())
 

@@ -46,7 +46,7 @@ def test_server_in_a_thread_ends_when_the_block_is_left_by_an_exception() -> Non
     assert threading.active_count() == before
 
 
-def test_listener_that_a_thread_can_not_have_is_an_error_of_the_program() -> None:
+def test_listener_that_a_thread_cannot_have_is_an_error_of_the_program() -> None:
     with busway.serve_in_thread(ANY_PORT, units=busway.Device(holding_registers=10)) as server:
         taken = server.endpoints[0]
         with (

@@ -97,6 +97,6 @@ def test_the_short_road_is_offered_for_words_and_not_for_bits() -> None:
         ({"block": SingleBlock(4), "coils": 0}, "served by the block already"),
     ],
 )
-def test_a_block_that_can_not_be_is_refused(options: dict[str, Any], sentence: str) -> None:
+def test_a_block_that_cannot_be_is_refused(options: dict[str, Any], sentence: str) -> None:
     with pytest.raises(ConfigError, match=sentence):
         Device(**options)

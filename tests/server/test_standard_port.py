@@ -1,4 +1,4 @@
-"""Port 502 beside another one: where it is listened on, where not, and what happens where it can not be had."""
+"""Port 502 beside another one: where it is listened on, where not, and what happens where it cannot be opened."""
 
 import logging
 import socket
@@ -73,7 +73,7 @@ async def test_both_ports_answer(taken: socket.socket) -> None:
 
 
 @pytest.mark.clause("T3")
-async def test_where_it_can_not_be_had_that_is_an_error_by_name_and_a_warning_otherwise(
+async def test_where_it_cannot_be_had_that_is_an_error_by_name_and_a_warning_otherwise(
     taken: socket.socket, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     caplog.set_level(logging.WARNING, "busway.server")

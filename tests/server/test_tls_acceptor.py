@@ -732,7 +732,7 @@ def test_new_certificates_hold_from_the_next_connection_on(
         assert "UNKNOWN_CA" in try_to_read(port_of(server), context)
 
 
-def test_files_that_can_not_be_used_change_nothing(store: Store, operator: CertificateFiles, tmp_path: Path) -> None:
+def test_files_that_cannot_be_used_change_nothing(store: Store, operator: CertificateFiles, tmp_path: Path) -> None:
     own = Store(tmp_path)
     files = own.server("first", authority=store.authority)
     own.authority_file.write_bytes(store.authority_file.read_bytes())

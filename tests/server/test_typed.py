@@ -68,7 +68,7 @@ def test_typed_values_take_part_in_a_group() -> None:
         (("nonsense", 1), "is no address"),
     ],
 )
-def test_a_write_that_can_not_be_is_refused_and_changes_nothing(arguments: tuple[Any, ...], sentence: str) -> None:
+def test_a_write_that_cannot_be_is_refused_and_changes_nothing(arguments: tuple[Any, ...], sentence: str) -> None:
     device = Device(holding_registers=2, coils=1)
     with pytest.raises(InvalidRequest) as caught:
         device.write(*arguments)
@@ -85,7 +85,7 @@ def test_a_write_that_can_not_be_is_refused_and_changes_nothing(arguments: tuple
         (("4x2", "float32"), None, "there is no 1…2"),
     ],
 )
-def test_a_read_that_can_not_be_is_refused(arguments: tuple[Any, ...], count: Any, sentence: str) -> None:
+def test_a_read_that_cannot_be_is_refused(arguments: tuple[Any, ...], count: Any, sentence: str) -> None:
     with pytest.raises(InvalidRequest) as caught:
         Device(holding_registers=2).read(*arguments, count=count)
     assert sentence in str(caught.value)

@@ -605,7 +605,7 @@ def test_automatic_takes_only_what_fits_and_ignore_says_what_does_not() -> None:
 
 
 @pytest.mark.parametrize("policy", [MismatchPolicy.AUTOMATIC, MismatchPolicy.IGNORE])
-def test_where_transactions_can_not_be_told_apart_a_timeout_ends_the_connection(policy: MismatchPolicy) -> None:
+def test_where_transactions_cannot_be_told_apart_a_timeout_ends_the_connection(policy: MismatchPolicy) -> None:
     wire = ClientWire(transaction_policy=policy)
     call = wire.ask(read(3), retries=1)
     late = wire.send_one()
@@ -633,7 +633,7 @@ def test_a_late_reply_that_comes_before_the_connection_is_closed_is_not_given_to
 # The stream.
 
 
-def test_a_length_that_can_not_be_ends_what_is_in_flight_and_the_connection() -> None:
+def test_a_length_that_cannot_be_ends_what_is_in_flight_and_the_connection() -> None:
     for length in (0, 1, 255, 0xFFFF):
         wire = ClientWire(max_transactions=2)
         call, write = wire.ask(read(1)), wire.ask(WRITE, caller="b")

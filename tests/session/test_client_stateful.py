@@ -151,7 +151,7 @@ class Conversation(RuleBasedStateMachine):
         self.stream += adu[:3] + b"\x01" + adu[4:]
 
     @rule(length=st.sampled_from([0, 1, 255, 0xFFFF]))
-    def say_a_length_that_can_not_be(self, length: int) -> None:
+    def say_a_length_that_cannot_be(self, length: int) -> None:
         if self.connected:
             self.stream += b"\x00\x01\x00\x00" + length.to_bytes(2, "big")
 
@@ -233,7 +233,7 @@ class ForeignTransactions(Conversation):
     answer_with_nonsense = None
     answer_for_another_unit = None
     answer_in_another_protocol = None
-    say_a_length_that_can_not_be = None
+    say_a_length_that_cannot_be = None
 
     def chosen(self, data: st.DataObject) -> MbapFrame:
         frame = data.draw(st.sampled_from(self.frames))

@@ -149,7 +149,7 @@ def test_a_request_of_another_protocol_is_discarded_and_the_stream_goes_on(proto
 @pytest.mark.clause("T28")
 @pytest.mark.parametrize("length", [0, 1, 255, 256, 0xFFFF])
 @pytest.mark.parametrize("behind", [0, 1, 2, 300])
-def test_a_length_that_can_not_be_ends_the_stream_after_what_came_before_it(length: int, behind: int) -> None:
+def test_a_length_that_cannot_be_ends_the_stream_after_what_came_before_it(length: int, behind: int) -> None:
     peer = Peer(Scripted())
     broken = struct.pack(">HHH", 9, 0, length) + bytes(behind)
     stream = encode_mbap(1, 1, READ) + encode_mbap(2, 1, READ) + broken
@@ -600,7 +600,7 @@ def test_what_is_put_off_is_worked_through_when_it_goes_on_behind_the_beginning_
     assert (session.unfinished, session.rest) == (0, b"")
 
 
-def test_length_that_can_not_be_ends_the_connection_only_behind_the_requests_that_came_before_it() -> None:
+def test_length_that_cannot_be_ends_the_connection_only_behind_the_requests_that_came_before_it() -> None:
     session = _shared(Scripted(), 2)
     stream = _many(5) + bytes.fromhex("0009 0000 FFFF 01 03")
     answers = session.receive(stream, len(stream))

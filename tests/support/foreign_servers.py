@@ -100,7 +100,7 @@ def nats_server(folder: Path) -> ForeignServer:
 
 
 class PostgresqlServer(ForeignServer):
-    """A database cluster in a folder of its own, with one user, ``collector``, who needs a password."""
+    """A PostgreSQL server with a database folder of its own and one user, ``collector``, with a password."""
 
     PASSWORD = "x9-secret"
 
@@ -138,11 +138,11 @@ class PostgresqlServer(ForeignServer):
         self.url = f"postgresql://collector@127.0.0.1:{port}/postgres"
 
     def start(self) -> Self:
-        """Start it, and wait until it lets users in."""
+        """Start the server, and wait until it accepts connections."""
         super().start()
         until = time.monotonic() + READY_SECONDS
         while subprocess.run([*self._ready, "-p", str(self.port)], capture_output=True, check=False).returncode:
-            assert time.monotonic() < until, "the database lets nobody in"
+            assert time.monotonic() < until, "the database accepts no connection"
             time.sleep(0.05)
         return self
 

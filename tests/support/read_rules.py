@@ -1,7 +1,7 @@
-"""The rules by which programs usually cut a register map into reads, and what their reads cost.
+"""Rules that other programs use to cut a register map into reads, and the cost of these reads.
 
-They obey what a device allows: a rule that would cross a cut stops there. They share no code with the planner, so that
-they can judge it.
+Each rule keeps to what a device allows: a read ends where the device requires a cut. The rules share no code with the
+planner, so that they can judge it.
 """
 
 from collections.abc import Callable, Iterable, Sequence

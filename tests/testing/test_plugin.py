@@ -321,7 +321,7 @@ def test_a_device_listens_where_the_url_says() -> None:
             assert link.unit(1).read("4x1") == 42
 
 
-def test_a_place_that_can_not_be_listened_on_is_an_error_of_the_call() -> None:
+def test_a_place_that_cannot_be_listened_on_is_an_error_of_the_call() -> None:
     with (
         simulated_device({"4x1": 42}) as device,
         pytest.raises(LinkDown),
@@ -343,6 +343,6 @@ def test_a_place_that_can_not_be_listened_on_is_an_error_of_the_call() -> None:
         ("gone.toml", "gone.toml: cannot be read"),
     ],
 )
-def test_what_can_not_be_served_is_refused_with_a_sentence(content: object, said: str) -> None:
+def test_what_cannot_be_served_is_refused_with_a_sentence(content: object, said: str) -> None:
     with pytest.raises((ConfigError, InvalidRequest), match=re.escape(said)), simulated_device(content):  # type: ignore[arg-type]
         pass

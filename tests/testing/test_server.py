@@ -45,7 +45,7 @@ def test_thread_and_sockets_are_gone_when_the_block_is_left() -> None:
         socket.create_connection(("127.0.0.1", busway.parse_endpoint(endpoint).port or 0))
 
 
-def test_listener_that_can_not_be_had_is_an_error_of_the_test() -> None:
+def test_listener_that_cannot_be_had_is_an_error_of_the_test() -> None:
     with pytest.raises(OSError, match=r".+"), faulty_server(known_device(), host="192.0.2.1"):
         raise AssertionError("it listens on an address that is not here")
 

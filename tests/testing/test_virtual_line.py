@@ -170,7 +170,7 @@ def test_an_hour_at_115200_passes_without_drift() -> None:
     assert len(line.tap) == 10
 
 
-def test_the_past_can_not_be_written_to() -> None:
+def test_the_past_cannot_be_written_to() -> None:
     line = VirtualLine(2)
     line.advance(10.0)
     with pytest.raises(ValueError, match="already"):

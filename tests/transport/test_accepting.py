@@ -190,7 +190,7 @@ class Full(EpollSet):
         super().watch(descriptor, events, member)
 
 
-async def test_newcomer_that_can_not_be_watched_is_closed_and_counts_as_a_lack_of_means() -> None:
+async def test_newcomer_that_cannot_be_watched_is_closed_and_counts_as_a_lack_of_means() -> None:
     loop, accepted_protocols = asyncio.get_running_loop(), AcceptedProtocols()
     failures: list[OSError] = []
     bound = listening()

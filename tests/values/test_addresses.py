@@ -294,7 +294,7 @@ def test_addresses_are_equal_if_they_mean_the_same() -> None:
 @pytest.mark.parametrize(
     ("table", "offset", "bit"), [(HOLDING, -1, None), (HOLDING, 65536, None), (HOLDING, 0, 16), (COILS, 0, 0)]
 )
-def test_an_impossible_address_can_not_be_built(table: Table, offset: int, bit: int | None) -> None:
+def test_an_impossible_address_cannot_be_built(table: Table, offset: int, bit: int | None) -> None:
     with pytest.raises(InvalidRequest):
         Address(table, offset, bit)
 

@@ -2,10 +2,11 @@
 
 Knows no device, policy or gateway.
 
-1. `Responder.answer` gives the reply, an awaitable of it, `LATER` (then `RequestContext.reply` is called once),
-   `SILENCE`, or a `Forwarding`, which the session begins. Raising `Refusal` answers with its exception code.
-2. `Responder.serves` says which units are served, and by which device of this process, if it is one. Requests to such a
-   device may take the fast path, which does not pass `answer` (`busway.session.pipeline`).
+1. `Responder.answer` returns the reply or an awaitable of it, or `LATER` (the responder calls `RequestContext.reply`
+   once, later), `SILENCE` (the request gets no reply), or a `Forwarding`, which the session begins. It raises `Refusal`
+   for a reply with that exception code.
+2. `Responder.serves` returns whether a unit is served, with its device where that is in this process. Requests to such
+   a device may take the fast path and are not passed to `answer` then (`busway.session.pipeline`).
 """
 
 from collections.abc import Awaitable, Callable, Sequence

@@ -41,7 +41,7 @@ def test_another_version_is_refused() -> None:
         read_knowledge('{"version": 7}', "learnt.json")
 
 
-def test_it_belongs_to_a_device_of_one_kind() -> None:
+def test_knowledge_of_a_device_holds_for_its_profile_and_firmware_alone() -> None:
     knowledge = Knowledge({"a": meter(HOLE)})
     assert knowledge.of("a", "sdm630", "1.2").holes == (HOLE,)
     assert knowledge.of("a", "sdm630", "1.3") == DeviceKnowledge("sdm630", "1.3")

@@ -33,7 +33,7 @@ def items_at(places: Sequence[int], width: int = 1) -> list[PlainItem]:
 
 @dataclass
 class PacedDevice:
-    """A device on a line in virtual time, whose turnaround nobody has told the collector."""
+    """A device on a line in virtual time; the collector has to learn its turnaround."""
 
     baud: int
     turnaround: float

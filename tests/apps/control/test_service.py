@@ -335,7 +335,7 @@ async def test_a_program_is_found_by_its_process_id(directory: Path) -> None:
         assert find_one(str(control.address), directory).address == control.address
 
 
-async def test_a_default_socket_that_can_not_be_had_is_lived_without(
+async def test_a_default_socket_that_cannot_be_had_is_lived_without(
     directory: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(directory))

@@ -251,7 +251,7 @@ async def test_addresses_are_moved_and_long_writes_split_as_for_one_unit() -> No
         assert await refusal(link.unit(0).write_single_register(65_530, 1)) == 2
 
 
-async def test_units_that_want_it_under_different_addresses_can_not_be_written_at_once() -> None:
+async def test_units_that_want_it_under_different_addresses_cannot_be_written_at_once() -> None:
     async with (
         bus() as line,
         gateway(

@@ -72,7 +72,7 @@ def test_the_common_case_needs_urls_only_and_says_what_is_wrong_with_them() -> N
         assert caught.value.file is None
 
 
-def test_certificates_of_lines_that_can_not_be_read_are_found_where_files_are_examined(tmp_path: Path) -> None:
+def test_certificates_of_lines_that_cannot_be_read_are_found_where_files_are_examined(tmp_path: Path) -> None:
     file = tmp_path / "gateway.toml"
     text = f'listen = ["{ANY_PORT}"]\n[[link]]\nname = "x"\nurl = "tls://10.0.0.5"\nauthority = "ca.pem"\n'
     file.write_text(text)
@@ -211,7 +211,7 @@ async def test_a_serial_line_with_other_options_has_its_port_back_for_the_next_r
                 assert link.counters.connections == 1
 
 
-async def test_what_can_not_be_had_changes_nothing_neither_routes_nor_policy() -> None:
+async def test_what_cannot_be_had_changes_nothing_neither_routes_nor_policy() -> None:
     async with (
         busway.serve(ANY_PORT, units={1: device(100), 2: device(200)}) as one,
         busway.serve(ANY_PORT, units={1: device(0)}) as neighbour,

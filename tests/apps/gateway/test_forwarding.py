@@ -489,7 +489,7 @@ def test_a_read_without_a_slot_is_answered_06_and_the_next_one_has_the_slot_that
     assert client.got() == {1: answer_of(read(0)), 2: answer_of(read(1)), 7: bytes((0x83, 6))}
 
 
-def test_what_the_queue_can_not_take_is_0a_and_the_rest_is_asked() -> None:
+def test_what_the_queue_cannot_take_is_0a_and_the_rest_is_asked() -> None:
     plant = Plant(max_transactions=1, queue=2)
     client = plant.client("client")
     for _ in range(2):

@@ -85,7 +85,7 @@ async def test_an_unknown_function_is_forwarded_unread() -> None:
 
 @pytest.mark.clause("T31")
 @pytest.mark.clause("T32")
-async def test_what_can_not_be_asked_is_0a_and_what_does_not_answer_is_0b() -> None:
+async def test_what_cannot_be_asked_is_0a_and_what_does_not_answer_is_0b() -> None:
     async with ScriptedPeer(lambda peer, frame: None) as silent:
         made = plan(
             Route(upstream="silent", units=frozenset({1})),
@@ -379,7 +379,7 @@ async def test_a_changed_line_is_dialled_anew_and_the_old_one_closed() -> None:
         await until(lambda: not old.status().connections)
 
 
-async def test_a_change_that_can_not_be_leaves_everything_as_it_was() -> None:
+async def test_a_change_that_cannot_be_leaves_everything_as_it_was() -> None:
     async with busway.serve(ANY_PORT, units={1: device()}) as server:
         lines = {"line": server.endpoints[0]}
         async with through(plan(Route(upstream="line"), lines=lines)) as (gateway, link):

@@ -277,7 +277,7 @@ async def test_glued_requests_are_all_answered_to_their_transactions_and_units()
     "junk",
     [
         bytes.fromhex("0001 0001 0006 01 03 0000 0001"),  # another protocol
-        bytes.fromhex("0001 0000 0000 01 03"),  # a length that can not be
+        bytes.fromhex("0001 0000 0000 01 03"),  # a length outside of the limits
         bytes.fromhex("0001 0000 FFFF 01 03"),
         b"GET / HTTP/1.1\r\n\r\n",
         bytes(300),

@@ -119,7 +119,7 @@ def test_a_file_says_which_units_are_the_same_device_and_the_check_repeats_it() 
         ("[[1, 1]]", "a group is two units or more"),
     ],
 )
-def test_groups_that_can_not_be_are_refused_by_key(groups: str, words: str) -> None:
+def test_groups_that_cannot_be_are_refused_by_key(groups: str, words: str) -> None:
     with pytest.raises(ConfigError, match=words) as error:
         parse_gateway(FILE.format(groups=groups), "x.toml")
     assert "link[0].same_device" in str(error.value)

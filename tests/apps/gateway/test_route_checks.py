@@ -1,4 +1,4 @@
-"""What of the routes of a gateway file can not work, and what is odd: each with file, line and key."""
+"""What of the routes of a gateway file cannot work, and what is odd: each with file, line and key."""
 
 import pytest
 
@@ -20,7 +20,7 @@ def route(line: str, **keys: object) -> str:
 
 
 def refused(*parts: str) -> list[str]:
-    """The sentences about a file that can not work, without its name."""
+    """The sentences about a file that cannot work, without its name."""
     with pytest.raises(FileError) as caught:
         parse_gateway("".join(parts), "x.toml")
     return [line.removeprefix("x.toml:") for line in str(caught.value).splitlines()]
@@ -97,7 +97,7 @@ def test_a_refusal_behind_the_routes_that_it_was_meant_for_is_refused() -> None:
         ),
     ],
 )
-def test_a_unit_or_address_that_the_line_can_not_have_is_refused(keys: dict[str, object], sentence: str) -> None:
+def test_a_unit_or_address_that_the_line_cannot_have_is_refused(keys: dict[str, object], sentence: str) -> None:
     found = refused(LISTENER, LINE, route("hall", **keys))
     assert len(found) == 1
     assert found[0].startswith(sentence)

@@ -105,7 +105,7 @@ def test_routes_of_different_listeners_do_not_hide_each_other() -> None:
         ({"action": RouteAction.REFUSE, "code": 0}, "code"),
     ],
 )
-def test_a_route_that_can_not_be_is_refused(options: dict[str, object], key: str) -> None:
+def test_a_route_that_cannot_be_is_refused(options: dict[str, object], key: str) -> None:
     with pytest.raises(ConfigError) as error:
         Route(**options)  # type: ignore[arg-type]
     assert error.value.key == key

@@ -94,12 +94,12 @@ def test_a_name_that_there_is_not_is_refused_with_those_there_are() -> None:
         parse_configuration(UNIT, "x.toml").connect("a")
 
 
-def test_what_has_no_unit_can_not_be_served() -> None:
+def test_what_has_no_unit_cannot_be_served() -> None:
     with pytest.raises(busway.ConfigError, match="there is no unit to serve"):
         parse_configuration('[[link]]\nname = "a"\nurl = "tcp://h"\n', "x.toml").serve()
 
 
-def test_a_file_that_can_not_be_read_is_named(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     with pytest.raises(busway.ConfigError, match=r"nothing\.toml: cannot be read: no such file"):
         busway.load_configuration(tmp_path / "nothing.toml")
 

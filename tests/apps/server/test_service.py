@@ -1,4 +1,4 @@
-"""A server with all around it: what is read-only for want of a policy, and what is undone where it can not start."""
+"""A server with all around it: what is read-only for want of a policy, what is undone where it cannot start."""
 
 import asyncio
 import gc
@@ -58,7 +58,7 @@ def test_an_entrance_asks_all_of_its_lists_and_takes_others() -> None:
     assert allow_list("192.0.2.1")
 
 
-async def test_what_was_opened_before_is_closed_where_the_rest_can_not_be_had(tmp_path: Path) -> None:
+async def test_what_was_opened_before_is_closed_where_the_rest_cannot_be_had(tmp_path: Path) -> None:
     busy = busway.serve("tcp://127.0.0.1:0", units={1: busway.Device()})
     async with busy:
         service = Service(
@@ -105,7 +105,7 @@ async def test_a_policy_that_is_no_longer_written_leaves_network_listeners_read_
                 await link.unit(1).write_single_register(0, 1)
 
 
-async def test_certificates_are_read_again_at_once_and_what_can_not_be_used_is_told(tmp_path: Path) -> None:
+async def test_certificates_are_read_again_at_once_and_what_cannot_be_used_is_told(tmp_path: Path) -> None:
     store = CertificateStore(tmp_path)
     names = [store.server("first")]
 

@@ -72,7 +72,7 @@ def test_a_formula_reads_points_of_another_pace_as_they_are_at_the_moment() -> N
         ([point("a", 0, "kind = 'replay', file = 'none.csv'")], 7, "behaviour.file: none.csv: cannot be opened"),
     ],
 )
-def test_what_can_not_be_computed_is_refused_at_its_line(units: list[str], line: int, sentence: str) -> None:
+def test_what_cannot_be_computed_is_refused_at_its_line(units: list[str], line: int, sentence: str) -> None:
     with pytest.raises(FileError) as caught:
         simulated(*units)
     assert caught.value.line == line

@@ -92,7 +92,7 @@ def test_a_device_says_who_it_is(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", DEVICES)
-def test_what_is_read_only_can_not_be_written(name: str) -> None:
+def test_what_is_read_only_cannot_be_written(name: str) -> None:
     simulation = simulation_of(name)
     with asked(simulation) as unit:
         for point in simulation.points.values():

@@ -1,4 +1,4 @@
-"""When points change: moments, what is left out by a program that can not keep up, and where it may rest."""
+"""When points change: moments, what is left out by a program that cannot keep up, and where it may rest."""
 
 import pytest
 

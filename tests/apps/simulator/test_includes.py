@@ -127,7 +127,7 @@ def test_parameters_keep_their_type_where_nothing_stands_around_them() -> None:
         ("[server]\nunit_policy = 'any'\n" + including(), METER, "plant.toml:2: server.unit_policy: any needs exactly"),
     ],
 )
-def test_what_can_not_be_included_is_refused_where_it_stands(text: str, meter: str, sentence: str) -> None:
+def test_what_cannot_be_included_is_refused_where_it_stands(text: str, meter: str, sentence: str) -> None:
     found = refused(text, meter=meter)
     assert any(sentence in line for line in found), found
 

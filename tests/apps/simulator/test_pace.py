@@ -95,7 +95,7 @@ def test_before_it_runs_a_clock_moves_nothing_by_itself(simulation, clock):
 
 
 @pytest.mark.parametrize("speed", [0, -1, float("inf"), float("nan")])
-def test_a_speed_that_can_not_be_is_refused(simulation, speed):
+def test_a_speed_that_cannot_be_is_refused(simulation, speed):
     with pytest.raises(ConfigError, match="speed"):
         simulation.change_speed(speed)
     assert simulation.speed == 1

@@ -219,7 +219,7 @@ def test_a_value_that_does_not_fit_is_refused_in_a_sentence(key: str, value: obj
     assert simulation.points[key].last_writer == "simulation"
 
 
-def test_names_and_what_modbus_can_not_write_can_be_set_by_hand() -> None:
+def test_names_and_what_modbus_cannot_write_can_be_set_by_hand() -> None:
     simulation = simulated()
     simulation.set("1/mode", "off")
     assert simulation.points["1/mode"].value == 0
@@ -457,7 +457,7 @@ def test_kept_values_that_no_longer_fit_are_forgotten_one_by_one(tmp_path: Path)
     assert again.points["1/level"].value == 0.0
 
 
-def test_a_state_that_can_not_be_written_is_said_and_stops_nothing(
+def test_a_state_that_cannot_be_written_is_said_and_stops_nothing(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     file = kept(tmp_path)

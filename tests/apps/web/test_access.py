@@ -153,6 +153,6 @@ def test_an_address_of_the_network_gets_a_token_that_nobody_guesses():
 
 
 @pytest.mark.parametrize("token", ["short", "spaces are not in tokens", "né-à-la-mer-du-nord"])
-def test_a_token_that_can_not_be_is_refused(token):
+def test_a_token_that_cannot_be_is_refused(token):
     with pytest.raises(ConfigError, match="token"):
         ControlPage(Simulation(parse_declaration(UNIT, "unit.toml")), token=token)

@@ -152,7 +152,7 @@ def test_what_is_not_there_is_not_found_and_says_so(still, method, path):
         ({"value": {"a": 1}}, 422, "value"),
     ],
 )
-def test_a_body_that_can_not_be_is_refused_with_its_key(still, body, status, word):
+def test_a_body_that_cannot_be_is_refused_with_its_key(still, body, status, word):
     answered, answer = still.ask("PUT", "/api/units/1/points/tank.target", body)
     assert answered == status
     assert word in answer["error"]
@@ -197,7 +197,7 @@ def test_a_fault_is_put_on_switched_and_taken_off(plant, unit):
         ({"fault_profile": "busy", "schedule": {"every": 1, "lasts": 5}}, "lasts"),
     ],
 )
-def test_a_fault_that_can_not_be_is_refused_with_its_key(still, wanted, word):
+def test_a_fault_that_cannot_be_is_refused_with_its_key(still, wanted, word):
     status, answer = still.ask("POST", "/api/faults", wanted)
     assert status == 422
     assert word in answer["error"]

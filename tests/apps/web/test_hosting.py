@@ -121,7 +121,7 @@ async def test_an_address_that_is_taken_is_said():
 
 
 @pytest.mark.parametrize("address", ["nowhere", "127.0.0.1", "127.0.0.1:99999", "::1:80"])
-async def test_an_address_that_can_not_be_is_refused(address):
+async def test_an_address_that_cannot_be_is_refused(address):
     async with watching() as plant:
         with pytest.raises(ConfigError):
             ControlPage(plant.simulation, address)

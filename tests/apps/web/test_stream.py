@@ -112,7 +112,7 @@ def test_coming_back_gives_the_frames_since_and_says_how_many_are_missing(plant)
 @pytest.mark.parametrize(
     "wish", ["nonsense", '{"points": "some"}', '{"points": [99]}', '{"other": 1}', '{"points": [-1]}']
 )
-def test_a_wish_that_can_not_be_ends_with_a_reason(plant, wish):
+def test_a_wish_that_cannot_be_ends_with_a_reason(plant, wish):
     with stream_of(plant) as socket:
         socket.send(wish)
         with pytest.raises(ConnectionClosed) as closed:
@@ -190,7 +190,7 @@ async def test_a_client_that_takes_nothing_keeps_no_more_than_one_mark_per_point
         assert message["skipped"] == 5000 - FRAMES_AT_ONCE
 
 
-async def test_more_points_than_anybody_looks_at_can_not_all_be_followed():
+async def test_more_points_than_anybody_looks_at_cannot_all_be_followed():
     async with watching(BUSY) as plant:
         client = Client(plant.page.api)
         plant.page.api.order = plant.page.api.order * (MOST_POINTS // 60 + 1)

@@ -70,7 +70,7 @@ def test_frames_that_come_in_pieces_or_together_are_frames(traffic):
 
 def test_bytes_that_are_no_frame_are_shown_as_damaged(traffic):
     connection = traffic.connection(ENDS)
-    connection.sent(bytes.fromhex("00 01 00 00 00 00 01 03"))  # a length that can not be
+    connection.sent(bytes.fromhex("00 01 00 00 00 00 01 03"))  # a length outside of the limits
     connection.sent(encode_mbap(1, 1, REPLY))
     broken, after = (traffic.shown(one) for one in traffic.after(0, 10))
     assert broken.direction == "damaged"

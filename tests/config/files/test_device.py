@@ -193,7 +193,7 @@ def test_two_points_of_one_name_are_refused() -> None:
     assert found == "x.toml:7: unit[0].point[1].name: 'a' is there already: point[0]"
 
 
-def test_what_the_reader_can_not_take_is_said_with_a_line() -> None:
+def test_what_the_reader_cannot_take_is_said_with_a_line() -> None:
     assert problems_of("a = 1\nb = " + "[" * 5000 + "]" * 5000)[0].startswith("x.toml:2: it is nested too deeply")
     (found,) = problems_of("a = [1, [2]]\nb = " + "9" * 5000)
     assert found == "x.toml:2: a whole number of 5000 digits stands there; no value has so many"

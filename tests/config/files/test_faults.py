@@ -73,7 +73,7 @@ def test_section_says_which_requests_are_meant_and_when() -> None:
         ('parameters = { delay = "2" }', "fault[0].parameters.delay: must be a number, true or false, not '2'"),
     ],
 )
-def test_what_can_not_be_is_said_with_file_line_and_key(line: str, sentence: str) -> None:
+def test_what_cannot_be_is_said_with_file_line_and_key(line: str, sentence: str) -> None:
     with pytest.raises(FileError) as caught:
         _parsed(f'[[fault]]\nfault_profile = "late"\n{line}\n')
     (problem,) = caught.value.problems
@@ -142,7 +142,7 @@ def test_words_of_a_command_line_stand_for_a_section() -> None:
         ("late:every=3", "schedule.every: must be at least as long as for, which it needs"),
     ],
 )
-def test_words_that_can_not_be_name_the_key(text: str, sentence: str) -> None:
+def test_words_that_cannot_be_name_the_key(text: str, sentence: str) -> None:
     with pytest.raises(ConfigError) as caught:
         parse_fault_words(text)
     assert str(caught.value) == sentence

@@ -21,7 +21,7 @@ ROUTE = "[[route]]\n"
 
 
 def problems_of(text: str) -> list[str]:
-    """The sentences about a file that can not be used."""
+    """The sentences about a file that cannot be used."""
     with pytest.raises(FileError) as caught:
         read_gateway_file(text, "x.toml")
     return str(caught.value).splitlines()
@@ -114,7 +114,7 @@ def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> No
         (LISTENER + LINE + "[gateway]\nown_unit = 0\n", ["x.toml:7: gateway.own_unit: must be 1…255, not 0"]),
     ],
 )
-def test_what_can_not_be_is_said_with_its_line(text: str, sentences: list[str]) -> None:
+def test_what_cannot_be_is_said_with_its_line(text: str, sentences: list[str]) -> None:
     found = problems_of(text)
     assert len(found) == len(sentences)
     for line, sentence in zip(found, sentences, strict=True):

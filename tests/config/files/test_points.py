@@ -178,7 +178,7 @@ def test_fields_halves_and_overlaps_are_served_with_their_first_values() -> None
         ),
     ],
 )
-def test_what_can_not_be_is_said_with_its_line_and_key(text: str, sentence: str) -> None:
+def test_what_cannot_be_is_said_with_its_line_and_key(text: str, sentence: str) -> None:
     problems = problems_of(text)
     assert len(problems) == 1, problems
     assert sentence in problems[0]

@@ -75,7 +75,7 @@ def test_device_and_configuration_files_are_simulation_files(name: str) -> None:
         ),
     ],
 )
-def test_a_point_that_can_not_be_is_refused_with_line_and_key(keys: str, sentence: str) -> None:
+def test_a_point_that_cannot_be_is_refused_with_line_and_key(keys: str, sentence: str) -> None:
     assert any(sentence in line for line in refused(POINT + keys))
 
 
@@ -96,7 +96,7 @@ def test_a_point_that_can_not_be_is_refused_with_line_and_key(keys: str, sentenc
         ("", "x.toml:1: unit: is missing"),
     ],
 )
-def test_a_file_that_can_not_be_is_refused_with_line_and_key(text: str, sentence: str) -> None:
+def test_a_file_that_cannot_be_is_refused_with_line_and_key(text: str, sentence: str) -> None:
     assert any(sentence in line for line in refused(text)), refused(text)
 
 

@@ -44,7 +44,7 @@ UNIT = "[[unit]]\nunit = 1\n"
 
 
 def problems_of(text: str) -> list[str]:
-    """The sentences about a file that can not be used."""
+    """The sentences about a file that cannot be used."""
     with pytest.raises(FileError) as caught:
         parse_configuration(text, "x.toml")
     return str(caught.value).splitlines()
@@ -151,7 +151,7 @@ def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_un
         (UNIT + '[control]\nenabled = "no"\n', "x.toml:4: control.enabled: must be true or false, not 'no'"),
     ],
 )
-def test_what_can_not_be_is_said_with_its_line_and_key(text: str, sentence: str) -> None:
+def test_what_cannot_be_is_said_with_its_line_and_key(text: str, sentence: str) -> None:
     assert sentence in "\n".join(problems_of(text))
 
 

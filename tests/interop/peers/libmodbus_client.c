@@ -169,7 +169,7 @@ int main(int count, char **arguments)
         return 2;
     }
     if (context == NULL || modbus_set_slave(context, unit) < 0 || modbus_connect(context) < 0) {
-        fprintf(stderr, "can not connect: %s\n", modbus_strerror(errno));
+        fprintf(stderr, "cannot connect: %s\n", modbus_strerror(errno));
         return 1;
     }
     modbus_set_response_timeout(context, 5, 0);

@@ -60,7 +60,7 @@ static int serve_tcp(int port, modbus_mapping_t *tables)
     struct sockaddr_in bound;
     socklen_t size = sizeof bound;
     if (listener < 0 || getsockname(listener, (struct sockaddr *)&bound, &size) < 0) {
-        fprintf(stderr, "can not listen on port %d: %s\n", port, modbus_strerror(errno));
+        fprintf(stderr, "cannot listen on port %d: %s\n", port, modbus_strerror(errno));
         return 1;
     }
     printf("ready %d\n", ntohs(bound.sin_port));
@@ -108,7 +108,7 @@ static int serve_rtu(const char *device, int baud, char parity, int unit, modbus
 {
     modbus_t *context = modbus_new_rtu(device, baud, parity, 8, parity == 'N' ? 2 : 1);
     if (context == NULL || modbus_set_slave(context, unit) < 0 || modbus_connect(context) < 0) {
-        fprintf(stderr, "can not open %s: %s\n", device, modbus_strerror(errno));
+        fprintf(stderr, "cannot open %s: %s\n", device, modbus_strerror(errno));
         return 1;
     }
     printf("ready %s\n", device);

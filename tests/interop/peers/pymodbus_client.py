@@ -173,7 +173,7 @@ def client_of(words: list[str]) -> Client:
 
 
 def tls_context(certificate: str, key: str, authority: str) -> ssl.SSLContext:
-    """For the TLS client, which does not say the server's name, so that it can not be checked."""
+    """For the TLS client, which does not say the server's name, so that it cannot be checked."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
     context.load_verify_locations(authority)
@@ -185,7 +185,7 @@ def main() -> None:
     logging.getLogger("pymodbus").setLevel(logging.CRITICAL)
     client = client_of(sys.argv[1:])
     if not client.connect():
-        sys.exit("can not connect")
+        sys.exit("cannot connect")
     converse(commands_of(client, int(sys.argv[4])))
     client.close()
 

@@ -59,7 +59,7 @@ def commands_of(client: ModbusClient) -> dict[str, Callable[..., dict[str, Any]]
 def main() -> None:
     client = ModbusClient(host=sys.argv[1], port=int(sys.argv[2]), unit_id=int(sys.argv[3]), timeout=5.0)
     if not client.open():
-        sys.exit("can not connect")
+        sys.exit("cannot connect")
     converse(commands_of(client))
     client.close()
 

@@ -126,7 +126,7 @@ def test_with_everybody_ready_all_the_time_each_has_a_turn_and_so_have_the_timer
     assert turns >= 4
 
 
-async def test_descriptor_that_can_not_be_watched_is_refused_and_nothing_stays() -> None:
+async def test_descriptor_that_cannot_be_watched_is_refused_and_nothing_stays() -> None:
     epoll_set = EpollSet(asyncio.get_running_loop())
     before = settled_handles()
     never_ready = os.open(os.devnull, os.O_RDONLY)

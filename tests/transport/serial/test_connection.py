@@ -184,7 +184,7 @@ async def test_a_port_that_is_taken_names_who_has_it(pty: Pty) -> None:
     await closed(connection)
 
 
-async def test_what_can_not_be_opened_is_ours_to_tell(tmp_path: object) -> None:
+async def test_what_cannot_be_opened_is_ours_to_tell(tmp_path: object) -> None:
     ears = Ears()
     with pytest.raises(LinkDown, match="is not there"):
         await SerialConnection.open(f"{tmp_path}/port", FAST, received=ears.received, lost=ears.lost)

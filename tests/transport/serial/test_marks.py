@@ -63,6 +63,6 @@ def test_the_system_marks_once_it_is_asked_to() -> None:
         os.close(far)
 
 
-def test_what_is_no_port_can_not_be_marked() -> None:
+def test_what_is_no_port_cannot_be_marked() -> None:
     with open(os.devnull, "rb") as nothing, pytest.raises(OSError, match="ioctl"):
         switch_marks_on(nothing.fileno())

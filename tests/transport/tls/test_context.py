@@ -64,7 +64,7 @@ def test_a_suite_without_encryption_has_to_be_named_and_is_warned_of(
 
 @pytest.mark.parametrize("ciphers", ["DES-CBC3-SHA", "RC4-MD5", "ECDHE-RSA-AES128-SHA", "ALL", "AES128-GCM-SHA256"])
 @pytest.mark.clause("M2")
-def test_other_suites_can_not_be_chosen(ciphers: str) -> None:
+def test_other_suites_cannot_be_chosen(ciphers: str) -> None:
     with pytest.raises(ConfigError, match="is none of the suites"):
         TlsParameters(ciphers=ciphers)
 
@@ -240,7 +240,7 @@ def test_the_context_changes_with_its_files(store: CertificateStore, files: Cert
     assert watched.current() is not second
 
 
-def test_files_that_can_not_be_used_are_said_once_and_the_old_context_stays(
+def test_files_that_cannot_be_used_are_said_once_and_the_old_context_stays(
     store: CertificateStore, files: CertificateFiles, caplog: pytest.LogCaptureFixture
 ) -> None:
     clock = FakeClock()

@@ -61,7 +61,7 @@ def test_no_bytes_raise_and_what_is_a_role_is_encoded_so(value: bytes) -> None:
 
 
 @pytest.mark.parametrize("role", ["", "r" * 65536])
-def test_a_role_that_can_not_be_is_not_encoded(role: str) -> None:
+def test_a_role_that_cannot_be_is_not_encoded(role: str) -> None:
     with pytest.raises(ConfigError, match=r"a role has 1…65535 bytes"):
         encode_role(role)
 

@@ -14,9 +14,9 @@ from typing import Final
 
 NANOSECONDS: Final = 1_000_000_000
 EARLIEST: Final = 1_767_225_600 * NANOSECONDS
-"""2026-01-01: no sample is older than this program."""
+"""2026-01-01, nanoseconds since 1970: a wall clock that shows less is wrong, because this program is younger."""
 TOLERANCE: Final = NANOSECONDS // 2
-"""Differences up to here are followed without saying that the time is not known to be right."""
+"""Nanoseconds by which the wall clock may be behind while the time still counts as right."""
 
 
 class SampleClock:

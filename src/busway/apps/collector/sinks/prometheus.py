@@ -60,7 +60,7 @@ class LastValues:
 
 
 class PrometheusPage:
-    """Last values at ``http://HOST:PORT/metrics``, in a thread of their own."""
+    """An HTTP service that shows last values to Prometheus at ``http://HOST:PORT/metrics``, in a thread of its own."""
 
     def __init__(
         self,
@@ -74,7 +74,7 @@ class PrometheusPage:
         """Listen.
 
         Args:
-            where: ``127.0.0.1:9503``; port 0 takes a free one. Whoever reaches it can read.
+            where: ``127.0.0.1:9503``; port 0 takes a free one. Every host that reaches it can read the values.
             points: patterns ``device/point`` of what is shown; at least one.
             values: last values.
             stale: seconds after which a value is left out.
