@@ -66,7 +66,7 @@ def collect(
     show_traffic(verbose)
     from ..server.loops import run
 
-    run(_collect(configuration, file, every, as_json=as_json))
+    run(_collect(configuration, every, as_json=as_json))
     return ExitCode.DONE
 
 
@@ -91,7 +91,7 @@ def _action_and_file(words: list[str]) -> tuple[str, str]:
 # Running.
 
 
-async def _collect(configuration: "CollectorConfiguration", file: str, every: float, *, as_json: bool) -> None:
+async def _collect(configuration: "CollectorConfiguration", every: float, *, as_json: bool) -> None:
     from ..apps.collector.collector import Collector
 
     with stop_event() as stop:
@@ -101,7 +101,7 @@ async def _collect(configuration: "CollectorConfiguration", file: str, every: fl
             tasks: set[asyncio.Task[None]] = set()
 
             def read_again() -> None:
-                task = asyncio.create_task(_read_again(collector, file))
+                task = asyncio.create_task(_read_again(collector))
                 tasks.add(task)
                 task.add_done_callback(tasks.discard)
 
@@ -132,13 +132,9 @@ def _say_what_runs(collector: "Collector") -> None:
             say(f"warning: {problem}")
 
 
-async def _read_again(collector: "Collector", file: str) -> None:
-    from ..apps.collector.configuration import load_collector
-
+async def _read_again(collector: "Collector") -> None:
     try:
-        loop = asyncio.get_running_loop()
-        configuration = await loop.run_in_executor(None, load_collector, file)
-        done = await collector.reload(configuration)
+        done = await collector.read_again()
     except ModbusError as error:
         say_problems("read again, nothing was changed:", str(error))
     else:

@@ -17,6 +17,8 @@
 `preview`       what a collector would do, told before it does it
 `samples`       a sample, its quality and reason; the samples of one read; intervals without reads
 `store`         the folder that keeps samples: written, sealed, read
+`commands`      values that are written to points, each at most once
+`reloading`     what another configuration may change while a collector runs
 `sinks`         other systems that get what a store keeps
 ==============  =======================================================================
 """

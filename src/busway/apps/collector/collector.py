@@ -22,13 +22,20 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
+from ...access.audit_log import AuditLog
 from ...client.aio import AsyncLink, open_link
 from ...config.reading import read_text
 from ...errors import ConfigError
-from .configuration import CollectedDevice, CollectorConfiguration, load_collector
+from .commands.audit import configuration_line, revision_of
+from .commands.command import CommandResult, CommandValue
+from .commands.journal import CommandJournal
+from .commands.runner import CommandRunner
+from .commands.targets import CollectedTargets
+from .configuration import CollectedDevice, CollectorConfiguration, load_collector, parse_collector
 from .derived_points import DerivedPoints
 from .knowledge import Knowledge, read_knowledge
 from .poller import LinkPoller
+from .reloading import left_for_the_next_start, refuse_what_cannot_change, replace_file
 from .sample_clock import SampleClock
 from .samples import SampleBatch
 from .schedule import LinkSchedule
@@ -43,6 +50,8 @@ MOST_WAITING: Final = 10_000
 """Batches that wait for a reader of `Collector.samples`, at most."""
 CLOCK_EVERY: Final = 5.0
 """Seconds between two comparisons with the wall clock."""
+AUDIT_LOG: Final = "audit.log"
+"""The file in the store that keeps the audit log, where the configuration names none."""
 LEARNT_EVERY: Final = 30.0
 """Seconds after which what was learnt is written, if it changed."""
 
@@ -110,6 +119,7 @@ class Collector:
         configuration: what its file says.
         knowledge: what was learnt of its devices.
         readers_lost: batches that readers of `samples` were too slow for.
+        values: the last committed value of each point.
     """
 
     def __init__(self, configuration: CollectorConfiguration) -> None:
@@ -124,6 +134,9 @@ class Collector:
         self._sinks: SinkThread | None = None
         self._pages: list[PrometheusPage] = []
         self._started = 0.0
+        self.values: LastValues = LastValues()
+        self._audit: AuditLog | None = None
+        self._commands: CommandRunner | None = None
         self._reloading = asyncio.Lock()
 
     async def __aenter__(self) -> Self:
@@ -138,9 +151,11 @@ class Collector:
         self._clock = SampleClock(loop.time(), time.time_ns())
         self._committer = Committer(writer)
         self._committer.subscribe(lambda commit: self._committed_in_thread(loop, commit))
+        self._committer.subscribe(self.values.update)
         async with AsyncExitStack() as unless_started:
             unless_started.push_async_callback(self._stop)
             self._start_sinks(writer, self._committer)
+            self._start_commands()
             for name in self.configuration.links:
                 self._start_link(name, self.configuration)
             self._upkeep = asyncio.create_task(self._keep_up(), name="busway collector upkeep")
@@ -161,6 +176,10 @@ class Collector:
                 steps.callback(reader.arrived.set)
             steps.push_async_callback(self._close_store)
             steps.callback(self._write_learnt)
+            if self._audit is not None:
+                steps.callback(self._audit.close)
+            if self._commands is not None:
+                steps.push_async_callback(self._commands.close)
             for name in reversed(self._links):
                 steps.push_async_callback(self._stop_link, name)
             if self._upkeep is not None:
@@ -187,10 +206,32 @@ class Collector:
         if configuration.sinks:
             self._sinks = SinkThread(writer, configuration.sinks)
         if configuration.pages:
-            values = LastValues()
-            committer.subscribe(values.update)
             for page in configuration.pages.values():
-                self._pages.append(PrometheusPage(page.where, page.points, values, stale=page.stale))
+                self._pages.append(PrometheusPage(page.where, page.points, self.values, stale=page.stale))
+
+    def _start_commands(self) -> None:
+        """Open the audit log and the journal, and end what an earlier process has left open. Raises `ConfigError`."""
+        configuration = self.configuration
+        section = configuration.file.audit
+        path = configuration.common.audit or Path(configuration.store) / AUDIT_LOG
+        if section is None:
+            self._audit = AuditLog(path)
+        else:
+            self._audit = AuditLog(
+                path,
+                interval=section.interval,
+                on_failure=section.on_failure,
+                repeat_interval=section.repeat_interval,
+            )
+        targets = CollectedTargets(lambda: self.configuration, self._poller_of, self.values)
+        journal = CommandJournal(Path(configuration.store))
+        self._commands = CommandRunner(targets, journal, self._audit)
+
+    @property
+    def commands(self) -> CommandRunner:
+        """Takes values that are written to points."""
+        assert self._commands is not None, "the collector does not run"
+        return self._commands
 
     async def _close_store(self) -> None:
         """Commit what waits, give sinks a moment to take it, and close; each step whatever came of those before it."""
@@ -303,10 +344,51 @@ class Collector:
             None if device.suspended is None else device.suspended.begin,
         )
 
+    async def write(
+        self,
+        device: str,
+        point: str,
+        value: CommandValue,
+        *,
+        by: str,
+        expires: float | None = None,
+        key: str | None = None,
+        origin: str = "program",
+    ) -> CommandResult:
+        """Write a value to a point, at most once, and say what became of it.
+
+        Args:
+            device, point: whose value.
+            value: in the unit of measure, or a name of a number; checked against the rule of the point.
+            by: who wants it, for the journal and the audit log.
+            expires: until when it may be sent, seconds since 1970 UTC; None for half a minute from now.
+            key: names the command for ever: the same again gives the result of the first time. None for a new one.
+            origin: on which way it came.
+
+        Returns:
+            The result, also where it was refused; `CommandState.UNKNOWN` where it may have been sent, and nothing says
+            whether it was executed.
+
+        Raises:
+            InvalidRequest: there is no such point, or the command cannot be. Nothing was sent.
+        """
+        return await self.commands.write(device, point, value, by=by, origin=origin, expires=expires, key=key)
+
     # Reading the file again.
 
-    async def reload(self, configuration: CollectorConfiguration) -> list[str]:
+    @property
+    def revision(self) -> str:
+        """Names the text of the configuration that holds: 16 hexadecimal digits."""
+        return revision_of(self.configuration.text)
+
+    async def reload(
+        self, configuration: CollectorConfiguration, *, by: str = "this program", origin: str = "program"
+    ) -> list[str]:
         """Poll by another configuration, link by link (rule 2).
+
+        Args:
+            configuration: the other one.
+            by, origin: who changes it, and how, for the audit log.
 
         Returns:
             What changed, each as a sentence.
@@ -314,16 +396,75 @@ class Collector:
         Raises:
             ConfigError: the store or a sink is another; nothing was changed.
         """
-        if configuration.file.sink != self.configuration.file.sink:
-            raise ConfigError(
-                "sinks cannot change while the collector runs: restart it", file=configuration.name, key="sink"
-            )
-        if configuration.store != self.configuration.store:
-            raise ConfigError(
-                "the store cannot be another while the collector runs: restart it", file=configuration.name, key="store"
-            )
         async with self._reloading:
-            return await self._apply(configuration)
+            return await self._reload(configuration, by, origin)
+
+    async def read_again(self, *, by: str = "this program", origin: str = "signal") -> list[str]:
+        """Read the file again, and poll by it. As `reload`; also raises `FileError` for all that is wrong with it."""
+        async with self._reloading:
+            name = self.configuration.name
+            text = await asyncio.to_thread(read_text, name)
+            return await self._reload(await self._parsed(text, by, origin), by, origin)
+
+    async def replace_configuration(
+        self, text: str, *, by: str, origin: str = "api", revision: str | None = None
+    ) -> list[str]:
+        """Replace the file of the configuration, and poll by it; or change nothing.
+
+        Args:
+            text: the whole file.
+            by, origin: who changes it, and how, for the audit log.
+            revision: of the text that it is a change of; another one holds already: it is refused. None for any.
+
+        Returns:
+            What changed, each as a sentence.
+
+        Raises:
+            FileError: all that is wrong with it, each with file, line and key.
+            ConfigError: the store or a sink is another, the file cannot be replaced, or the revision is not that of
+                the configuration that holds.
+        """
+        async with self._reloading:
+            if revision is not None and revision != self.revision:
+                raise ConfigError(
+                    f"the configuration is {self.revision} by now, not {revision}: read it again", key="revision"
+                )
+            configuration = await self._parsed(text, by, origin)
+            try:
+                refuse_what_cannot_change(self.configuration, configuration)
+                await asyncio.to_thread(replace_file, configuration.name, text)
+            except ConfigError as error:
+                self._audit_change(text, [str(error)], False, by, origin)
+                raise
+            return await self._reload(configuration, by, origin)
+
+    async def _parsed(self, text: str, by: str, origin: str) -> CollectorConfiguration:
+        try:
+            return await asyncio.to_thread(parse_collector, text, self.configuration.name)
+        except ConfigError as error:
+            self._audit_change(text, str(error).splitlines(), False, by, origin)
+            raise
+
+    async def _reload(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
+        old = self.configuration
+        try:
+            refuse_what_cannot_change(old, configuration)
+        except ConfigError as error:
+            self._audit_change(configuration.text, [str(error)], False, by, origin)
+            raise
+        done = [*await self._apply(configuration), *left_for_the_next_start(old, configuration)]
+        self._audit_change(configuration.text, done, True, by, origin, old.text)
+        return done or ["nothing changed"]
+
+    def _audit_change(
+        self, text: str, done: Sequence[str], is_applied: bool, by: str, origin: str, old: str | None = None
+    ) -> None:
+        if self._audit is not None:
+            before = self.configuration.text if old is None else old
+            time = self._audit.timestamp()
+            self._audit.append(
+                configuration_line(before, text, done, is_applied=is_applied, by=by, origin=origin, time=time)
+            )
 
     async def _apply(self, configuration: CollectorConfiguration) -> list[str]:
         """Stop the links that change; give points their new names, behind all samples so far; then begin anew."""
@@ -340,7 +481,7 @@ class Collector:
             if name not in self._links:
                 self._start_link(name, configuration)
                 done.append(f"link {name} {'began anew' if name in changed else 'began'}")
-        return done or ["nothing changed"]
+        return done
 
     # Links.
 

@@ -62,6 +62,14 @@ class _CompiledRead:
     group: PointGroup
 
 
+@dataclass(frozen=True, slots=True)
+class _QueuedWrite:
+    """A write that waits for its turn."""
+
+    perform: Callable[[], Awaitable[None]]
+    drop: Callable[[], None] | None
+
+
 _decoders: dict[tuple[Any, ...], ReadDecoder] = {}
 """Decoders by their read and the identities of its points, which they keep alive. Devices of one profile share them."""
 
@@ -161,6 +169,7 @@ class LinkPoller:
         self._numbered = numbered
         self._now = now
         self._wake: asyncio.Event | None = None
+        self._has_ended = False
 
     # Devices.
 
@@ -213,16 +222,31 @@ class LinkPoller:
         self.schedule.lease(name, items, period, now + seconds, now)
         self.wake()
 
-    def write(self, name: str, perform: Callable[[], Awaitable[None]]) -> bool:
-        """Queue a write to a device, before all reads; False where too many wait.
+    def write(self, name: str, perform: Callable[[], Awaitable[None]], drop: Callable[[], None] | None = None) -> bool:
+        """Queue a write to a device, before all reads; False where too many wait, or the task has ended.
 
         Args:
             name: the device.
             perform: makes the write on the link. It must not raise: it tells its outcome to who asked for it.
+            drop: called instead where polling ends before; nothing was sent then.
         """
-        taken = self.schedule.write(name, perform)
+        if self._has_ended:
+            return False
+        taken = self.schedule.write(name, _QueuedWrite(perform, drop))
         self.wake()
         return taken
+
+    async def wait_for(self, name: str) -> None:
+        """Wait until a device may be asked again. For what is done in the turn of a write."""
+        device = self.devices[name]
+        if device.ready_at > self._now():
+            await asyncio.sleep(device.ready_at - self._now())
+
+    def note_asked(self, name: str) -> None:
+        """Note that a device was asked in the turn of a write: its pause begins."""
+        device = self.devices.get(name)
+        if device is not None and device.pause:
+            device.ready_at = self._now() + device.pause
 
     def wake(self) -> None:
         """Look again at what is next."""
@@ -234,12 +258,18 @@ class LinkPoller:
     async def run(self) -> None:
         """Poll until the task is cancelled."""
         self._wake = asyncio.Event()
-        while True:
-            turn = self.schedule.next(self._now())
-            if isinstance(turn, float):
-                await self._sleep(turn - self._now())
-            else:
-                await self.make(turn)
+        try:
+            while True:
+                turn = self.schedule.next(self._now())
+                if isinstance(turn, float):
+                    await self._sleep(turn - self._now())
+                else:
+                    await self.make(turn)
+        finally:
+            self._has_ended = True
+            for queued in self.schedule.take_writes():
+                if queued.drop is not None:
+                    queued.drop()
 
     async def _sleep(self, seconds: float) -> None:
         assert self._wake is not None
@@ -258,11 +288,11 @@ class LinkPoller:
     async def make(self, turn: Turn) -> None:
         """Make the reads or the write of one turn, and note what came of it."""
         device = self.devices.get(turn.device)
-        if device is not None and device.ready_at > self._now():
-            await asyncio.sleep(device.ready_at - self._now())
+        if device is not None:
+            await self.wait_for(turn.device)
         began = self._now()
         if turn.kind is TurnKind.WRITE:
-            await turn.write()
+            await turn.write.perform()
             self.schedule.done(turn, began, self._now(), TurnOutcome.ANSWERED)
             return
         if device is None:

@@ -245,6 +245,12 @@ class LinkSchedule:
         self._writes.append((device, what))
         return True
 
+    def take_writes(self) -> list[Any]:  # Any: the caller's own
+        """Take out all writes that wait: polling ends."""
+        waiting = [what for _, what in self._writes]
+        self._writes.clear()
+        return waiting
+
     def lease(self, name: str, items: Sequence[Any], period: float, until: float, now: float) -> None:
         """Read some points of a device every ``period`` seconds until a time, before the classes."""
         device = self.devices[name]

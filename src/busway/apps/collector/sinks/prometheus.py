@@ -50,6 +50,17 @@ class LastValues:
                     found[batch.device, point] = (batch, index)
         return found
 
+    def last(self, device: str, point: str) -> tuple[Value | None, int, int] | None:
+        """Value, reason and time of the last sample of one point; None where there was none."""
+        found: tuple[Value | None, int, int] | None = None
+        with self._lock:
+            for batch in self._batches.values():
+                if batch.device == device and point in batch.points and (found is None or batch.time >= found[2]):
+                    index = batch.points.index(point)
+                    reason = batch.reasons if isinstance(batch.reasons, int) else batch.reasons[index]
+                    found = batch.values[index], reason, batch.time
+        return found
+
     def samples(self) -> Iterator[tuple[str, str, Value | None, int, int]]:
         """Device, point, value, reason and time of the last sample of each point."""
         with self._lock:

@@ -1,0 +1,99 @@
+"""Lines of the audit log for commands and for changes of the configuration, as JSON.
+
+Pure: knows what happened; writes nothing. `busway.access.audit_log` keeps the lines.
+
+=================  ======================================================================================
+of a command       meaning
+=================  ======================================================================================
+``time``           when it ended, UTC
+``event``          ``command``
+``by``, ``origin`` who gave it, and on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``
+``key``            the name of the command
+``device``,
+``point``          whose value
+``old``            what the point was known to be; null where that is not known
+``new``            the value of the command
+``outcome``        ``done``, ``failed``, ``unknown``, ``expired``, ``refused``
+``read_back``      what the device showed afterwards; null where it was not asked
+``reason``         why it is not done; empty where it is
+``repeated``       of refusals that the journal does not keep: how many there were from the same since the line before
+=================  ======================================================================================
+
+=================  ======================================================================================
+of a configuration meaning
+=================  ======================================================================================
+``event``          ``configuration``
+``by``, ``origin`` who changed it, and how: ``api``, ``signal``, ``program``
+``outcome``        ``applied`` or ``refused``
+``revision``       of the new text: the first 16 hexadecimal digits of its SHA-256; ``before`` that of the old one
+``difference``     lines of the difference, ``LONGEST_DIFFERENCE`` at most; ``more`` counts the others
+``done``           what changed, or all that is wrong, as sentences
+=================  ======================================================================================
+"""
+
+import difflib
+import hashlib
+import json
+from collections.abc import Sequence
+from typing import Any, Final
+
+from .command import CommandResult
+
+LONGEST_DIFFERENCE: Final = 200
+_LONGEST_LINE: Final = 300
+
+
+def command_line(result: CommandResult, time: str, repeated: int = 0) -> str:
+    """The line of a command that has ended, or was refused; ``repeated`` is how many like it there were, 0 for one."""
+    command = result.command
+    more = {"repeated": repeated} if repeated else {}
+    return _line(
+        {
+            "time": time,
+            "event": "command",
+            "by": command.by,
+            "origin": command.origin,
+            "key": command.key,
+            "device": command.device,
+            "point": command.point,
+            "old": None if result.old is None else result.old.value,
+            "new": command.value,
+            "outcome": result.state.value,
+            "read_back": result.read_back,
+            "reason": result.reason,
+            **more,
+        }
+    )
+
+
+def configuration_line(
+    old: str, new: str, done: Sequence[str], *, is_applied: bool, by: str, origin: str, time: str
+) -> str:
+    """The line of a changed configuration; ``old`` and ``new`` are the texts of its file."""
+    lines = [
+        each.rstrip("\n")[:_LONGEST_LINE]
+        for each in difflib.unified_diff(old.splitlines(), new.splitlines(), "before", "after", n=0, lineterm="")
+    ]
+    return _line(
+        {
+            "time": time,
+            "event": "configuration",
+            "by": by,
+            "origin": origin,
+            "outcome": "applied" if is_applied else "refused",
+            "revision": revision_of(new),
+            "before": revision_of(old),
+            "difference": lines[:LONGEST_DIFFERENCE],
+            "more": max(len(lines) - LONGEST_DIFFERENCE, 0),
+            "done": [each[:_LONGEST_LINE] for each in done[:LONGEST_DIFFERENCE]],
+        }
+    )
+
+
+def revision_of(text: str) -> str:
+    """The revision of a configuration: the first 16 hexadecimal digits of the SHA-256 of its text."""
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _line(content: dict[str, Any]) -> str:  # JSON
+    return json.dumps(content, ensure_ascii=True) + "\n"

@@ -1,0 +1,184 @@
+"""A command: a value for one point, from whom, until when; and what became of it.
+
+Pure: knows no device, no file and no clock.
+
+1. A key names a command for ever. Keys that are made here begin with `MADE`; those of callers must not.
+2. Times are seconds since 1970 UTC.
+3. What a caller gives has limits: lengths of texts, items of a list, how far away the expiry is.
+"""
+
+import json
+import math
+import re
+import secrets
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any, Final
+
+from ....errors import InvalidRequest
+from ....values.refusal import shown
+from ..samples import Value
+
+MADE: Final = "busway-"
+"""The beginning of keys that are made here."""
+USUAL_SECONDS: Final = 30.0
+"""Seconds in which a command is sent where it does not say until when."""
+LONGEST_SECONDS: Final = 86_400.0
+"""How far away the expiry of a command may be."""
+LONGEST_VALUE: Final = 2000
+"""Characters of a value, as JSON."""
+
+CommandValue = Value | list[Value]
+"""What is written: a state, a number, a text, the name of a number; a list of names of flags, or of numbers."""
+
+_KEY: Final = re.compile(r"[A-Za-z0-9._:@-]{1,100}")
+_PRINTABLE: Final = re.compile(r"[^\x00-\x1f\x7f]{1,200}")
+
+
+class CommandState(StrEnum):
+    """What became of a command."""
+
+    OPEN = "open"  # recorded, and not finished
+    DONE = "done"  # the device has answered, and shows the value where the rule asks for that
+    FAILED = "failed"  # it was refused by the device, was not sent, or the device shows another value
+    UNKNOWN = "unknown"  # it may have been sent, and nothing says whether it was executed
+    EXPIRED = "expired"  # its time was over; nothing was sent
+    REFUSED = "refused"  # against a rule; nothing was sent
+
+
+@dataclass(frozen=True, slots=True)
+class OldValue:
+    """What a point was known to be before a command.
+
+    Attributes:
+        value: the value; None where it is not known.
+        quality: ``good``, ``uncertain`` or ``bad``.
+        time: when it was read.
+    """
+
+    value: CommandValue | None
+    quality: str
+    time: float
+
+
+@dataclass(frozen=True, slots=True)
+class PointCommand:
+    """A value for a point.
+
+    Attributes:
+        key: names the command; it is sent at most once.
+        device, point: whose value.
+        value: in the unit of measure, or a name of a number.
+        by: who gives it.
+        origin: on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``.
+        expires: until when it may be sent.
+
+    Raises:
+        InvalidRequest: one of these cannot be.
+    """
+
+    key: str
+    device: str
+    point: str
+    value: CommandValue
+    by: str
+    origin: str
+    expires: float
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.key, str) or not _KEY.fullmatch(self.key):
+            raise InvalidRequest(f"a key has 1…100 letters, digits or . _ : @ -, not {shown(self.key)}")
+        for name in ("device", "point", "by", "origin"):
+            text = getattr(self, name)
+            if not isinstance(text, str) or not _PRINTABLE.fullmatch(text):
+                raise InvalidRequest(f"{name} has 1…200 printable characters, not {shown(text)}")
+        if isinstance(self.expires, bool) or not isinstance(self.expires, int | float):
+            raise InvalidRequest(f"expires is seconds since 1970, not {shown(self.expires)}")
+        if not math.isfinite(self.expires):
+            raise InvalidRequest(f"expires is seconds since 1970, not {shown(self.expires)}")
+        _check_value(self.value)
+
+    def is_same(self, other: "PointCommand") -> bool:
+        """Whether it asks for the same: the same value of the same point. Who asks may differ."""
+        return (self.device, self.point) == (other.device, other.point) and same_value(self.value, other.value)
+
+
+def _check_value(value: object) -> None:
+    items = value if isinstance(value, list) else [value]
+    for each in items:
+        if not isinstance(each, bool | int | float | str):
+            raise InvalidRequest(f"a value is a number, a text, true or false, or a list of them, not {shown(value)}")
+        if isinstance(each, float) and not math.isfinite(each):
+            raise InvalidRequest(f"{shown(each)} is no value to write")
+        if isinstance(each, int) and abs(each) >= 1 << 64:
+            raise InvalidRequest("a whole number has at most 64 bits")
+        if isinstance(each, str) and len(each) > LONGEST_VALUE:
+            raise InvalidRequest(f"a text has at most {LONGEST_VALUE} characters")
+    if len(items) > LONGEST_VALUE or len(json.dumps(value)) > 6 * LONGEST_VALUE:
+        raise InvalidRequest(f"a value has at most {LONGEST_VALUE} characters")
+
+
+def same_value(one: CommandValue, other: CommandValue) -> bool:
+    """Whether two values are the same; true and 1 are not, 1 and 1.0 are."""
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(same_value(*pair) for pair in zip(one, other, strict=True))
+    return isinstance(one, bool) is isinstance(other, bool) and one == other
+
+
+def new_key(now: float) -> str:
+    """A key that nothing else has: the time, so that keys sort by it, and 96 random bits."""
+    return f"{MADE}{int(now * 1000):013d}-{secrets.token_hex(12)}"
+
+
+@dataclass(frozen=True, slots=True)
+class CommandResult:
+    """What became of a command.
+
+    Attributes:
+        command: what was asked for.
+        state: what became of it; `CommandState.OPEN` only in a journal, while it is sent.
+        at: when it was taken.
+        old: what the point was known to be before; None where nothing was known.
+        read_back: what the device showed afterwards, where the rule of the point asks for that; else None.
+        reason: why it is not done, as a sentence; empty where it is.
+    """
+
+    command: PointCommand
+    state: CommandState
+    at: float
+    old: OldValue | None = None
+    read_back: CommandValue | None = None
+    reason: str = ""
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the value was written, and confirmed where the rule asks for that."""
+        return self.state is CommandState.DONE
+
+    def finished(
+        self,
+        state: CommandState,
+        reason: str = "",
+        *,
+        read_back: CommandValue | None = None,
+        old: OldValue | None = None,
+    ) -> "CommandResult":
+        """The same with its end."""
+        return replace(self, state=state, reason=reason, read_back=read_back, old=old or self.old)
+
+    def content(self) -> dict[str, Any]:  # JSON
+        """As an answer, or as an entry of a list, in JSON."""
+        command = self.command
+        return {
+            "key": command.key,
+            "at": self.at,
+            "by": command.by,
+            "origin": command.origin,
+            "device": command.device,
+            "point": command.point,
+            "old": None if self.old is None else self.old.value,
+            "value": command.value,
+            "state": self.state.value,
+            "read_back": self.read_back,
+            "reason": self.reason or None,
+        }

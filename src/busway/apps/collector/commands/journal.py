@@ -1,0 +1,227 @@
+"""The journal of commands: one SQLite file beside the manifest of the store.
+
+Knows commands and results; knows no device and no clock.
+
+1. A command is recorded, durably, before anything is sent (``synchronous=FULL``: each transaction ends with an fsync),
+   and its result before anybody is told.
+2. What is found open when the journal is opened was cut off by the end of a process: it may have been sent. It ends as
+   unknown, and is not sent again.
+3. `MOST_KEPT` results are kept, the newest. Of older ones that had a key of their caller the key alone is remembered,
+   as 16 bytes, `MOST_KEYS` at most; beyond that, commands with keys of callers are refused, and never sent twice.
+4. The lock of the store makes this process the only one that writes here.
+"""
+
+import hashlib
+import json
+import sqlite3
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Final
+
+from ....errors import ConfigError, Overloaded
+from ..store.folder import sync_folder
+from .command import MADE, CommandResult, CommandState, OldValue, PointCommand
+
+JOURNAL: Final = "commands.sqlite"
+MOST_KEPT: Final = 100_000
+MOST_KEYS: Final = 10_000_000
+CUT_OFF: Final = "the collector ended before the answer was recorded: it may have been written, and is not sent again"
+
+_SCHEMA: Final = """
+CREATE TABLE IF NOT EXISTS commands (
+    number INTEGER PRIMARY KEY AUTOINCREMENT, key TEXT NOT NULL UNIQUE, at REAL NOT NULL, "by" TEXT NOT NULL,
+    origin TEXT NOT NULL, device TEXT NOT NULL, point TEXT NOT NULL, value TEXT NOT NULL, expires REAL NOT NULL,
+    old TEXT, state TEXT NOT NULL, read_back TEXT, reason TEXT NOT NULL
+);
+CREATE TABLE IF NOT EXISTS used_keys (digest BLOB PRIMARY KEY) WITHOUT ROWID;
+"""
+_COLUMNS: Final = 'key, at, "by", origin, device, point, value, expires, old, state, read_back, reason'
+
+
+class CommandJournal:
+    """The journal of one store, from any thread.
+
+    Args:
+        folder: of the store, whose lock this process holds.
+        most: results that are kept.
+
+    Raises:
+        ConfigError: the file cannot be opened; names it.
+    """
+
+    def __init__(self, folder: Path, *, most: int = MOST_KEPT, most_keys: int = MOST_KEYS) -> None:
+        self.path: Path = folder / JOURNAL
+        self._most, self._most_keys = most, most_keys
+        self._lock = threading.Lock()
+        try:
+            self._database = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False, timeout=10.0)
+            with ExitStack() as unless_open:
+                unless_open.callback(self._database.close)
+                self.path.chmod(0o600)
+                self._database.execute("PRAGMA journal_mode=WAL")
+                self._database.execute("PRAGMA synchronous=FULL")
+                self._database.executescript(_SCHEMA)
+                self._count()
+                sync_folder(folder)
+                unless_open.pop_all()
+        except (sqlite3.Error, OSError) as error:
+            raise ConfigError(f"the journal of commands cannot be used: {error}", file=str(self.path)) from error
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            self._database.close()
+
+    def end_cut_off(self) -> list[CommandResult]:
+        """End as unknown what a process has left open (rule 2); gives the results. Call it once, at the start."""
+        with self._lock:
+            found = [_result(row) for row in self._rows("WHERE state = ?", (CommandState.OPEN.value,))]
+            ended = [each.finished(CommandState.UNKNOWN, CUT_OFF) for each in found]
+            self._transaction(lambda: self._set_all(ended))
+        return ended
+
+    def take(self, result: CommandResult) -> CommandResult | None:
+        """Record a command under its key, durably; if the key is used already, give what is known of it instead.
+
+        Args:
+            result: open for a command that will be sent, or finished for one that will not.
+
+        Returns:
+            None if it is recorded now. Else the result of the first command with this key; for one whose result is no
+            longer kept, a refusal.
+
+        Raises:
+            Overloaded: no further keys of callers can be remembered (rule 3); nothing is recorded.
+            OSError: the file cannot be written; nothing is recorded.
+        """
+        key = result.command.key
+        with self._lock:
+            found = self._found(key)
+            if found is not None:
+                return found
+            is_callers = not key.startswith(MADE)
+            if self._is_used(key):
+                return result.finished(CommandState.REFUSED, "this key was used before, long ago; nothing was sent")
+            if is_callers and self._used >= self._most_keys:
+                raise Overloaded(f"{self._most_keys} keys of callers are remembered, the limit: send it without a key")
+            self._transaction(lambda: self._add(result))
+        return None
+
+    def finish(self, result: CommandResult) -> None:
+        """Record the result of a command that was taken, durably. Raises `OSError`."""
+        with self._lock:
+            self._transaction(lambda: self._set(result))
+
+    def find(self, key: str) -> CommandResult | None:
+        """What is recorded under a key; None where nothing is."""
+        with self._lock:
+            return self._found(key)
+
+    def newest(self, limit: int) -> list[CommandResult]:
+        """The results recorded last, the newest first."""
+        with self._lock:
+            return [_result(row) for row in self._rows("ORDER BY number DESC LIMIT ?", (limit,))]
+
+    # SQL; the lock is held.
+
+    def _found(self, key: str) -> CommandResult | None:
+        rows = self._rows("WHERE key = ?", (key,))
+        return _result(rows[0]) if rows else None
+
+    def _rows(self, rest: str, values: tuple[Any, ...]) -> list[tuple[Any, ...]]:  # Any: SQLite's columns
+        return self._database.execute(f"SELECT {_COLUMNS} FROM commands {rest}", values).fetchall()
+
+    def _is_used(self, key: str) -> bool:
+        return bool(self._database.execute("SELECT 1 FROM used_keys WHERE digest = ?", (_digest(key),)).fetchone())
+
+    def _count(self) -> None:
+        self._kept: int = self._database.execute("SELECT count(*) FROM commands").fetchone()[0]
+        self._used: int = self._database.execute("SELECT count(*) FROM used_keys").fetchone()[0]
+
+    def _transaction(self, change: Callable[[], object]) -> None:
+        try:
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                change()
+                self._database.execute("COMMIT")
+            except BaseException:
+                if self._database.in_transaction:
+                    self._database.execute("ROLLBACK")
+                self._count()
+                raise
+        except sqlite3.Error as error:
+            raise OSError(f"the journal of commands cannot be written: {error}") from error
+
+    def _add(self, result: CommandResult) -> None:
+        command = result.command
+        self._database.execute(
+            f"INSERT INTO commands ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+            (
+                command.key,
+                result.at,
+                command.by,
+                command.origin,
+                command.device,
+                command.point,
+                json.dumps(command.value),
+                command.expires,
+                _old_text(result.old),
+                result.state.value,
+                json.dumps(result.read_back),
+                result.reason,
+            ),
+        )
+        self._kept += 1
+        if self._kept > self._most:
+            self._drop_oldest()
+
+    def _drop_oldest(self) -> None:
+        """Drop a tenth of the results, so that this is rare; keys of callers are remembered (rule 3)."""
+        surplus = self._kept - self._most + self._most // 10
+        rows = self._database.execute(
+            "SELECT number, key FROM commands WHERE state != ? ORDER BY number LIMIT ?",
+            (CommandState.OPEN.value, surplus),
+        ).fetchall()
+        digests = [(_digest(key),) for _, key in rows if not key.startswith(MADE)]
+        self._database.executemany("INSERT OR IGNORE INTO used_keys VALUES (?)", digests)
+        self._used += len(digests)
+        self._database.executemany("DELETE FROM commands WHERE number = ?", [(number,) for number, _ in rows])
+        self._kept -= len(rows)
+
+    def _set_all(self, results: Sequence[CommandResult]) -> None:
+        for each in results:
+            self._set(each)
+
+    def _set(self, result: CommandResult) -> None:
+        self._database.execute(
+            "UPDATE commands SET state = ?, read_back = ?, reason = ?, old = ? WHERE key = ?",
+            (
+                result.state.value,
+                json.dumps(result.read_back),
+                result.reason,
+                _old_text(result.old),
+                result.command.key,
+            ),
+        )
+
+
+def _digest(key: str) -> bytes:
+    return hashlib.sha256(key.encode()).digest()[:16]
+
+
+def _old_text(old: OldValue | None) -> str | None:
+    return None if old is None else json.dumps([old.value, old.quality, old.time])
+
+
+def _result(row: tuple[Any, ...]) -> CommandResult:  # Any: SQLite's columns
+    key, at, by, origin, device, point, value, expires, old, state, read_back, reason = row
+    return CommandResult(
+        PointCommand(key, device, point, json.loads(value), by, origin, expires),
+        CommandState(state),
+        at,
+        None if old is None else OldValue(*json.loads(old)),
+        json.loads(read_back),
+        reason,
+    )

@@ -1,0 +1,257 @@
+"""The request that writes a value to a point, and whether the device shows it afterwards.
+
+Pure: knows points, requests and replies; knows no link and no clock.
+
+1. A value is judged whole before anything is sent: writable, type, scale, names, minimum, maximum, step. Nothing is
+   rounded, and no text is taken for a number.
+2. A point that is only some bits of a register is written into what the register holds, read just before; with
+   function 22 the device does that itself.
+3. Only a reply says that a write was executed. An exception says that it was not; every other end is unknown, unless
+   nothing was sent.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from ....codes import ExceptionCode, Table
+from ....errors import (
+    BadReply,
+    ConfigError,
+    ExceptionReply,
+    InvalidRequest,
+    LinkDown,
+    ModbusError,
+    NoReply,
+    Overloaded,
+)
+from ....pdu.message import Request
+from ....pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
+from ....pdu.write_items import (
+    MaskWriteRegister,
+    WriteMultipleCoils,
+    WriteMultipleRegisters,
+    WriteSingleCoil,
+    WriteSingleRegister,
+)
+from ....points.decoder import decode_point
+from ....points.point import Point
+from ....points.quality import Quality, Reading
+from ....values import Address, value_type
+from ....values.refusal import shown
+from .command import CommandState, CommandValue
+
+_READS: Final = {
+    Table.COILS: ReadCoils,
+    Table.DISCRETE_INPUTS: ReadDiscreteInputs,
+    Table.INPUT_REGISTERS: ReadInputRegisters,
+    Table.HOLDING_REGISTERS: ReadHoldingRegisters,
+}
+_FUNCTIONS: Final[Mapping[Table, frozenset[int]]] = {
+    Table.COILS: frozenset({5, 15}),
+    Table.HOLDING_REGISTERS: frozenset({6, 16, 22}),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PointWrite:
+    """A value that may be written to a point.
+
+    Attributes:
+        point: the point.
+        value: the value.
+        exponents: what the points of ``scale_from`` hold, by name.
+        function: the function that writes it.
+        reads_before: whether the register is read first, because the point is a part of it.
+    """
+
+    point: Point
+    value: CommandValue
+    exponents: Mapping[str, int]
+    function: int
+    reads_before: bool
+
+    @property
+    def question(self) -> Request:
+        """The request that reads the point."""
+        return _question(self.point)
+
+    def request(self, held: bytes = b"") -> Request:
+        """The request that writes the value; ``held`` is what the register holds, where it is read before.
+
+        Raises:
+            InvalidRequest: the value does not fit.
+        """
+        point = self.point
+        data = self._encoded(held)
+        if point.table is Table.COILS:
+            state = bool(data[0])
+            if self.function == 5:
+                return WriteSingleCoil.of(point.start, state)
+            return WriteMultipleCoils.of(point.start, [state])
+        if self.function == 6:
+            return WriteSingleRegister(point.start, int.from_bytes(data, "big"))
+        if self.function == 22:
+            own = _own_bits(self._encoded(b""), self._encoded(b"\xff\xff"))
+            return MaskWriteRegister(point.start, 0xFFFF & ~own, int.from_bytes(data, "big") & own)
+        return WriteMultipleRegisters(point.start, len(data) // 2, data)
+
+    def _encoded(self, held: bytes) -> bytes:
+        exponent = self.exponents.get(self.point.conversion.scale_from, 0)
+        return self.point.encode(self.value, held, exponent)
+
+    def held_value(self, held: bytes) -> CommandValue | None:
+        """What the point holds by what its register holds. Raises `InvalidRequest` for another number of bytes."""
+        return _plain(decode_point(self.point, held, self.exponents).value)
+
+    # Confirming.
+
+    @property
+    def shown_at(self) -> Point | None:
+        """The point as it stands where the device shows the value; None where the rule does not ask for it."""
+        rule = self.point.writing
+        assert rule is not None
+        if rule.verify == "none":
+            return None
+        if rule.verify == "read-back":
+            return self.point
+        return _moved(self.point, rule.verify)
+
+    def confirmation(self) -> Request | None:
+        """The request that reads what was written; None where the rule does not ask for it."""
+        place = self.shown_at
+        return None if place is None else _question(place)
+
+    def confirmed(self, data: bytes) -> tuple[bool, CommandValue | None]:
+        """Whether the reply to `confirmation` shows the value, and what it shows."""
+        place = self.shown_at
+        assert place is not None
+        found = decode_point(place, data, self.exponents)
+        return found.value is not None and self._expected(place) == found.value, _plain(found.value)
+
+    def _expected(self, place: Point) -> Any:  # what the point's type says
+        if place.type == "bit" and self.point.type != "bit":
+            return self.value
+        return self.reading().value
+
+    def reading(self) -> Reading:
+        """What a read of the point gives after the write."""
+        return decode_point(self.point, self._encoded(b""), self.exponents)
+
+
+def point_write(point: Point, value: CommandValue, exponents: Mapping[str, int]) -> PointWrite:
+    """A value that may be written to a point.
+
+    Args:
+        point: the point.
+        value: in the unit of measure, or a name of a number.
+        exponents: what the points of ``scale_from`` hold, by name.
+
+    Raises:
+        InvalidRequest: against the rule of the point, with a sentence; nothing was sent.
+    """
+    rule = point.writing
+    if rule is None or point.formula:
+        raise InvalidRequest(f"{point.name} is only read")
+    if rule.on is not None and not isinstance(value, bool):
+        raise InvalidRequest(f"{point.name} is a switch: true or false, not {shown(value)}")
+    scale_from = point.conversion.scale_from
+    if scale_from and scale_from not in exponents:
+        raise InvalidRequest(f"{scale_from}, the scale of {point.name}, has not been read yet")
+    is_part = point.form is not None and point.form.is_part
+    made = PointWrite(point, value, exponents, _function_of(point), is_part and rule.function != 22)
+    made.request()
+    _check_number(made)
+    place = made.shown_at
+    if place is not None and not place.table.holds_bits and place.end > 65_536:
+        raise InvalidRequest(f"{point.name} is confirmed beyond the last register")
+    return made
+
+
+def _check_number(made: PointWrite) -> None:
+    """Refuse a number beyond the rule, or one that stands for no value."""
+    point, conversion, rule = made.point, made.point.conversion, made.point.writing
+    assert rule is not None
+    if rule.on is not None or not point.is_number:
+        return
+    number = conversion.names.get(made.value, made.value) if isinstance(made.value, str) else made.value
+    if isinstance(number, list):  # names of flags
+        number = point.raw(number)
+    assert isinstance(number, int | float)
+    rule.check(number)
+    if conversion.linear is not None and conversion.linear.clamp:
+        low, high = sorted(conversion.linear.value)
+        if not low <= number <= high:
+            raise InvalidRequest(f"must be {low:g}…{high:g}, not {shown(number)}")
+    if made.reading().quality is Quality.BAD:
+        raise InvalidRequest(f"{shown(made.value)} stands for no value at {point.name}")
+
+
+def _function_of(point: Point) -> int:
+    rule = point.writing
+    assert rule is not None
+    allowed = _FUNCTIONS.get(point.table)
+    if allowed is None:
+        raise InvalidRequest(f"{point.name} is only read: Modbus cannot write {point.table.label}s")
+    chosen = rule.function
+    if chosen is None:
+        return 5 if point.table is Table.COILS else 6 if point.width == 1 else 16
+    if chosen not in allowed:
+        raise InvalidRequest(f"{point.name}: function {chosen} does not write {point.table.label}s")
+    if chosen in (6, 22) and point.width != 1:
+        raise InvalidRequest(f"{point.name} has {point.width} registers, and function {chosen} writes one")
+    return chosen
+
+
+def _plain(value: Any) -> CommandValue | None:  # what the point's type says
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _question(point: Point) -> Request:
+    return _READS[point.table](point.start, point.width)
+
+
+def _moved(point: Point, address: Address) -> Point:
+    """A point as it stands at another address."""
+    table = address.table or point.table
+    if table.holds_bits:
+        return Point(point.name, table, address.offset)
+    if address.bit is not None:
+        return Point(point.name, table, address.offset, value_type(f"bit:{address.bit}"))
+    if point.form is None:
+        raise InvalidRequest(f"{point.name} is one bit, and is confirmed at {address}, which is a register")
+    return replace(point, table=table, start=address.offset)
+
+
+def _own_bits(over_zeros: bytes, over_ones: bytes) -> int:
+    """The bits of its register that a point has: those that are the same over whatever the register held."""
+    kept = int.from_bytes(over_zeros, "big") ^ int.from_bytes(over_ones, "big")
+    return 0xFFFF & ~kept
+
+
+def judged(outcome: object) -> tuple[CommandState, str]:
+    """What became of a write: `CommandState.DONE` where the device has answered it; else with the reason.
+
+    Args:
+        outcome: a reply, or the error that came instead of one.
+    """
+    if not isinstance(outcome, ModbusError):
+        return CommandState.DONE, ""
+    if isinstance(outcome, ExceptionReply):
+        if outcome.code == ExceptionCode.ACKNOWLEDGE:
+            return CommandState.DONE, "the device has accepted it and needs time"
+        if outcome.code == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND:
+            return CommandState.UNKNOWN, f"it may have been executed: {outcome}"
+        return CommandState.FAILED, str(outcome)
+    if was_not_sent(outcome):
+        return CommandState.FAILED, f"nothing was sent: {outcome}"
+    return CommandState.UNKNOWN, str(outcome)
+
+
+def was_not_sent(error: ModbusError) -> bool:
+    """Whether an error says that no byte of a write has left."""
+    if isinstance(error, LinkDown):
+        return not error.sent
+    if isinstance(error, BadReply):
+        return False
+    return isinstance(error, InvalidRequest | ConfigError | Overloaded | NoReply)

@@ -1,0 +1,554 @@
+"""Commands of a running collector: checked, recorded, sent, confirmed, told.
+
+Knows the journal, the audit log and the pollers of links; decides by `point_write`. Runs in one event loop.
+
+1. A key is sent at most once, ever. The first command with a key takes it; it is recorded before the wire (`journal`).
+   The same command again gives the result of the first; another one with its key is refused.
+2. What is against a rule, or too late, is refused before any byte, and recorded as such. What finds too many commands
+   open, or a journal that cannot be written, is refused without a record: it may be asked again.
+3. One command of a device runs at a time, in the order of their coming. It is sent in a turn of the poller, before
+   reads, and never repeated, whatever the options of the link say.
+4. The end of a command is in the audit log before it is in the journal, and in the journal before it is told. A
+   command goes on when its caller has stopped waiting. It ends with its link at the latest.
+5. `CommandState.DONE` means: answered by the device, and shown by it where the rule asks for that. A device may need
+   some time to show a value, so it is asked at `SHOWN_AFTER`.
+"""
+
+import asyncio
+import logging
+import math
+import time
+from collections.abc import Awaitable, Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Final, Protocol, TypeVar
+
+from ....access.audit_log import AuditLog
+from ....errors import InvalidRequest, ModbusError, Overloaded
+from ....pdu.message import Request
+from ....points.point import Point
+from ....points.quality import Quality
+from ....values.refusal import shown
+from ..poller import LinkPoller
+from .audit import command_line
+from .command import (
+    LONGEST_SECONDS,
+    MADE,
+    USUAL_SECONDS,
+    CommandResult,
+    CommandState,
+    CommandValue,
+    OldValue,
+    PointCommand,
+    new_key,
+)
+from .journal import CommandJournal
+from .point_write import PointWrite, judged, point_write
+
+MOST_OPEN: Final = 16
+"""Commands of one device that wait or run."""
+MOST_OPEN_IN_ALL: Final = 1000
+MOST_ARMED: Final = 256
+ARMED_SECONDS: Final = 60.0
+"""How long an armed command waits to be confirmed."""
+SHOWN_AFTER: Final = (0.0, 0.5, 2.0)
+"""Seconds before each of the reads that look whether the device shows the value."""
+
+_log = logging.getLogger("busway.collector.commands")
+_T = TypeVar("_T")
+
+
+class NoSuchPoint(InvalidRequest):
+    """There is no such device, or no such point of it."""
+
+
+class NoSuchCommand(InvalidRequest):
+    """There is no command with this key."""
+
+
+@dataclass(frozen=True, slots=True)
+class WriteTarget:
+    """A point that is polled, and who polls it.
+
+    Attributes:
+        point: the point.
+        poller: polls its device.
+        is_broadcast: whether its device has the unit that all devices of a line listen to.
+        is_absent: whether the point belongs to a group that the device says it has not.
+    """
+
+    point: Point
+    poller: LinkPoller
+    is_broadcast: bool = False
+    is_absent: bool = False
+
+
+class CommandTargets(Protocol):
+    """What commands need of a collector."""
+
+    def target(self, device: str, point: str) -> WriteTarget:
+        """Where a point is. Raises `NoSuchPoint`."""
+
+    def last(self, device: str, point: str) -> OldValue | None:
+        """The last value of a point that is known; None where none is."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArmedCommand:
+    """A command that was checked and waits to be confirmed. Nothing was sent.
+
+    Attributes:
+        command: the command; ``expires`` is until when it may be confirmed.
+        old: what the point is known to be; None where nothing is known.
+        sentence: what to ask the person.
+    """
+
+    command: PointCommand
+    old: OldValue | None
+    sentence: str
+
+
+class _LinkEnded(Exception):
+    """The link ended before the turn, or in it."""
+
+
+@dataclass(slots=True)
+class _Running:
+    command: PointCommand
+    task: "asyncio.Task[CommandResult]"
+
+
+def _ignore_step(name: str) -> None:
+    """Do nothing at a step; tests end the process there."""
+
+
+class CommandRunner:
+    """Takes commands for the points of a collector.
+
+    Args:
+        targets: where points are.
+        journal: where commands are recorded; what it holds open ends as unknown now. Closed by `close`.
+        audit: gets a line for each command.
+        now: seconds since 1970 UTC.
+        step: is told the name of each step that a command has taken: ``claimed``, ``answered``, ``recorded``.
+    """
+
+    def __init__(
+        self,
+        targets: CommandTargets,
+        journal: CommandJournal,
+        audit: AuditLog,
+        *,
+        now: Callable[[], float] = time.time,
+        step: Callable[[str], None] = _ignore_step,
+    ) -> None:
+        self._targets, self._journal, self._audit = targets, journal, audit
+        self._now, self._step = now, step
+        self._running: dict[str, _Running] = {}
+        self._armed: dict[str, ArmedCommand] = {}
+        self._devices: dict[str, tuple[asyncio.Lock, int]] = {}
+        self._unrecorded: dict[str, CommandResult] = {}
+        self._subscribers: list[Callable[[CommandResult], None]] = []
+        self._closed = False
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="busway-commands")
+        for each in journal.end_cut_off():
+            self._append(each)
+
+    def subscribe(self, told: Callable[[CommandResult], None]) -> None:
+        """Have a function called with the result of each command, in the event loop: it must be quick."""
+        self._subscribers.append(told)
+
+    async def close(self) -> None:
+        """Take no more commands, and record the ends of those that run; their links have ended before."""
+        self._closed = True
+        self._armed.clear()
+        await asyncio.gather(*(each.task for each in self._running.values()), return_exceptions=True)
+        await self._in_thread(self._record_again)
+        self._thread.shutdown()
+        self._journal.close()
+
+    # What callers use.
+
+    async def write(
+        self,
+        device: str,
+        point: str,
+        value: CommandValue,
+        *,
+        by: str,
+        origin: str,
+        expires: float | None = None,
+        key: str | None = None,
+    ) -> CommandResult:
+        """Write a value to a point.
+
+        Args:
+            device, point: whose value.
+            value: in the unit of measure, or a name of a number.
+            by, origin: who gives it, and on which way it came.
+            expires: until when it may be sent, seconds since 1970 UTC; None for `USUAL_SECONDS` from now.
+            key: names the command for ever; None for a new one.
+
+        Returns:
+            What became of it; also where it was refused.
+
+        Raises:
+            InvalidRequest: the command itself cannot be: there is no such point, or a text is too long. Nothing was
+                sent or recorded.
+        """
+        now = self._now()
+        if key is not None and isinstance(key, str) and key.startswith(MADE):
+            raise InvalidRequest(f"keys that begin with {MADE} are made here; choose another")
+        command = PointCommand(
+            key if key is not None else new_key(now),
+            device,
+            point,
+            value,
+            by,
+            origin,
+            now + USUAL_SECONDS if expires is None else expires,
+        )
+        self._targets.target(device, point)
+        return await self._submit(command)
+
+    def arm(self, device: str, point: str, value: CommandValue, *, by: str, origin: str) -> ArmedCommand:
+        """Check a command, and keep it for `ARMED_SECONDS` until `confirm`. Nothing is sent.
+
+        Raises:
+            InvalidRequest: it is against a rule, with the sentence.
+            Overloaded: too many wait to be confirmed.
+        """
+        now = self._now()
+        command = PointCommand(new_key(now), device, point, value, by, origin, now + ARMED_SECONDS)
+        refusal = self._refusal(command)
+        if refusal:
+            self.refused(self._result(command), refusal)
+            raise InvalidRequest(refusal)
+        for key in [key for key, each in self._armed.items() if each.command.expires + ARMED_SECONDS < now]:
+            del self._armed[key]
+        if len(self._armed) >= MOST_ARMED:
+            raise Overloaded(f"{MOST_ARMED} commands wait to be confirmed; try again in a minute")
+        old = self._targets.last(device, point)
+        unit = self._targets.target(device, point).point.unit_of_measure
+        is_now = f", now {_text(old.value, unit)} ({old.quality})" if old is not None else ""
+        armed = ArmedCommand(command, old, f"Write {_text(value, unit)} to {device}/{point}{is_now}?")
+        self._armed[command.key] = armed
+        return armed
+
+    async def confirm(self, key: str, *, by: str) -> CommandResult:
+        """Send an armed command; the same key again gives the result of the first time.
+
+        Raises:
+            NoSuchCommand: nothing is armed or recorded under this key.
+            InvalidRequest: someone else has armed it.
+        """
+        armed = self._armed.get(key)
+        if armed is not None:
+            if armed.command.by != by:
+                raise InvalidRequest(f"{armed.command.by} has armed it, and has to confirm it")
+            del self._armed[key]
+            return await self._submit(armed.command)
+        running = self._running.get(key)
+        if running is not None:
+            return await asyncio.shield(running.task)
+        found = await self._in_thread(self._journal.find, key) if isinstance(key, str) else None
+        if found is None:
+            raise NoSuchCommand("there is no command with this key; arm it anew")
+        return self._unrecorded.get(key, found)
+
+    async def newest(self, limit: int) -> list[CommandResult]:
+        """The commands recorded last, the newest first."""
+        found = await self._in_thread(self._journal.newest, limit)
+        return [self._unrecorded.get(each.command.key, each) for each in found]
+
+    # Taking one.
+
+    async def _submit(self, command: PointCommand) -> CommandResult:
+        running = self._running.get(command.key)
+        if running is not None:
+            if not running.command.is_same(command):
+                return self._refused_other(command, running.command)
+            return await asyncio.shield(running.task)
+        lock, waiting = self._devices.get(command.device, (asyncio.Lock(), 0))
+        if self._closed or waiting >= MOST_OPEN or len(self._running) >= MOST_OPEN_IN_ALL:
+            why = "the collector ends" if self._closed else f"{waiting} commands of {command.device} are open"
+            return self.refused(self._result(command), f"{why}; nothing was sent")
+        self._devices[command.device] = lock, waiting + 1
+        task = asyncio.create_task(self._take(command, lock), name=f"busway command {command.key}")
+        self._running[command.key] = _Running(command, task)
+        task.add_done_callback(lambda _: self._leave(command))
+        return await asyncio.shield(task)
+
+    def _leave(self, command: PointCommand) -> None:
+        self._running.pop(command.key, None)
+        lock, waiting = self._devices[command.device]
+        if waiting > 1:
+            self._devices[command.device] = lock, waiting - 1
+        else:
+            del self._devices[command.device]
+
+    async def _take(self, command: PointCommand, lock: asyncio.Lock) -> CommandResult:
+        """Record a command, send it, record its end (rules 1 and 2)."""
+        until = asyncio.get_running_loop().time() + command.expires - self._now()
+        result = self._result(command)
+        refusal = self._refusal(command)
+        if refusal:
+            result = result.finished(CommandState.REFUSED, refusal)
+        elif command.expires <= result.at:
+            result = result.finished(CommandState.EXPIRED, "its time was over; nothing was sent")
+        elif not self._audit.takes_writes:
+            return self.refused(result, "the audit log cannot be written; nothing was sent")
+        try:
+            known = await self._in_thread(self._journal.take, result)
+        except (OSError, Overloaded) as error:
+            return self.refused(result, f"it cannot be recorded; nothing was sent: {error}")
+        if known is not None:
+            known = self._unrecorded.get(command.key, known)
+            return known if known.command.is_same(command) else self._refused_other(command, known.command)
+        if result.state is not CommandState.OPEN:
+            self._append(result)
+            return self._tell(result)
+        self._step("claimed")
+        async with lock:
+            result = await self._send_guarded(result, until)
+        self._step("answered")
+        self._append(result)
+        try:
+            await self._in_thread(self._finish, result)
+        except OSError as error:
+            self._unrecorded[command.key] = result
+            _log.error("the result of a command is kept in memory: %s", error)
+        self._step("recorded")
+        return self._tell(result)
+
+    def _result(self, command: PointCommand) -> CommandResult:
+        return CommandResult(command, CommandState.OPEN, self._now(), self._targets.last(command.device, command.point))
+
+    def _refused_other(self, command: PointCommand, first: PointCommand) -> CommandResult:
+        why = f"this key was used for another command, {first.device}/{first.point} = {shown(first.value)}"
+        return self.refused(self._result(command), f"{why}; nothing was sent")
+
+    def _finish(self, result: CommandResult) -> None:
+        self._record_again()
+        self._journal.finish(result)
+
+    def _record_again(self) -> None:
+        """Record the ends that could not be recorded before. In the journal's thread."""
+        for key, result in list(self._unrecorded.items()):
+            try:
+                self._journal.finish(result)
+            except OSError:
+                return
+            del self._unrecorded[key]
+
+    async def _in_thread(self, function: Callable[..., _T], *values: object) -> _T:
+        return await asyncio.get_running_loop().run_in_executor(self._thread, function, *values)
+
+    def _append(self, result: CommandResult) -> None:
+        """Append the line of a result to the audit log, at once."""
+        self._audit.append(command_line(result, self._audit.timestamp()))
+        self._audit.flush()
+
+    def _tell(self, result: CommandResult) -> CommandResult:
+        for told in self._subscribers:
+            told(result)
+        return result
+
+    def refused(self, result: CommandResult, reason: str) -> CommandResult:
+        """Refuse a command without a record. The audit log counts those that one origin repeats."""
+        refused = result.finished(CommandState.REFUSED, reason)
+        about = (result.command.origin, result.command.by, result.command.device)
+        time = self._audit.timestamp()
+        self._audit.append_denied(about, lambda repeated: command_line(refused, time, repeated))
+        return refused
+
+    # Deciding.
+
+    def _refusal(self, command: PointCommand) -> str:
+        """Why a command cannot be sent, as a sentence; empty where it can."""
+        try:
+            self._planned(command)
+        except InvalidRequest as error:
+            return error.message
+        if command.expires - self._now() > LONGEST_SECONDS:
+            return f"expires is further away than {LONGEST_SECONDS:g} s; nothing was sent"
+        return ""
+
+    def _planned(self, command: PointCommand) -> tuple[PointWrite, LinkPoller]:
+        """The write of a command, and who makes it. Raises `InvalidRequest`."""
+        target = self._targets.target(command.device, command.point)
+        if target.is_broadcast:
+            raise InvalidRequest(f"{command.device} has unit 0, which all devices of a line obey; nothing was sent")
+        if target.is_absent:
+            raise InvalidRequest(f"{command.device} does not have {command.point} now; nothing was sent")
+        scheduled = target.poller.schedule.devices.get(command.device)
+        if scheduled is not None and scheduled.is_paused:
+            raise InvalidRequest(f"{command.device} is in maintenance; nothing was sent")
+        device = target.poller.devices[command.device]
+        if scheduled is not None and scheduled.lives is False:
+            error = f": {device.last_error}" if device.last_error else ""
+            raise InvalidRequest(f"{command.device} does not answer; nothing was sent{error}")
+        return point_write(target.point, command.value, device.scale_factors), target.poller
+
+    # Sending.
+
+    async def _send_guarded(self, result: CommandResult, until: float) -> CommandResult:
+        try:
+            return await self._send(result, until)
+        except Exception:
+            _log.exception("a command ended by a defect")
+            return result.finished(CommandState.UNKNOWN, "a defect of this program, which its log shows")
+
+    async def _send(self, result: CommandResult, until: float) -> CommandResult:
+        command = result.command
+        try:
+            write, poller = self._planned(command)  # anew: others went before, and the file may have been read again
+        except InvalidRequest as error:
+            return result.finished(CommandState.FAILED, error.message)
+        turn = _WriteTurn(write, poller, command.device, until)
+        try:
+            state, reason = await _in_turn(poller, command.device, turn.make)
+        except Overloaded as error:
+            return result.finished(CommandState.FAILED, f"nothing was sent: {error}")
+        except _LinkEnded:
+            if turn.has_begun:
+                return result.finished(CommandState.UNKNOWN, "the link was closed before the answer came")
+            return result.finished(CommandState.FAILED, "the link was closed; nothing was sent")
+        result = result.finished(state, reason, old=self._held_before(turn))
+        if state is not CommandState.DONE or write.confirmation() is None:
+            return result
+        return await self._confirmed(result, write, poller)
+
+    def _held_before(self, turn: "_WriteTurn") -> OldValue | None:
+        return None if turn.before is None else OldValue(turn.before, Quality.GOOD.label, self._now())
+
+    async def _confirmed(self, result: CommandResult, write: PointWrite, poller: LinkPoller) -> CommandResult:
+        """Look whether the device shows the value (rule 5)."""
+        value: CommandValue | None = None
+        problem: ModbusError | None = None
+        turn = _ReadTurn(write, poller, result.command.device)
+        for pause in SHOWN_AFTER:
+            await asyncio.sleep(pause)
+            try:
+                is_shown, value = await _in_turn(poller, result.command.device, turn.make)
+            except _LinkEnded:
+                return result.finished(
+                    CommandState.UNKNOWN, "the device has answered, but the link was closed before it was read back"
+                )
+            except ModbusError as error:
+                problem = error
+                continue
+            if is_shown:
+                return result.finished(CommandState.DONE, result.reason, read_back=value)
+            problem = None
+        if problem is not None:
+            return result.finished(
+                CommandState.UNKNOWN, f"the device has answered, but could not be read back: {problem}"
+            )
+        return result.finished(
+            CommandState.FAILED,
+            f"the device has answered, but shows {shown(value)}, not {shown(result.command.value)}",
+            read_back=value,
+        )
+
+
+class _WriteTurn:
+    """The turn in which a write is sent: reads the register before, where the point is a part of it."""
+
+    def __init__(self, write: PointWrite, poller: LinkPoller, device: str, until: float) -> None:
+        self._write, self._poller, self._device, self._until = write, poller, device, until
+        self.has_begun: bool = False
+        self.before: CommandValue | None = None
+
+    async def make(self) -> tuple[CommandState, str]:
+        """Send it; gives what became of it."""
+        held = b""
+        if self._left <= 0:
+            return CommandState.EXPIRED, "its time was over before it was its turn; nothing was sent"
+        scheduled = self._poller.schedule.devices.get(self._device)
+        if scheduled is not None and scheduled.is_paused:
+            return CommandState.FAILED, f"{self._device} is in maintenance; nothing was sent"
+        if self._write.reads_before:
+            held_or_error = await _asked(self._poller, self._device, self._write.question, self._left)
+            if isinstance(held_or_error, ModbusError):
+                return CommandState.FAILED, f"the register could not be read before; nothing was sent: {held_or_error}"
+            held = held_or_error.data
+            self.before = self._write.held_value(held)
+            if self._left <= 0:
+                return CommandState.EXPIRED, "its time was over while the register was read; nothing was sent"
+        self.has_begun = True
+        return judged(await _asked(self._poller, self._device, self._write.request(held), self._left))
+
+    @property
+    def _left(self) -> float:
+        return self._until - asyncio.get_running_loop().time()
+
+
+class _ReadTurn:
+    """The turn in which it is read what the device shows."""
+
+    def __init__(self, write: PointWrite, poller: LinkPoller, device: str) -> None:
+        self._write, self._poller, self._device = write, poller, device
+
+    async def make(self) -> tuple[bool, CommandValue | None]:
+        """Whether the device shows the value, and what it shows. Raises `ModbusError`."""
+        question = self._write.confirmation()
+        assert question is not None
+        reply = await _asked(self._poller, self._device, question, math.inf)
+        if isinstance(reply, ModbusError):
+            raise reply
+        return self._write.confirmed(reply.data)
+
+
+async def _asked(poller: LinkPoller, device: str, request: Request, seconds: float) -> Any:  # a reply or an error
+    """What a device says to one request, which is sent once at most and within some seconds."""
+    # `idempotent` with no retries: else `write_retries` of the link would repeat a write.
+    options: dict[str, Any] = {"timeout": poller.schedule.timeout, "retries": 0, "idempotent": True}
+    if seconds < math.inf:
+        options["deadline"] = seconds
+    await poller.wait_for(device)
+    try:
+        (outcome,) = await poller.link.run(poller.devices[device].unit, [request], options)
+    except ModbusError as error:
+        outcome = error
+    poller.note_asked(device)
+    return outcome
+
+
+async def _in_turn(poller: LinkPoller, device: str, make: Callable[[], Awaitable[_T]]) -> _T:
+    """Do something in a turn of the poller, before its reads.
+
+    Raises:
+        Overloaded: too many wait for the link.
+        _LinkEnded: the link ended before or in the turn.
+    """
+    future: asyncio.Future[_T] = asyncio.get_running_loop().create_future()
+
+    async def perform() -> None:
+        try:
+            made = await make()
+        except asyncio.CancelledError:
+            _fail(future, _LinkEnded())
+            raise
+        except Exception as error:
+            _fail(future, error)
+        else:
+            if not future.done():
+                future.set_result(made)
+
+    if not poller.write(device, perform, lambda: _fail(future, _LinkEnded())):
+        raise Overloaded("the link takes no further write now")
+    return await future
+
+
+def _fail(future: "asyncio.Future[_T]", error: Exception) -> None:
+    if not future.done():
+        future.set_exception(error)
+
+
+def _text(value: CommandValue | None, unit: str) -> str:
+    """A value for a person."""
+    if value is None or isinstance(value, bool):
+        return "unknown" if value is None else "on" if value else "off"
+    text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return f"{text} {unit}" if unit and not isinstance(value, str) else text

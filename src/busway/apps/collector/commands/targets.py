@@ -1,0 +1,67 @@
+"""The points of a running collector as targets of commands, and what they are known to be.
+
+Knows the configuration, pollers and last values; decides nothing.
+"""
+
+from collections.abc import Callable
+
+from ....errors import ConfigError
+from ..configuration import CollectedDevice, CollectorConfiguration
+from ..poller import LinkPoller
+from ..samples import NANOSECONDS, quality_of
+from ..sinks.prometheus import LastValues
+from .command import OldValue
+from .runner import NoSuchPoint, WriteTarget
+
+
+class CollectedTargets:
+    """Finds points.
+
+    Args:
+        configuration: gives what the file says now.
+        poller_of: gives the poller of a device; raises `ConfigError` where it is not polled.
+        values: the last values.
+    """
+
+    def __init__(
+        self,
+        configuration: Callable[[], CollectorConfiguration],
+        poller_of: Callable[[str], LinkPoller],
+        values: LastValues,
+    ) -> None:
+        self._configuration, self._poller_of, self._values = configuration, poller_of, values
+
+    def target(self, device: str, point: str) -> WriteTarget:
+        """Where a point is. Raises `NoSuchPoint`."""
+        configuration = self._configuration()
+        found = configuration.devices.get(device)
+        if found is None:
+            raise NoSuchPoint(f"there is no device {device!r}")
+        named = next((each for each in found.points if each.name == point), None)
+        if named is None:
+            raise NoSuchPoint(f"there is no point {point!r} of {device}")
+        try:
+            poller = self._poller_of(device)
+        except ConfigError as error:
+            raise NoSuchPoint(error.message) from error
+        derived = poller.devices[device].derived
+        is_absent = bool(named.exists) and derived is not None and named in derived.absent()
+        return WriteTarget(named, poller, is_broadcast=_obeys_broadcasts(configuration, found), is_absent=is_absent)
+
+    def last(self, device: str, point: str) -> OldValue | None:
+        """The last committed value of a point."""
+        found = self._values.last(device, point)
+        if found is None:
+            return None
+        value, reason, time = found
+        return OldValue(value, quality_of(reason).label, time / NANOSECONDS)
+
+
+def _obeys_broadcasts(configuration: CollectorConfiguration, device: CollectedDevice) -> bool:
+    """Whether its unit is the one that all devices of a line obey: 0, on a line or behind a gateway."""
+    if device.unit != 0:
+        return False
+    endpoint = configuration.links[device.link].settings.endpoint
+    return endpoint.framing != "mbap" or any(
+        other.link == device.link and other.unit not in (0, 255) for other in configuration.devices.values()
+    )

@@ -1,0 +1,61 @@
+"""A configuration that replaces another while the collector runs: what may not change, and the file itself.
+
+Knows two configurations and a file; knows no link.
+
+1. Store and sinks are those of the start: another one is refused, and nothing is changed.
+2. Other settings that are read at the start alone are named: they hold after the next start.
+3. A file is replaced whole, with the rights that it had: after a crash it is as before or as after.
+"""
+
+import contextlib
+import os
+import stat
+from pathlib import Path
+
+from ...errors import ConfigError
+from .configuration import CollectorConfiguration
+
+
+def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfiguration) -> None:
+    """Raise `ConfigError` where the store or the sinks differ."""
+    if new.file.sink != old.file.sink:
+        raise ConfigError("sinks cannot change while the collector runs: restart it", file=new.name, key="sink")
+    if new.store != old.store:
+        raise ConfigError(
+            "the store cannot be another while the collector runs: restart it", file=new.name, key="store"
+        )
+
+
+def left_for_the_next_start(old: CollectorConfiguration, new: CollectorConfiguration) -> list[str]:
+    """What differs and holds after the next start only, each as a sentence."""
+    before, after = old.file.collector, new.file.collector
+    keys = [f"[collector] {key}" for key in type(after).model_fields if getattr(before, key) != getattr(after, key)]
+    if old.file.audit != new.file.audit:
+        keys.append("[audit]")
+    return [f"{key} holds after the next start" for key in keys]
+
+
+def replace_file(path: str, text: str) -> None:
+    """Replace the content of a file that is there (rule 3). Raises `ConfigError`; the file is as before then."""
+    target = Path(os.path.realpath(path))
+    beside = target.with_name(target.name + ".new")
+    try:
+        mode = stat.S_IMODE(target.stat().st_mode)
+        with contextlib.suppress(FileNotFoundError):
+            beside.unlink()
+        handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            os.fchmod(handle, mode)
+            file.write(text)
+            file.flush()
+            os.fsync(handle)
+        os.replace(beside, target)
+        folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            beside.unlink()
+        raise ConfigError(f"cannot be replaced: {error.strerror}", file=path) from error

@@ -1,0 +1,100 @@
+"""The journal of commands: each key once, results kept in order, old ones dropped, keys never forgotten."""
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+
+from busway.apps.collector.commands.command import MADE, CommandResult, CommandState, OldValue, PointCommand
+from busway.apps.collector.commands.journal import CUT_OFF, JOURNAL, CommandJournal
+from busway.errors import ConfigError, Overloaded
+
+
+def open_command(key: str, value: float = 1.0) -> CommandResult:
+    command = PointCommand(key, "boiler", "setpoint", value, "anna", "api", 2_000_000_000.0)
+    return CommandResult(command, CommandState.OPEN, 1_900_000_000.0, OldValue(0.5, "good", 1_899_999_999.0))
+
+
+def test_a_key_is_taken_once_and_gives_its_result_from_then_on(tmp_path: Path) -> None:
+    journal = CommandJournal(tmp_path)
+    assert journal.take(open_command("a")) is None
+    assert journal.take(open_command("a", 2.0)) == open_command("a")
+    done = open_command("a").finished(CommandState.DONE, read_back=1.0)
+    journal.finish(done)
+    assert journal.take(open_command("a")) == journal.find("a") == done
+    journal.close()
+    again = CommandJournal(tmp_path)
+    assert again.end_cut_off() == []
+    assert again.newest(10) == [done]
+    again.close()
+
+
+def test_what_was_open_when_the_process_ended_is_unknown(tmp_path: Path) -> None:
+    journal = CommandJournal(tmp_path)
+    for key in ("a", "b"):
+        assert journal.take(open_command(key)) is None
+    journal.finish(open_command("a").finished(CommandState.FAILED, "why"))
+    journal.close()
+    again = CommandJournal(tmp_path)
+    (ended,) = again.end_cut_off()
+    assert (ended.command.key, ended.state, ended.reason) == ("b", CommandState.UNKNOWN, CUT_OFF)
+    assert again.take(open_command("b")) == ended
+    again.close()
+
+
+def test_old_results_are_dropped_and_keys_of_callers_are_not_forgotten(tmp_path: Path) -> None:
+    journal = CommandJournal(tmp_path, most=20)
+    assert journal.take(open_command("open")) is None
+    for number in range(50):
+        key = f"{MADE}{number}" if number % 2 else f"k{number}"
+        assert journal.take(open_command(key).finished(CommandState.DONE)) is None
+    assert len(journal.newest(100)) <= 20
+    assert journal.find("open") is not None  # an open one is never dropped
+    assert journal.find("k0") is None
+    refused = journal.take(open_command("k0"))
+    assert refused is not None
+    assert refused.state is CommandState.REFUSED
+    assert "used before" in refused.reason
+    journal.close()
+    again = CommandJournal(tmp_path, most=20)
+    assert again.take(open_command("k0")) == refused
+    again.close()
+
+
+def test_the_number_of_keys_of_callers_is_bounded_and_then_none_is_taken(tmp_path: Path) -> None:
+    journal = CommandJournal(tmp_path, most=10, most_keys=5)
+    taken = 0
+    while journal._used < 5:
+        assert journal.take(open_command(f"k{taken}").finished(CommandState.DONE)) is None
+        taken += 1
+    with pytest.raises(Overloaded, match="keys of callers"):
+        journal.take(open_command("one-more"))
+    assert journal.take(open_command(f"{MADE}1")) is None
+    journal.close()
+
+
+def test_a_journal_that_cannot_be_written_records_nothing(tmp_path: Path) -> None:
+    journal = CommandJournal(tmp_path)
+    other = sqlite3.connect(tmp_path / JOURNAL, isolation_level=None)
+    journal._database.execute("PRAGMA busy_timeout=1")
+    other.execute("BEGIN IMMEDIATE")
+    with pytest.raises(OSError, match="cannot be written"):
+        journal.take(open_command("a"))
+    other.execute("ROLLBACK")
+    other.close()
+    assert journal.find("a") is None
+    assert journal.take(open_command("a")) is None
+    journal.close()
+
+
+def test_every_transaction_waits_for_the_disk(tmp_path: Path) -> None:
+    journal = CommandJournal(tmp_path)
+    assert journal._database.execute("PRAGMA synchronous").fetchone() == (2,)  # FULL
+    assert (tmp_path / JOURNAL).stat().st_mode & 0o777 == 0o600
+    journal.close()
+
+
+def test_a_file_that_is_no_journal_is_refused_by_name(tmp_path: Path) -> None:
+    (tmp_path / JOURNAL).write_bytes(b"no database at all, but long enough to be looked at" * 100)
+    with pytest.raises(ConfigError, match=JOURNAL):
+        CommandJournal(tmp_path)
