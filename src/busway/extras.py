@@ -22,6 +22,7 @@ EXTRA_OF: Final = {
     "pyarrow": "store",
     "adbc_driver_sqlite": "store",
     "aiomqtt": "mqtt",
+    "google.protobuf": "sparkplug",
     "asyncpg": "postgresql",
     "httpx": "influxdb",
     "nats": "nats",

@@ -29,4 +29,13 @@ def test_each_table_makes_a_sink(table: dict[str, Any], tmp_path: Path) -> None:
 
 def test_there_is_one_for_each_kind() -> None:
     schemes = {table["url"].partition(":")[0] for table in TABLES}
-    assert schemes == {"mqtt", "mqtts", "postgresql", "influxdb+http", "influxdb+https", "nats", "file"}
+    assert schemes == {
+        "mqtt",
+        "mqtts",
+        "postgresql",
+        "influxdb+http",
+        "influxdb+https",
+        "nats",
+        "file",
+        "sparkplug+mqtt",
+    }

@@ -212,7 +212,8 @@ def _sinks(
         values["url"] = section.url
         if section.url.startswith(_FILE):
             values["url"] = _FILE + within(name, section.url.removeprefix(_FILE))
-        made = report.make(partial(make_sink, section.name, values), partial(_key_at, at))
+        folder = FilePath(within(name, file.collector.store))
+        made = report.make(partial(make_sink, section.name, values, folder), partial(_key_at, at))
         if made is not None:
             sinks[section.name] = made
     return sinks, pages

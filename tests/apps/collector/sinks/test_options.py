@@ -63,6 +63,8 @@ def test_how_samples_are_handed_on_is_in_the_table_too() -> None:
         ({"url": "mqtts://broker", "authority": "/nothing.pem"}, "cannot be used for TLS"),
         ({"url": "mqtt://broker", "password_variable": "BUSWAY_NOT_SET"}, "the environment has no BUSWAY_NOT_SET"),
         ({"url": "mqtt://"}, "names no host"),
+        ({"url": "sparkplug+mqtt://broker", "group": "plant"}, "names of a group and an edge node"),
+        ({"url": "sparkplug+mqtt://broker", "group": "a/b", "edge_node": "hall"}, "a name without / + #"),
         ({"url": "mqtt://broker", "discovery": "homeassistant"}, "needs per_point"),
         ({"url": "file:///x.xlsx"}, "files are csv, jsonl or parquet"),
         ({"url": "file:///x.csv", "most": True}, "int is needed, not True"),

@@ -14,6 +14,7 @@ import stat
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any, Final
 from urllib.parse import SplitResult, unquote, urlsplit
 
@@ -38,8 +39,12 @@ class _Kind:
 class _Table:
     """The table of one sink: each value with its type, in a sentence where it has another."""
 
-    def __init__(self, name: str, values: Mapping[str, Any]) -> None:  # whatever TOML has
-        self._name, self._values = name, values
+    def __init__(self, name: str, values: Mapping[str, Any], folder: Path | None) -> None:  # whatever TOML has
+        self._name, self._values, self._folder = name, values, folder
+
+    def kept_file(self, kind: str) -> Path | None:
+        """Where a sink keeps something over a restart; None for nowhere."""
+        return None if self._folder is None else self._folder / f"{kind}-{self._name}.json"
 
     def refuse(self, key: str, what: str) -> ConfigError:
         return ConfigError(f"sink {self._name}: {what}", key=key)
@@ -102,18 +107,19 @@ def tls_context(authority: str | None = None, certificate: str | None = None, ke
     return context
 
 
-def make_sink(name: str, values: Mapping[str, Any]) -> tuple[Sink, DeliveryOptions]:
+def make_sink(name: str, values: Mapping[str, Any], folder: Path | None = None) -> tuple[Sink, DeliveryOptions]:
     """A sink from its table.
 
     Args:
         name: of the sink.
         values: the other keys of the table; ``url`` must be there.
+        folder: of the store, for what a sink has to keep over a restart; None where nothing is kept.
 
     Raises:
         ConfigError: a key or value cannot be, or a secret cannot be had; names the sink.
         MissingExtra: a package that the sink needs is not installed.
     """
-    table = _Table(name, values)
+    table = _Table(name, values, folder)
     url = table.get("url", str)
     if url is None:
         raise table.refuse("url", "needs a url, such as mqtt://broker:1883")
@@ -187,6 +193,27 @@ def _mqtt(parts: SplitResult, table: _Table) -> Sink:
     )
 
 
+def _sparkplug(parts: SplitResult, table: _Table) -> Sink:
+    from .sparkplug import SparkplugSink
+
+    encrypts = parts.scheme.endswith("mqtts")
+    names = {key: table.get(key, str) for key in ("group", "edge_node")}
+    for key, name in names.items():
+        if name is None:
+            raise table.refuse(key, "Sparkplug needs the names of a group and an edge node")
+    return SparkplugSink(
+        _host(parts, table),
+        parts.port or (8883 if encrypts else 1883),
+        **names,
+        primary_host=table.get("primary_host", str),
+        number_file=table.kept_file("sparkplug"),
+        user=None if parts.username is None else unquote(parts.username),
+        password=table.secret("password"),
+        tls=table.tls(encrypts),
+        client_id=table.get("client_id", str),
+    )
+
+
 def _postgresql(parts: SplitResult, table: _Table) -> Sink:
     from .postgresql import PostgresqlSink
 
@@ -247,9 +274,12 @@ def _check_port(parts: SplitResult, table: _Table) -> None:
 
 
 _MQTT: Final = frozenset({"topic", "per_point", "retain", "discovery", "client_id"}) | _PASSWORD | _TLS
+_SPARKPLUG: Final = frozenset({"group", "edge_node", "primary_host", "client_id"}) | _PASSWORD | _TLS
 _KINDS: Final = {
     "mqtt": _Kind(_MQTT, _mqtt),
     "mqtts": _Kind(_MQTT, _mqtt),
+    "sparkplug+mqtt": _Kind(_SPARKPLUG, _sparkplug),
+    "sparkplug+mqtts": _Kind(_SPARKPLUG, _sparkplug),
     "postgresql": _Kind(frozenset({"table", "timescale"}) | _PASSWORD | _TLS, _postgresql),
     "influxdb+http": _Kind(frozenset({"measurement"}) | _TOKEN | _TLS, _influxdb),
     "influxdb+https": _Kind(frozenset({"measurement"}) | _TOKEN | _TLS, _influxdb),

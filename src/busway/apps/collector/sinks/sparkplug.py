@@ -1,0 +1,344 @@
+"""Sparkplug B 3.0 as a sink: the collector is an edge node of a group, each of its devices a device of it.
+
+Knows topics, births, deaths and their order (Sparkplug 3.0 §5, §6); the payload is `sparkplug_payload`'s, the protocol
+is aiomqtt's (``busway[sparkplug]``).
+
+1. One connection, one edge node. Its last will is the death of the node, with the number (bdSeq) that its birth has
+   too; the number is kept in a file, so that it goes on after a restart.
+2. A device is born with all of its metrics known so far, and again when one is new or has another type. Data follow
+   only a birth; those that are older than it are marked as historical.
+3. Data go with QoS 0, as the standard wants it. `send` returns when a later message with QoS 1 was acknowledged: a
+   broker takes the messages of a connection in order, so it has the data too.
+4. With a primary host, nothing is sent while the host is offline: samples wait in the store.
+5. A host that asks for the births again gets them, once in `REBIRTH_PAUSE` seconds at most.
+6. A device that the collector suspends, or that is in maintenance, dies; its next sample of another kind is a birth.
+"""
+
+import asyncio
+import contextlib
+import json
+import logging
+import os
+import ssl
+import time
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Final
+
+from ....errors import ConfigError
+from ....extras import require
+from ..samples import Quality, Reason, Value, reason_text
+from ..store.committed_samples import CommittedSample
+from .interface import SinkDown
+from .mqtt import topic_level
+from .sparkplug_payload import DataType, Metric, SparkplugQuality, asked_for_rebirth, encode_payload, type_of
+
+REBIRTH_PAUSE: Final = 5.0
+MOST_METRICS: Final = 1000
+"""Metrics in one message at most."""
+_NUMBERS: Final = 256
+"""Sequence numbers and numbers of connections begin again behind 255."""
+_NO_DEVICE: Final = frozenset({Reason.SUSPENDED, Reason.NO_CONNECTION, Reason.MAINTENANCE})
+"""Reasons that mean that a device is not there."""
+_QUALITIES: Final = {Quality.BAD: SparkplugQuality.BAD, Quality.UNCERTAIN: SparkplugQuality.STALE}
+
+_log = logging.getLogger("busway.sinks")
+
+
+class _Device:
+    """A device of the edge node: the last sample and the type of each metric, and whether it is born."""
+
+    def __init__(self) -> None:
+        self.last: dict[str, CommittedSample] = {}
+        self.kinds: dict[str, DataType] = {}
+        self.is_born = False
+
+    def learn(self, sample: CommittedSample) -> bool:
+        """Take in a sample; whether the device needs a birth for it."""
+        known = self.kinds.get(sample.point)
+        kind = known or DataType.DOUBLE if sample.value is None else _wider(known, type_of(sample.value))
+        self.kinds[sample.point] = kind
+        return kind is not known or not self.is_born
+
+
+def _wider(known: DataType | None, new: DataType) -> DataType:
+    """The type of a metric: whole numbers of a metric that had fractions are written as such too."""
+    return known if (known, new) == (DataType.DOUBLE, DataType.INT64) and known is not None else new
+
+
+class SparkplugSink:
+    """Publishes samples as an edge node of Sparkplug B."""
+
+    def __init__(
+        self,
+        host: str,
+        port: int = 1883,
+        *,
+        group: str,
+        edge_node: str,
+        primary_host: str | None = None,
+        number_file: Path | None = None,
+        user: str | None = None,
+        password: str | None = None,
+        tls: ssl.SSLContext | None = None,
+        client_id: str | None = None,
+        timeout: float = 10.0,
+        now: Callable[[], int] = time.time_ns,
+    ) -> None:
+        """Name the broker and the edge node; nothing is sent yet.
+
+        Args:
+            host, port: the broker.
+            group, edge_node: names in all topics; without ``/``, ``+`` and ``#``.
+            primary_host: name of the host application without which nothing is sent; None for none.
+            number_file: keeps the number of the last connection; None where it need not survive a restart.
+            user, password: for the broker.
+            tls: how to encrypt; None for not at all.
+            client_id: names this client to the broker; None for one that the library makes.
+            timeout: seconds for connecting, for an acknowledgement, and for the state of the primary host.
+            now: nanoseconds since 1970 UTC.
+
+        Raises:
+            ConfigError: a name is empty or has a character that separates levels of topics.
+            MissingExtra: aiomqtt or protobuf is not installed.
+        """
+        for package in ("aiomqtt", "google.protobuf"):
+            require(package, "a sink for Sparkplug")
+        for key, name in (("group", group), ("edge_node", edge_node), ("primary_host", primary_host or "-")):
+            if not name or topic_level(name) != name:
+                raise ConfigError(f"a name without / + # is needed, not {name!r}", key=key)
+        self._group, self._node, self._primary_host = group, edge_node, primary_host
+        self._number_file, self._timeout, self._now = number_file, timeout, now
+        self._address: dict[str, Any] = {"hostname": host, "port": port, "username": user, "password": password}
+        self._address |= {"tls_context": tls, "identifier": client_id, "timeout": timeout}
+        self._where = f"{host}:{port}"
+        self._client: Any = None  # aiomqtt is loaded when it is used
+        self._listener: asyncio.Task[None] | None = None
+        self._sending = asyncio.Lock()
+        self._devices: dict[str, _Device] = {}
+        self._number = self._sequence = 0
+        self._is_born = False
+        self._born_at = 0
+        self._last_birth = 0.0
+        self._host_online = asyncio.Event()
+        self._host_time = 0
+
+    # Life
+
+    async def open(self) -> None:
+        """Connect, wait for the primary host, and be born with all devices known. Raises `SinkDown`."""
+        mqtt = import_module("aiomqtt")
+        self._number = await asyncio.to_thread(self._next_number)
+        will = mqtt.Will(self._topic("NDEATH"), self._death(), qos=1, retain=False)
+        client = mqtt.Client(**self._address, will=will, protocol=mqtt.ProtocolVersion.V5, clean_start=True)
+        self._host_online.clear()
+        self._host_time = 0
+        try:
+            await client.__aenter__()
+            self._client = client
+            self._listener = asyncio.create_task(self._listen(client))
+            await client.subscribe(self._topic("NCMD"), qos=1)
+            if self._primary_host is not None:
+                await client.subscribe(f"spBv1.0/STATE/{self._primary_host}", qos=1)
+                async with asyncio.timeout(self._timeout):
+                    await self._host_online.wait()
+            async with self._sending:
+                await self._births()
+        except TimeoutError:
+            raise SinkDown(f"the primary host {self._primary_host} is not online at {self._where}") from None
+        except (mqtt.MqttError, OSError) as error:
+            raise SinkDown(f"the broker {self._where} cannot be reached: {error}") from error
+
+    async def close(self) -> None:
+        """Say that the edge node dies, and disconnect."""
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            listener.cancel()
+            await asyncio.gather(listener, return_exceptions=True)
+        client, self._client = self._client, None
+        if client is None:
+            return
+        if self._is_born:
+            self._is_born = False
+            with contextlib.suppress(Exception):  # it may be gone already
+                await client.publish(self._topic("NDEATH"), self._death(), qos=1, timeout=1.0)
+        with contextlib.suppress(Exception):
+            await client.__aexit__(None, None, None)
+        for device in self._devices.values():
+            device.is_born = False
+
+    async def send(self, samples: Sequence[CommittedSample]) -> None:
+        """Publish samples, and wait until the broker has them. Raises `SinkDown`."""
+        mqtt = import_module("aiomqtt")
+        try:
+            async with self._sending:
+                for name, those in groupby(sorted(samples, key=_device_of), _device_of):
+                    await self._send_device(name, list(those))
+            await self._publish_acknowledged()
+        except (mqtt.MqttError, OSError) as error:
+            raise SinkDown(f"the broker {self._where} does not answer: {error}") from error
+        self._check_host()
+
+    async def _publish_acknowledged(self) -> None:
+        """Return when the broker has taken all messages so far: it acknowledges one that came after them."""
+        topic = f"busway/sparkplug/{self._group}/{self._node}/delivered"
+        await self._connected().publish(topic, b"", qos=1, timeout=self._timeout)
+
+    def _connected(self) -> Any:
+        if self._client is None:
+            raise SinkDown(f"the broker {self._where} is not connected")
+        return self._client
+
+    def _check_host(self) -> None:
+        if self._primary_host is not None and not self._host_online.is_set():
+            raise SinkDown(f"the primary host {self._primary_host} went offline")
+
+    # Births, deaths, data; the lock is held
+
+    async def _births(self) -> None:
+        """Publish the birth of the edge node, then those of its living devices."""
+        self._sequence = 0
+        self._born_at = self._now()
+        self._last_birth = time.monotonic()
+        metrics = [
+            Metric("bdSeq", self._born_at, DataType.INT64, self._number),
+            Metric("Node Control/Rebirth", self._born_at, DataType.BOOLEAN, False),
+        ]
+        await self._publish("NBIRTH", metrics)
+        self._is_born = True
+        for name, device in self._devices.items():
+            device.is_born = False
+            if device.last:
+                await self._birth(name, device)
+
+    async def _birth(self, name: str, device: _Device) -> None:
+        metrics = [_metric(sample, device.kinds[point], unit=True) for point, sample in device.last.items()]
+        await self._publish("DBIRTH", metrics, name)
+        device.is_born = True
+
+    async def _send_device(self, name: str, samples: list[CommittedSample]) -> None:
+        self._check_host()
+        device = self._devices.setdefault(name, _Device())
+        for is_gone, those in groupby(samples, lambda sample: sample.reason in _NO_DEVICE):
+            if is_gone:
+                if device.is_born:
+                    device.is_born = False
+                    await self._publish("DDEATH", [], name)
+                for sample in those:
+                    device.last.setdefault(sample.point, sample)
+                    device.kinds.setdefault(sample.point, DataType.DOUBLE)
+                continue
+            for part in _parts(list(those)):
+                await self._send_part(name, device, part)
+
+    async def _send_part(self, name: str, device: _Device, samples: list[CommittedSample]) -> None:
+        needed = [device.learn(sample) for sample in samples]
+        for sample in samples:
+            if sample.value is not None or sample.point not in device.last:
+                device.last[sample.point] = sample
+        if any(needed):
+            await self._birth(name, device)
+        metrics = [
+            _metric(sample, device.kinds[sample.point], is_historical=sample.time < self._born_at) for sample in samples
+        ]
+        await self._publish("DDATA", metrics, name)
+
+    async def _publish(self, kind: str, metrics: Sequence[Metric], device: str | None = None) -> None:
+        content = encode_payload(metrics, self._now(), self._sequence)
+        self._sequence = (self._sequence + 1) % _NUMBERS
+        await self._connected().publish(self._topic(kind, device), content, qos=0, timeout=self._timeout)
+
+    def _topic(self, kind: str, device: str | None = None) -> str:
+        levels = ["spBv1.0", self._group, kind, self._node]
+        return "/".join(levels if device is None else [*levels, topic_level(device)])
+
+    def _death(self) -> bytes:
+        now = self._now()
+        return encode_payload([Metric("bdSeq", now, DataType.INT64, self._number)], now, None)
+
+    def _next_number(self) -> int:
+        """The number of this connection, one above the last, which the file keeps."""
+        file = self._number_file
+        if file is None:
+            return (self._number + 1) % _NUMBERS
+        try:
+            last = int(json.loads(file.read_text("utf-8"))["bdSeq"])
+        except (OSError, ValueError, KeyError, TypeError):  # none yet, or damaged: any number may begin
+            last = -1
+        number = (last + 1) % _NUMBERS
+        unfinished = file.with_name(f"{file.name}.unfinished")
+        try:
+            with unfinished.open("w", encoding="utf-8") as written:
+                json.dump({"bdSeq": number}, written)
+                written.flush()
+                os.fsync(written.fileno())
+            unfinished.replace(file)
+        except OSError as error:
+            raise SinkDown(f"the number of the connection cannot be kept in {file}: {error}") from error
+        return number
+
+    # What hosts say
+
+    async def _listen(self, client: Any) -> None:
+        """Follow the state of the primary host, and answer requests for a rebirth."""
+        mqtt = import_module("aiomqtt")
+        with contextlib.suppress(mqtt.MqttError):  # sending finds that out
+            async for message in client.messages:
+                if str(message.topic).startswith("spBv1.0/STATE/"):
+                    self._take_state(message.payload)
+                else:
+                    await self._take_command(message.payload)
+
+    def _take_state(self, content: bytes) -> None:
+        try:
+            state = json.loads(content)
+            online, moment = state["online"] is True, int(state["timestamp"])
+        except (ValueError, KeyError, TypeError):
+            _log.warning("sink for Sparkplug: %s says a state that is none", self._primary_host)
+            return
+        if moment < self._host_time:  # an old last will that came late
+            return
+        self._host_time = moment
+        if online:
+            self._host_online.set()
+        else:
+            self._host_online.clear()
+
+    async def _take_command(self, content: bytes) -> None:
+        try:
+            wanted = asked_for_rebirth(content)
+        except ValueError as error:
+            _log.warning("sink for Sparkplug: a command that is no payload: %s", error)
+            return
+        asked_at = time.monotonic()
+        if not wanted:
+            return
+        await asyncio.sleep(max(0.0, self._last_birth + REBIRTH_PAUSE - asked_at))
+        async with self._sending:
+            if self._is_born and self._last_birth < asked_at:
+                await self._births()
+
+
+def _device_of(sample: CommittedSample) -> str:
+    return sample.device
+
+
+def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
+    for begin in range(0, len(samples), MOST_METRICS):
+        yield samples[begin : begin + MOST_METRICS]
+
+
+def _metric(sample: CommittedSample, kind: DataType, *, is_historical: bool = False, unit: bool = False) -> Metric:
+    """A sample as a metric: what is not good says so by its properties."""
+    properties: list[tuple[str, str | SparkplugQuality]] = []
+    if sample.quality is not Quality.GOOD:
+        properties += [("Quality", _QUALITIES[sample.quality]), ("reason", reason_text(sample.reason))]
+    if unit and sample.unit_of_measure:
+        properties.append(("engUnit", sample.unit_of_measure))
+    return Metric(sample.point, sample.time, kind, _value(sample.value, kind), is_historical, tuple(properties))
+
+
+def _value(value: Value | None, kind: DataType) -> Value | None:
+    return float(value) if kind is DataType.DOUBLE and isinstance(value, int) else value

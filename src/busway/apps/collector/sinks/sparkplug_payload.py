@@ -1,0 +1,191 @@
+"""Payloads of Sparkplug B 3.0: metrics with type, time, quality, as bytes and back.
+
+Knows names, field numbers and types of the payload (Sparkplug 3.0 §6.4); knows no topic and no broker. The encoding is
+protobuf's (``busway[sparkplug]``).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cache
+from importlib import import_module
+from typing import Any, Final
+
+from ....extras import require
+from ..samples import NANOSECONDS, Value
+
+_MILLISECOND: Final = NANOSECONDS // 1000
+_OPTIONAL, _REPEATED = 1, 3
+_UINT32, _UINT64, _FLOAT, _DOUBLE, _BOOL, _STRING, _BYTES, _MESSAGE = 13, 4, 2, 1, 8, 9, 12, 11  # of descriptor.proto
+_VALUES: Final = {
+    "int_value": _UINT32,
+    "long_value": _UINT64,
+    "float_value": _FLOAT,
+    "double_value": _DOUBLE,
+    "boolean_value": _BOOL,
+    "string_value": _STRING,
+}
+
+
+class DataType(IntEnum):
+    """Numbers of the types of metrics that samples have."""
+
+    INT32 = 3
+    INT64 = 4
+    UINT64 = 8
+    DOUBLE = 10
+    BOOLEAN = 11
+    STRING = 12
+
+
+class SparkplugQuality(IntEnum):
+    """Values of the property ``Quality``."""
+
+    BAD = 0
+    GOOD = 192
+    STALE = 500
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """A value of a metric.
+
+    Attributes:
+        name: of the metric.
+        time: nanoseconds since 1970 UTC; it is sent in milliseconds.
+        kind: its type.
+        value: None for none.
+        is_historical: whether the value is older than the birth that it follows.
+        properties: texts and qualities by name.
+    """
+
+    name: str
+    time: int
+    kind: DataType
+    value: Value | None
+    is_historical: bool = False
+    properties: tuple[tuple[str, str | SparkplugQuality], ...] = ()
+
+
+def type_of(value: Value) -> DataType:
+    """The type that a metric with this value has."""
+    if isinstance(value, bool):
+        return DataType.BOOLEAN
+    if isinstance(value, int):
+        return DataType.INT64 if value < 2**63 else DataType.UINT64
+    return DataType.DOUBLE if isinstance(value, float) else DataType.STRING
+
+
+def encode_payload(metrics: Iterable[Metric], time: int, sequence: int | None) -> bytes:
+    """A payload.
+
+    Args:
+        metrics: its metrics, in order.
+        time: nanoseconds since 1970 UTC at which it is sent.
+        sequence: number of the message, 0…255; None for a death of an edge node, which has none.
+
+    Raises:
+        MissingExtra: protobuf is not installed.
+    """
+    payload = _messages()["Payload"]()
+    payload.timestamp = time // _MILLISECOND
+    if sequence is not None:
+        payload.seq = sequence
+    for metric in metrics:
+        _fill(payload.metrics.add(), metric)
+    content: bytes = payload.SerializeToString()
+    return content
+
+
+def asked_for_rebirth(content: bytes) -> bool:
+    """Whether a command to an edge node asks for its birth again. Raises `ValueError` where it is no payload."""
+    payload = _messages()["Payload"]()
+    try:
+        payload.ParseFromString(content)
+    except import_module("google.protobuf.message").DecodeError as error:
+        raise ValueError(str(error)) from error
+    return any(metric.name == "Node Control/Rebirth" and metric.boolean_value for metric in payload.metrics)
+
+
+def _fill(message: Any, metric: Metric) -> None:
+    message.name = metric.name
+    message.timestamp = metric.time // _MILLISECOND
+    message.datatype = int(metric.kind)
+    if metric.is_historical:
+        message.is_historical = True
+    if metric.value is None:
+        message.is_null = True
+    elif metric.kind in (DataType.INT64, DataType.UINT64):
+        message.long_value = int(metric.value) % 2**64  # negative numbers as two's complement
+    elif metric.kind is DataType.BOOLEAN:
+        message.boolean_value = bool(metric.value)
+    elif metric.kind is DataType.DOUBLE:
+        message.double_value = float(metric.value)
+    else:
+        message.string_value = str(metric.value)
+    for name, content in metric.properties:
+        message.properties.keys.append(name)
+        one = message.properties.values.add()
+        if isinstance(content, SparkplugQuality):
+            one.type, one.int_value = int(DataType.INT32), int(content)
+        else:
+            one.type, one.string_value = int(DataType.STRING), content
+
+
+@cache
+def _messages() -> dict[str, Any]:
+    """Classes of the messages, by name."""
+    require("google.protobuf", "a sink for Sparkplug")
+    file = import_module("google.protobuf.descriptor_pb2").FileDescriptorProto()
+    file.name, file.package, file.syntax = "busway_sparkplug.proto", "busway.sparkplug", "proto2"
+    for message, fields in _FIELDS.items():
+        described = file.message_type.add()
+        described.name = message
+        if message != "PropertySet" and "int_value" in fields:
+            described.oneof_decl.add().name = "value"
+        for name, (number, kind, label, refers) in fields.items():
+            field = described.field.add()
+            field.name, field.number, field.type, field.label = name, number, kind, label
+            if refers:
+                field.type_name = f".busway.sparkplug.{refers}"
+            if name in _VALUES:
+                field.oneof_index = 0
+    pool = import_module("google.protobuf.descriptor_pool").DescriptorPool()
+    pool.Add(file)
+    classes = import_module("google.protobuf.message_factory")
+    return {name: classes.GetMessageClass(pool.FindMessageTypeByName(f"busway.sparkplug.{name}")) for name in _FIELDS}
+
+
+_Field = tuple[int, int, int, str]
+"""Number, type, label, and the message that it refers to."""
+
+
+def _values(first: int) -> dict[str, _Field]:
+    return {name: (number, kind, _OPTIONAL, "") for number, (name, kind) in enumerate(_VALUES.items(), first)}
+
+
+_FIELDS: Final[dict[str, dict[str, _Field]]] = {
+    "Payload": {
+        "timestamp": (1, _UINT64, _OPTIONAL, ""),
+        "metrics": (2, _MESSAGE, _REPEATED, "Metric"),
+        "seq": (3, _UINT64, _OPTIONAL, ""),
+    },
+    "Metric": {
+        "name": (1, _STRING, _OPTIONAL, ""),
+        "timestamp": (3, _UINT64, _OPTIONAL, ""),
+        "datatype": (4, _UINT32, _OPTIONAL, ""),
+        "is_historical": (5, _BOOL, _OPTIONAL, ""),
+        "is_null": (7, _BOOL, _OPTIONAL, ""),
+        "properties": (9, _MESSAGE, _OPTIONAL, "PropertySet"),
+        **_values(10),
+    },
+    "PropertySet": {
+        "keys": (1, _STRING, _REPEATED, ""),
+        "values": (2, _MESSAGE, _REPEATED, "PropertyValue"),
+    },
+    "PropertyValue": {
+        "type": (1, _UINT32, _OPTIONAL, ""),
+        "is_null": (2, _BOOL, _OPTIONAL, ""),
+        **_values(3),
+    },
+}
