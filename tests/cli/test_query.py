@@ -4,12 +4,14 @@ import csv
 import io
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from collected import PUMP, at, filled, read_of
 
+from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.samples import Reason, StateInterval
 from busway.apps.collector.store.folder import SEGMENTS
 
@@ -55,6 +57,37 @@ def test_buckets(run: Callable[..., Any], data: str) -> None:
         ("0", "1", "0.5", "2"),
         ("2", "2", "2.0", "1"),
     ]
+
+
+def test_the_journal_of_alarms_is_lines_with_limit_event_value_and_who(run: Callable[..., Any], tmp_path: Path) -> None:
+    folder = tmp_path / "alarms"
+    raised = AlarmEvent("pump-1", "speed", "H", AlarmEventKind.RAISED, at(1), 90.5, "", True, "above 80 rpm")
+    acknowledged = replace(raised, kind=AlarmEventKind.ACKNOWLEDGED, at=at(2), value=None, by="anna")
+    with filled(folder, 1) as writer:
+        writer.commit([read_of(PUMP, 1, 90.5)], [], at(1), [raised])
+        writer.roll()
+        writer.commit([], [], at(2), [acknowledged])
+        out = run("query", str(folder), "--alarms", "--json").out.splitlines()
+        assert [(json.loads(line)["event"], json.loads(line)["by"]) for line in out] == [
+            ("raised", ""),
+            ("acknowledged", "anna"),
+        ]
+        rows = list(csv.DictReader(io.StringIO(run("query", str(folder), "pump-1", "--alarms", "--csv").out)))
+        assert (rows[0]["value"], rows[0]["text"], rows[0]["limit"]) == ("90.5", "above 80 rpm", "H")
+        table = run("query", str(folder), "--alarms", "--since", "2027-01-15T08:00:02").out.split()
+        assert table == [
+            "2027-01-15T08:00:02.000Z",
+            "pump-1/speed",
+            "H",
+            "acknowledged",
+            "–",
+            "above",
+            "80",
+            "rpm",
+            "anna",
+        ]
+        assert run("query", str(folder), "meter-7", "--alarms").out == ""
+        assert run("query", str(folder), "--alarms", "--bucket", "1m").code == 2
 
 
 def test_the_points_are_listed(run: Callable[..., Any], data: str) -> None:

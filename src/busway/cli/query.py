@@ -18,6 +18,7 @@ from .exits import ExitCode
 from .output import json_value, print_aligned, print_csv, print_json, say, shown_value
 
 if TYPE_CHECKING:
+    from ..apps.collector.alarms.events import AlarmEvent
     from ..apps.collector.store.frames import BucketTable, SampleTable
     from ..apps.collector.store.reading import Store
 
@@ -27,6 +28,7 @@ Examples:
   busway query data "meter-7/*" --since 1h
   busway query data --points "*/power" --since 2026-11-22 --until 2026-11-23 --bucket 5m --csv
   busway query data --since 1d --parquet yesterday.parquet
+  busway query data --alarms --since 1d
 
 Times are 1h (an hour ago) or ISO 8601, UTC where no offset is given.
 """
@@ -44,6 +46,7 @@ def query(
         None, "--bucket", metavar="TIME", help="Minimum, maximum and mean for each: 10s, 5m, 1h."
     ),
     parquet: str | None = typer.Option(None, "--parquet", metavar="FILE", help="Write a new Parquet file instead."),
+    alarms: bool = typer.Option(False, "--alarms", help="Show the journal of alarms instead."),
     names: bool = typer.Option(False, "--list", help="List the points of the store."),
     as_json: bool = JSON,
     as_csv: bool = CSV,
@@ -57,6 +60,12 @@ def query(
     wanted = [*(patterns or ()), *(points or ())] or ["*"]
     if names:
         _list_points(asked, as_json=as_json, as_csv=as_csv)
+        return ExitCode.DONE
+    if alarms:
+        if bucket is not None or parquet is not None:
+            raise ConfigError("goes not with --bucket and --parquet", key="--alarms")
+        events = asked.alarms(wanted if wanted != ["*"] else "*", since=since, until=until)
+        _print(_alarm_rows(events), as_json=as_json, as_csv=as_csv)
         return ExitCode.DONE
     if bucket is not None:
         table = asked.read(wanted, since=since, until=until, bucket=bucket)
@@ -87,6 +96,19 @@ def _sample_rows(table: "SampleTable") -> Iterator[dict[str, Any]]:
             "quality": sample.quality.name.lower(),
             "reason": reason_text(sample.reason),
             "half_width": sample.half_width / 1e9,
+        }
+
+
+def _alarm_rows(events: "Iterable[AlarmEvent]") -> Iterator[dict[str, Any]]:
+    for event in events:
+        yield {
+            "time": event.at,
+            "point": f"{event.device}/{event.point}",
+            "limit": event.limit,
+            "event": event.kind.value,
+            "value": event.value,
+            "text": event.text,
+            "by": event.by,
         }
 
 

@@ -25,20 +25,21 @@ class Accumulator:
     Attributes:
         total: what it has come to.
         resets: how often the device set it back.
+        last: what the counter showed last; None for nothing yet.
     """
 
-    __slots__ = ("_last", "resets", "rollover", "total")
+    __slots__ = ("last", "resets", "rollover", "total")
 
     def __init__(self, rollover: float) -> None:
         self.rollover: float = rollover
         self.total: float = 0.0
         self.resets: int = 0
-        self._last: float | None = None
+        self.last: float | None = None
 
     def take(self, value: float) -> float:
         """The total, after a value that the counter shows."""
-        last = self._last
-        self._last = value
+        last = self.last
+        self.last = value
         if last is None:
             self.total = value
         elif value >= last:
@@ -59,11 +60,14 @@ class Derivation:
 
     Raises:
         ConfigError: a formula is none.
+
+    Attributes:
+        accumulators: by the name of their points.
     """
 
     def __init__(self, points: Iterable[Point]) -> None:
         points = list(points)
-        self._accumulators = {each.name: Accumulator(each.rollover) for each in points if each.rollover}
+        self.accumulators = {each.name: Accumulator(each.rollover) for each in points if each.rollover}
         self._latest: dict[str, Any] = {}  # numbers
         computed = {each.name: each for each in points if each.formula}
         expressions = {name: parse_expression(point.formula) for name, point in computed.items()}
@@ -71,10 +75,16 @@ class Derivation:
             (computed[name], expressions[name], expressions[name].bind(self._source)) for name in _ordered(expressions)
         ]
 
+    def restore(self, name: str, total: float, last: float) -> None:
+        """Go on with a total, where the point is an accumulator."""
+        accumulator = self.accumulators.get(name)
+        if accumulator is not None:
+            accumulator.total, accumulator.last = total, last
+
     @property
     def is_empty(self) -> bool:
         """Whether no point needs it."""
-        return not self._accumulators and not self._computed
+        return not self.accumulators and not self._computed
 
     def inputs(self) -> frozenset[str]:
         """The points that computed ones need."""
@@ -91,7 +101,7 @@ class Derivation:
             The readings of accumulators that have a value in ``latest``, and of all computed points.
         """
         found: dict[str, Reading] = {}
-        for name, accumulator in self._accumulators.items():
+        for name, accumulator in self.accumulators.items():
             reading = latest.get(name)
             if reading is not None and reading.value is not None:
                 found[name] = Reading(accumulator.take(reading.value), reading.reason)

@@ -138,26 +138,41 @@ class ReportRule:
 
 @dataclass(frozen=True, slots=True)
 class AlarmRule:
-    """A limit whose crossing is an alarm.
+    """What of a point is an alarm: a value beyond a limit, or one of some states.
 
     Attributes:
-        kind: ``HH``, ``H``, ``L`` or ``LL``.
+        kind: ``HH``, ``H``, ``L`` or ``LL`` for a limit; ``state`` for states.
         limit: in the unit of measure; the alarm begins above it (H, HH) or below it (L, LL).
-        delay: seconds for which the value has to be beyond it.
-        hysteresis: how far it has to come back for the alarm to end.
+        delay: seconds for which the value has to be beyond it, or in the state.
+        hysteresis: how far it has to come back for the alarm to end, in the unit of measure.
         acknowledge: whether a person has to acknowledge it.
+        states: names of the states, for people.
+        numbers: the values that are these states.
+        bits: the bits of a value, any of which is such a state.
     """
 
-    kind: Literal["HH", "H", "L", "LL"]
-    limit: float
+    kind: Literal["HH", "H", "L", "LL", "state"]
+    limit: float = 0.0
     delay: float = 0.0
     hysteresis: float = 0.0
     acknowledge: bool = False
+    states: tuple[str, ...] = ()
+    numbers: frozenset[int] = frozenset()
+    bits: int = 0
 
     def is_beyond(self, value: float, *, active: bool) -> bool:
-        """Whether a value is beyond the limit; of an alarm that is active, whether it has not come back yet."""
+        """Whether a value is an alarm; of an alarm that is active, whether it has not come back yet."""
+        if self.kind == "state":
+            return value in self.numbers or bool(self.bits and isinstance(value, int) and value & self.bits)
         back = self.hysteresis if active else 0.0
         return value > self.limit - back if self.kind in ("H", "HH") else value < self.limit + back
+
+    def text(self, unit_of_measure: str = "") -> str:
+        """What the alarm means: ``above 80 °C``, ``is fault``."""
+        if self.kind == "state":
+            return f"is {' or '.join(self.states)}"
+        side = "above" if self.kind in ("H", "HH") else "below"
+        return f"{side} {self.limit:.10g}{' ' * bool(unit_of_measure)}{unit_of_measure}"
 
 
 def ranged(low: float | None, high: float | None) -> str:

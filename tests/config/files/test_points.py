@@ -46,6 +46,16 @@ def test_a_point_says_all_that_a_file_can_say() -> None:
     assert (point.was, point.meta, point.poll_class, point.rollover) == ("old", {"room": "hall"}, "fast", 6553.6)
 
 
+def test_states_of_bits_enumerations_and_flags_can_be_alarms() -> None:
+    state = "alarm = [{ kind = 'state', delay = 2, states = "
+    (bit,) = points_of(UNIT + f"[[unit.point]]\nname='a'\naddress='0x1'\n{state}[false] }}]\n")["a"].alarms
+    assert bit == AlarmRule("state", delay=2.0, states=("off",), numbers=frozenset({0}))
+    (named,) = points_of(POINT + f"enumeration = {{ ok = 1, bad = 7 }}\n{state}['bad'] }}]\n")["a"].alarms
+    assert (named.numbers, named.states) == (frozenset({7}), ("bad",))
+    (flags,) = points_of(POINT + f"flags = {{ door = 0, fire = 3 }}\n{state}['fire', 'door'] }}]\n")["a"].alarms
+    assert (flags.bits, flags.numbers) == (0b1001, frozenset())
+
+
 def test_a_group_is_written_once_and_stands_at_each_of_its_places() -> None:
     points = points_of(
         UNIT
@@ -142,6 +152,21 @@ def test_fields_halves_and_overlaps_are_served_with_their_first_values() -> None
         (
             POINT + "alarm = [{ kind = 'H', limit = 1 }, { kind = 'H', limit = 2 }]\n",
             "alarm[1].kind: H is there already",
+        ),
+        (POINT + "alarm = [{ kind = 'H' }]\n", "point[0].alarm[0].limit: is missing: H needs it"),
+        (POINT + "alarm = [{ kind = 'state', limit = 1 }]\n", "point[0].alarm[0].states: is missing: state needs it"),
+        (POINT + "alarm = [{ kind = 'H', limit = 1, states = ['x'] }]\n", "alarm[0].states: does not go with H"),
+        (
+            POINT + "alarm = [{ kind = 'state', states = ['x'] }]\n",
+            "alarm[0]: 'a' has no states: it is no bit, and has",
+        ),
+        (
+            POINT + "flags = { x = 1 }\nalarm = [{ kind = 'state', states = ['x', 'z'] }]\n",
+            "alarm[0].states[1]: there is no state 'z'; there are x",
+        ),
+        (
+            UNIT + "[[unit.point]]\nname='a'\naddress='0x1'\nalarm = [{ kind = 'state', states = ['on'] }]\n",
+            "alarm[0].states[0]: there is no state 'on'; there are true, false",
         ),
         (POINT + "rollover = true\ntype = 'float32'\n", "unit[0].point[0].rollover: 'a' holds no whole number"),
         (

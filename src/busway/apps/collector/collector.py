@@ -17,7 +17,7 @@ import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
@@ -26,6 +26,8 @@ from ...access.audit_log import AuditLog
 from ...client.aio import AsyncLink, open_link
 from ...config.reading import read_text
 from ...errors import ConfigError
+from ...points.point import Point
+from .alarms.collected import CollectorAlarms
 from .commands.audit import configuration_line, revision_of
 from .commands.command import CommandResult, CommandValue
 from .commands.journal import CommandJournal
@@ -37,12 +39,13 @@ from .knowledge import Knowledge, read_knowledge
 from .poller import LinkPoller
 from .reloading import left_for_the_next_start, refuse_what_cannot_change, replace_file
 from .sample_clock import SampleClock
-from .samples import SampleBatch
+from .samples import CounterState, SampleBatch
 from .schedule import LinkSchedule
 from .sinks.delivery import SinkStatus
 from .sinks.prometheus import LastValues, PrometheusPage
 from .sinks.running import SinkThread
 from .store.commit_thread import Committer, StoreStatus
+from .store.journal import alarm_events, alarm_rows, counters_by_device
 from .store.retention import Retention
 from .store.writer import Commit, StoreOptions, StoreWriter
 
@@ -120,7 +123,10 @@ class Collector:
         knowledge: what was learnt of its devices.
         readers_lost: batches that readers of `samples` were too slow for.
         values: the last committed value of each point.
+        alarms: its alarms, once it has begun.
     """
+
+    alarms: CollectorAlarms
 
     def __init__(self, configuration: CollectorConfiguration) -> None:
         self.configuration: CollectorConfiguration = configuration
@@ -133,6 +139,7 @@ class Collector:
         self._upkeep: asyncio.Task[None] | None = None
         self._sinks: SinkThread | None = None
         self._pages: list[PrometheusPage] = []
+        self._counters: dict[str, dict[str, CounterState]] = {}
         self._started = 0.0
         self.values: LastValues = LastValues()
         self._audit: AuditLog | None = None
@@ -149,12 +156,16 @@ class Collector:
         loop = asyncio.get_running_loop()
         self._started = loop.time()
         self._clock = SampleClock(loop.time(), time.time_ns())
-        self._committer = Committer(writer)
+        self._committer = committer = Committer(writer)
+        self.alarms = CollectorAlarms(committer.add_alarms, loop.time, lambda: self._clock.time_ns(loop.time()))
         self._committer.subscribe(lambda commit: self._committed_in_thread(loop, commit))
         self._committer.subscribe(self.values.update)
         async with AsyncExitStack() as unless_started:
             unless_started.push_async_callback(self._stop)
             self._start_sinks(writer, self._committer)
+            self.alarms.begin(alarm_events(alarm_rows(writer.folder, writer.manifest), writer.manifest), self._points())
+            for device, counters in counters_by_device(writer.manifest).items():
+                self._counters[device] = {each.point: each for each in counters}
             self._start_commands()
             for name in self.configuration.links:
                 self._start_link(name, self.configuration)
@@ -174,6 +185,7 @@ class Collector:
         async with AsyncExitStack() as steps:
             for reader in self._readers:
                 steps.callback(reader.arrived.set)
+            steps.callback(self.alarms.end)
             steps.push_async_callback(self._close_store)
             steps.callback(self._write_learnt)
             if self._audit is not None:
@@ -470,6 +482,7 @@ class Collector:
         """Stop the links that change; give points their new names, behind all samples so far; then begin anew."""
         assert self._committer is not None
         self.configuration = configuration
+        self.alarms.configure(self._points())
         done: list[str] = []
         changed = [name for name, link in self._links.items() if link.key != _key_of(configuration, name)]
         for name in changed:
@@ -499,14 +512,16 @@ class Collector:
             link,
             schedule,
             self._clock,
-            self._committer.add,
+            self._take,
             self._committer.add_interval,
             numbered=numbered,
             now=loop.time,
         )
         for device in configuration.devices_of(name):
             known = self.knowledge.of(device.name, device.profile, device.firmware)
-            derived = DerivedPoints(device.name, device.points)
+            derived = DerivedPoints(
+                device.name, device.points, _renamed(self._counters.get(device.name, {}).values(), device.points)
+            )
             poller.add(
                 device.name,
                 device.unit,
@@ -555,12 +570,23 @@ class Collector:
             except OSError as error:
                 _log.error("what was learnt cannot be written to %s: %s", self.configuration.learnt_path, error)
 
+    def _take(self, batch: SampleBatch) -> None:
+        """Take the samples of a read: they are kept, with what they mean for alarms and how far accumulators are."""
+        assert self._committer is not None
+        if batch.counters:
+            self._counters.setdefault(batch.device, {}).update((each.point, each) for each in batch.counters)
+        self._committer.add(batch, self.alarms.take(batch))
+
+    def _points(self) -> dict[str, Sequence[Point]]:
+        return {device.name: device.points for device in self.configuration.devices.values()}
+
     def _committed_in_thread(self, loop: asyncio.AbstractEventLoop, commit: Commit) -> None:
-        if self._readers and commit.batches:
+        if (self._readers and commit.batches) or commit.alarms:
             with contextlib.suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(self._committed, commit)
 
     def _committed(self, commit: Commit) -> None:
+        self.alarms.committed(commit.alarms)
         for reader in self._readers:
             reader.take(commit.batches)
 
@@ -599,6 +625,13 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
         return None
     devices: list[CollectedDevice] = configuration.devices_of(link)
     return configuration.links[link].settings, tuple(devices), tuple(configuration.periods.items())
+
+
+def _renamed(counters: Iterable[CounterState], points: Sequence[Point]) -> list[CounterState]:
+    """Accumulators with the names that their points have now."""
+    names = {point.name for point in points}
+    former = {point.was: point.name for point in points if point.was and point.was not in names}
+    return [replace(each, point=former.get(each.point, each.point)) for each in counters]
 
 
 async def _ended(task: "asyncio.Task[None]") -> None:

@@ -7,14 +7,14 @@ Pure: knows points and their latest readings; knows no request and no clock.
 3. A member of a group whose size the device says is read while it is there, once the size is known.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from ...points.derived import Derivation
 from ...points.expression import parse_expression
 from ...points.point import Point
 from ...points.quality import Reading, Reason
-from .samples import NANOSECONDS, PointGroup, SampleBatch
+from .samples import NANOSECONDS, CounterState, PointGroup, SampleBatch
 
 
 class DerivedPoints:
@@ -23,13 +23,16 @@ class DerivedPoints:
     Args:
         device: its name.
         points: all of it.
+        counters: how far accumulators were before a restart.
     """
 
-    def __init__(self, device: str, points: Sequence[Point]) -> None:
-        counters = [point for point in points if point.rollover and not point.formula]
+    def __init__(self, device: str, points: Sequence[Point], counters: Iterable[CounterState] = ()) -> None:
+        accumulators = [point for point in points if point.rollover and not point.formula]
         computed = [point for point in points if point.formula]
-        self._accumulators = frozenset(point.name for point in counters)
-        self._totals = Derivation(counters)
+        self._accumulators = frozenset(point.name for point in accumulators)
+        self._totals = Derivation(accumulators)
+        for each in counters:
+            self._totals.restore(each.point, each.total, each.last)
         self._formulas = Derivation(computed)
         self._inputs = {point.name: frozenset(parse_expression(point.formula).names) for point in computed}
         self._group = PointGroup(device, tuple(self._inputs)) if self._inputs else None
@@ -69,11 +72,16 @@ class DerivedPoints:
                 if name in totals and name in made and values[place] is not None:
                     values[place] = made[name].value
                     found[name] = Reading(values[place], found[name].reason)
-            batch = SampleBatch(batch.group, batch.time, batch.half_width, values, batch.reasons)
+            states = self._counter_states(made)
+            batch = SampleBatch(batch.group, batch.time, batch.half_width, values, batch.reasons, states)
         if self._group is not None:
             self._latest |= found
             self._touched |= found.keys()
         return batch, changed
+
+    def _counter_states(self, names: Iterable[str]) -> list[CounterState]:
+        known = self._totals.accumulators
+        return [CounterState(name, known[name].total, last) for name in names if (last := known[name].last) is not None]
 
     def _count(self, found: Mapping[str, Reading]) -> bool:
         changed = False

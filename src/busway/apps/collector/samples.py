@@ -22,6 +22,7 @@ from ...values.refusal import shown
 
 __all__ = [
     "NANOSECONDS",
+    "CounterState",
     "Gap",
     "PointDescription",
     "PointGroup",
@@ -94,6 +95,21 @@ class PointGroup:
 
 
 @dataclass(frozen=True, slots=True)
+class CounterState:
+    """How far an accumulator is: what a total needs to go on after a restart.
+
+    Attributes:
+        point: name of the point.
+        total: what it has come to.
+        last: what the counter showed last.
+    """
+
+    point: str
+    total: float
+    last: float
+
+
+@dataclass(frozen=True, slots=True)
 class SampleBatch:
     """The samples of one read, in columns.
 
@@ -103,6 +119,7 @@ class SampleBatch:
         half_width: half the length of the transaction, nanoseconds.
         values: one for each point of the group; None only where the reason is bad.
         reasons: one for each point, or one number for all.
+        counters: the accumulators of the group as they are with these samples; kept by the same commit.
     """
 
     group: PointGroup
@@ -110,6 +127,7 @@ class SampleBatch:
     half_width: int
     values: Sequence[Value | None]
     reasons: Sequence[int] | int = 0
+    counters: Sequence[CounterState] = ()
 
     def __post_init__(self) -> None:
         count = len(self.group.points)

@@ -35,7 +35,7 @@ Rules:
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache
 from typing import Annotated, Any, Final, Literal, TypeVar
 
@@ -177,17 +177,40 @@ class ReportSection(Section):
 
 
 class AlarmSection(Section):
-    """``alarm``: one alarm of a point: its limit, delay and hysteresis."""
+    """``alarm``: a limit of a point, or states of it that are an alarm."""
 
-    kind: Literal["HH", "H", "L", "LL"]
-    limit: Finite
+    kind: Literal["HH", "H", "L", "LL", "state"]
+    limit: Finite | None = None
     delay: Seconds = 0.0
     hysteresis: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     acknowledge: bool = False
+    states: list[bool | str] = Field(default_factory=list)
 
-    def described(self) -> AlarmRule:
-        """The section as an `AlarmRule` of `busway.points`."""
-        return AlarmRule(self.kind, self.limit, self.delay, self.hysteresis, self.acknowledge)
+    @model_validator(mode="after")
+    def _check(self) -> "AlarmSection":
+        wanted, other = ("states", "limit") if self.kind == "state" else ("limit", "states")
+        if not self.states if self.kind == "state" else self.limit is None:
+            raise FileProblems([((wanted,), f"is missing: {self.kind} needs it")])
+        for key in (other, "hysteresis") if self.kind == "state" else (other,):
+            if key in self.model_fields_set:
+                raise FileProblems([((key,), f"does not go with {self.kind}")])
+        return self
+
+    def described(self, names: Mapping[str, int], flags: Mapping[str, int]) -> AlarmRule:
+        """The section as an `AlarmRule` of `busway.points`; ``names`` and ``flags`` are those of the point."""
+        states = tuple(("on" if each else "off") if isinstance(each, bool) else each for each in self.states)
+        numbers = frozenset(int(each) if isinstance(each, bool) else names.get(each, 0) for each in self.states)
+        bits = sum(1 << flags[each] for each in set(map(str, self.states)) & flags.keys())
+        return AlarmRule(
+            self.kind,
+            self.limit or 0.0,
+            self.delay,
+            self.hysteresis,
+            self.acknowledge,
+            states,
+            frozenset() if bits else numbers,
+            bits,
+        )
 
 
 STAND_IN: Final = "0"
@@ -379,7 +402,7 @@ class PointSection(WholeSection):
             "unit_of_measure": self.unit_of_measure,
             "poll_class": self.poll_class,
             "reporting": self.report.described(),
-            "alarms": tuple(each.described() for each in self.alarm),
+            "alarms": tuple(each.described(self.enumeration, self.flags) for each in self.alarm),
             "was": self.was,
             "description": self.description,
             **({"meta": self.meta} if self.meta else {}),
@@ -555,10 +578,25 @@ class PointSection(WholeSection):
         if self.valid is not None and not self.is_computed and not self.is_number:
             yield ("valid",), f"{shown(self.name)} holds no number and has no valid range"
         for index, each in enumerate(self.alarm):
-            if not self.is_computed and not self.is_number:
+            if each.kind == "state":
+                yield from self._state_faults(index, each)
+            elif not self.is_computed and not self.is_number:
                 yield ("alarm", index), f"{shown(self.name)} holds no number and has no limits"
             if any(other.kind == each.kind for other in self.alarm[:index]):
                 yield ("alarm", index, "kind"), f"{each.kind} is there already"
+
+    def _state_faults(self, index: int, alarm: AlarmSection) -> Iterator[tuple[Path, str]]:
+        is_bit = not self.is_computed and self.form is None
+        there = ["true", "false"] if is_bit else [*self.enumeration, *self.flags]
+        if not there:
+            yield ("alarm", index), f"{shown(self.name)} has no states: it is no bit, and has no enumeration or flags"
+            return
+        for place, each in enumerate(alarm.states):
+            if isinstance(each, bool) is not is_bit or (isinstance(each, str) and each not in there):
+                yield (
+                    ("alarm", index, "states", place),
+                    f"there is no state {shown(each)}; there are {', '.join(there)}",
+                )
 
     def _name_faults(self) -> Iterator[tuple[Path, str]]:
         if self.flags and (not self.is_whole or self.conversion.changes or self.scale_from):

@@ -43,10 +43,15 @@ def recorded(folder: Path, durability: str, *options: str) -> tuple[Path, list[R
     return store, records_of(log)
 
 
-def cuts(records: list[Record], store: Path, seed: int) -> Iterator[tuple[int, PowerFailure, list[int]]]:
+def cuts(
+    records: list[Record], store: Path, seed: int, *, each_time_handed_on: bool = False
+) -> Iterator[tuple[int, PowerFailure, list[int]]]:
     """Points at which the power fails, the state there, and what was handed on before."""
     moments = random.Random(seed)
     wanted = set(moments.sample(range(len(records)), CUTS))
+    if each_time_handed_on:
+        handing = str(store / store_worker.HANDED_ON)
+        wanted |= {index for index, each in enumerate(records) if (each.path, each.operation) == (handing, "w")}
     state, handed_on = PowerFailure(), []
     for index, record in enumerate(records):
         if record.path == str(store / store_worker.HANDED_ON):
@@ -85,7 +90,7 @@ def test_what_was_handed_on_survives_a_power_failure_anywhere(tmp_path: Path, du
 def test_without_it_a_power_failure_costs_the_end_and_leaves_a_whole_store(tmp_path: Path) -> None:
     store, records = recorded(tmp_path, "process")
     lost = 0
-    for index, state, handed_on in cuts(records, store, 1):
+    for index, state, handed_on in cuts(records, store, 1, each_time_handed_on=True):
         target = tmp_path / str(index)
         target.mkdir()
         lay_out(state.left(None), store, target)

@@ -8,6 +8,7 @@
 `writer`        commits, one after the other: rolls, seals, drops; survives a full disk
 `commit_thread` the thread that commits for an event loop, every quarter of a second
 `retention`     which parts are too old or too many
+`journal`       the journal of alarms, and how far accumulators are
 `parts`         rows of one part, whatever its format
 `selection`     which points, which time
 `reading`       `Store`: rows and buckets of all parts as one

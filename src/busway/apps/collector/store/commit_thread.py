@@ -17,10 +17,11 @@ import sqlite3
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from ..alarms.events import AlarmEvent
 from ..samples import Gap, PointDescription, Reason, SampleBatch, StateInterval
 from .writer import Commit, StoreWriter
 
@@ -35,6 +36,8 @@ AT_ONCE: Final = 50_000
 """Values that are committed without waiting for the interval."""
 MOST_WAITING: Final = 1_000_000
 """Values that wait at most for a store that cannot be written: some 100 MB."""
+MOST_ALARMS: Final = 10_000
+"""Events of alarms that wait at most then; the oldest are dropped, and the state of each alarm is in its last one."""
 
 _log = logging.getLogger("busway.store")
 
@@ -89,7 +92,9 @@ class Committer:
         self._changed = threading.Condition()
         self._batches: deque[SampleBatch] = deque()
         self._intervals: list[StateInterval | Gap] = []
+        self._alarms: deque[tuple[int, AlarmEvent]] = deque()
         self._descriptions: deque[tuple[int, list[PointDescription]]] = deque()
+        self._described = 0
         self._taken = 0
         self._waiting = 0
         self._lost_now: Gap | None = None
@@ -112,10 +117,11 @@ class Committer:
         """Call a function after each commit, in the thread of the committer; what it raises is logged and counted."""
         self._subscribers.append(told)
 
-    def add(self, batch: SampleBatch) -> None:
-        """Take the samples of one read."""
+    def add(self, batch: SampleBatch, alarms: Sequence[AlarmEvent] = ()) -> None:
+        """Take the samples of one read, and events of alarms that one commit has to keep with them."""
         with self._changed:
             self._batches.append(batch)
+            self._note_alarms(alarms)
             self._waiting += len(batch)
             if self._waiting > self._most:
                 self._drop_oldest()
@@ -128,8 +134,14 @@ class Committer:
             self._intervals.append(interval)
             self._changed.notify_all()
 
+    def add_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
+        """Take events of alarms that no sample caused."""
+        with self._changed:
+            self._note_alarms(alarms)
+            self._changed.notify_all()
+
     def describe(self, descriptions: Iterable[PointDescription]) -> None:
-        """Note what is known of points, behind all samples that were added so far."""
+        """Note what is known of points, behind all samples and events of alarms that were added so far."""
         with self._changed:
             self._descriptions.append((self._taken + len(self._batches), list(descriptions)))
             self._changed.notify_all()
@@ -199,7 +211,19 @@ class Committer:
 
     def _is_due(self) -> bool:
         """Whether anything waits. The lock is held."""
-        return bool(self._batches or self._intervals or self._descriptions)
+        return bool(self._batches or self._intervals or self._descriptions or self._alarms)
+
+    def _note_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
+        """Take events with the number of the descriptions whose names they have. The lock is held."""
+        known = self._described + len(self._descriptions)
+        self._alarms.extend((known, event) for event in alarms)
+
+    def _next_alarms(self) -> list[tuple[int, AlarmEvent]]:
+        """The events up to the next change of names. The lock is held."""
+        taken = []
+        while self._alarms and self._alarms[0][0] <= self._described:
+            taken.append(self._alarms.popleft())
+        return taken
 
     def _describe_what_is_due(self) -> None:
         """Note what is known of points from the next sample on."""
@@ -207,6 +231,7 @@ class Committer:
             self.writer.describe_points(self._descriptions[0][1])
             with self._changed:
                 self._descriptions.popleft()
+                self._described += 1
 
     def _next_batches(self) -> list[SampleBatch]:
         """The samples up to the next change of names. The lock is held."""
@@ -220,20 +245,22 @@ class Committer:
         """Commit what waits; False where the store could not be written, and all of it waits again."""
         batches: list[SampleBatch] = []
         intervals: list[StateInterval | Gap] = []
+        alarms: list[tuple[int, AlarmEvent]] = []
         gap: Gap | None = None
         try:
             self._describe_what_is_due()
             with self._changed:
                 batches = self._next_batches()
                 intervals, self._intervals = self._intervals, []
+                alarms = self._next_alarms()
                 gap, self._lost_now = self._lost_now, None
                 self._committing = True
             told = [*intervals, gap] if gap is not None else intervals
-            commit = self.writer.commit(batches, told, self._now())
+            commit = self.writer.commit(batches, told, self._now(), [event for _, event in alarms])
         except Exception as error:  # a defect must not end the thread unseen: it is in the status, and tried again
             if not isinstance(error, sqlite3.Error | OSError) and self._error is None:
                 _log.exception("the store failed in a way that nobody expects")
-            self._put_back(batches, intervals, gap, str(error) or type(error).__name__)
+            self._put_back(batches, intervals, alarms, gap, str(error) or type(error).__name__)
             return False
         self._sync_when_due()
         with self._changed:
@@ -274,13 +301,21 @@ class Committer:
                     self._subscriber_failures += 1
 
     def _put_back(
-        self, batches: list[SampleBatch], intervals: list[StateInterval | Gap], gap: Gap | None, error: str
+        self,
+        batches: list[SampleBatch],
+        intervals: list[StateInterval | Gap],
+        alarms: list[tuple[int, AlarmEvent]],
+        gap: Gap | None,
+        error: str,
     ) -> None:
         with self._changed:
             self._committing = False
             self._batches.extendleft(reversed(batches))
             self._taken -= len(batches)
             self._intervals[:0] = intervals
+            self._alarms.extendleft(reversed(alarms))
+            while len(self._alarms) > MOST_ALARMS:
+                self._alarms.popleft()
             if gap is not None:
                 self._note_loss(gap)
             if self._error is None:

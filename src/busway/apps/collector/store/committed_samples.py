@@ -10,13 +10,15 @@ Knows how each kind of part is read in that order; knows no sink.
 
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from ..alarms.events import AlarmEvent
 from ..samples import Quality, Value, quality_of
 from .folder import SEGMENTS
-from .manifest import IntervalRow, Manifest, StoredPoint, StorePart
+from .journal import alarm_events, alarm_rows
+from .manifest import AlarmRow, IntervalRow, Manifest, StoredPoint, StorePart
 from .parts import Row, open_part_facts, part_intervals, rows_of_table
 from .sealing import arrow
 from .segment import open_for_reading, sample_value
@@ -55,16 +57,32 @@ class CommittedSample:
 
 
 @dataclass(frozen=True, slots=True)
+class CommittedAlarm:
+    """An event of an alarm on its way to a sink.
+
+    Attributes:
+        commit, place: number of its commit and place in it; the same at every repetition.
+        event: what happened.
+    """
+
+    commit: int
+    place: int
+    event: AlarmEvent
+
+
+@dataclass(frozen=True, slots=True)
 class CommitRange:
     """Samples of some commits.
 
     Attributes:
         last: the last commit that they are complete up to.
         samples: ordered by commit, time and point.
+        alarms: events of alarms of these commits, with the number of the commit and their place in it.
     """
 
     last: int
     samples: list[CommittedSample]
+    alarms: list[CommittedAlarm] = field(default_factory=list)
 
 
 class CommitReader:
@@ -144,14 +162,21 @@ class CommitReader:
             self._sealed = None
             last, rows = self._segment_rows(segment[0], after, most)
         intervals = [row for row in self._intervals(segment) if after < row.commit_number <= last]
-        return CommitRange(last, self._samples(rows, intervals))
+        alarms = [row for row in alarm_rows(self._folder, self._manifest, after) if row.commit_number <= last]
+        return CommitRange(last, self._samples(rows, intervals), self._committed_alarms(alarms))
+
+    def _committed_alarms(self, rows: list[AlarmRow]) -> list[CommittedAlarm]:
+        events = alarm_events(rows, self._manifest) if rows else []
+        return [CommittedAlarm(row.commit_number, row.place, each) for row, each in zip(rows, events, strict=True)]
 
     def _of_intervals_alone(self, after: int) -> CommitRange | None:
-        """Intervals whose segment had no samples, and so left no part when it was sealed."""
+        """Intervals and alarms whose segment had no samples, and so left no part when it was sealed."""
         intervals = [row for row in self._manifest.intervals() if row.commit_number > after]
-        if not intervals:
+        alarms = self._manifest.alarms(after)
+        numbers = [row.commit_number for row in intervals] + [row.commit_number for row in alarms]
+        if not numbers:
             return None
-        return CommitRange(intervals[-1].commit_number, self._samples([], intervals))
+        return CommitRange(max(numbers), self._samples([], intervals), self._committed_alarms(alarms))
 
     def _segment_rows(self, part: StorePart, after: int, most: int) -> tuple[int, list[Row]]:
         with closing(open_for_reading(self._folder / SEGMENTS / part.file)) as database:

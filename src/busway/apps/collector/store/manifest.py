@@ -53,7 +53,19 @@ CREATE TABLE IF NOT EXISTS cursors (
     sink TEXT PRIMARY KEY, commit_number INTEGER NOT NULL, lost INTEGER NOT NULL DEFAULT 0
 ) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS unlinks (file TEXT PRIMARY KEY) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS alarms (
+    commit_number INTEGER NOT NULL, place INTEGER NOT NULL, point INTEGER NOT NULL, "limit" TEXT NOT NULL,
+    event TEXT NOT NULL, at INTEGER NOT NULL, value, by TEXT NOT NULL, needs INTEGER NOT NULL, text TEXT NOT NULL,
+    PRIMARY KEY (commit_number, place)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS counters (
+    point INTEGER PRIMARY KEY, total NOT NULL, last NOT NULL, commit_number INTEGER NOT NULL
+);
+CREATE TABLE IF NOT EXISTS maintenance (
+    device TEXT PRIMARY KEY, begin INTEGER NOT NULL, by TEXT NOT NULL, why TEXT NOT NULL
+) WITHOUT ROWID;
 """
+INSERT_ALARM: Final = "INSERT OR REPLACE INTO alarms VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +107,42 @@ class IntervalRow:
     reason: int
     lost: int
     commit_number: int
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmRow:
+    """An `AlarmEvent` as it is stored: its commit, its place in that, the id of its point, and the rest."""
+
+    commit_number: int
+    place: int
+    point: int
+    limit: str
+    event: str
+    at: int
+    value: Any  # as SQLite has it
+    by: str
+    needs: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class CounterRow:
+    """A `CounterState` as it is stored: the id of its point, total and last counter, and its commit."""
+
+    point: int
+    total: Any  # as SQLite has it
+    last: Any
+    commit_number: int
+
+
+@dataclass(frozen=True, slots=True)
+class MaintenanceRow:
+    """A device that is in maintenance: since when (nanoseconds since 1970 UTC), who began it, and why."""
+
+    device: str
+    begin: int
+    by: str
+    why: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,9 +260,18 @@ class Manifest:
             identity = cursor.lastrowid or 0
         return StorePart(identity, number, file, "open", None, None, None, None, None, None, None)
 
-    def close_segment(self, part: StorePart) -> None:
-        """List what is known of a segment that is finished."""
+    def close_segment(
+        self, part: StorePart, alarms: Iterable[AlarmRow] = (), counters: Iterable[CounterRow] = ()
+    ) -> None:
+        """List what is known of a segment that is finished, and take over its alarms and accumulators."""
         with self.transaction() as database:
+            database.executemany(INSERT_ALARM, [astuple(row) for row in alarms])
+            database.executemany(
+                "INSERT INTO counters VALUES (?, ?, ?, ?) ON CONFLICT (point) DO UPDATE SET total = excluded.total,"
+                " last = excluded.last, commit_number = excluded.commit_number"
+                " WHERE excluded.commit_number > commit_number",
+                [astuple(row) for row in counters],
+            )
             database.execute(
                 "UPDATE parts SET kind = 'closed', low = ?, high = ?, first_commit = ?, last_commit = ?, alive = ?,"
                 " rows = ?, bytes = ? WHERE id = ?",
@@ -269,6 +326,39 @@ class Manifest:
     def intervals(self) -> list[IntervalRow]:
         """Intervals of parts that are sealed."""
         return [IntervalRow(*row) for row in self._all("SELECT * FROM intervals ORDER BY commit_number")]
+
+    # Alarms, accumulators, maintenance
+
+    def alarms(self, after: int = 0) -> list[AlarmRow]:
+        """Events of alarms behind a commit, of segments that are finished, in the order of their commits."""
+        rows = self._all("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", after)
+        return [AlarmRow(*row) for row in rows]
+
+    def forget_alarms(self, rows: Iterable[AlarmRow]) -> None:
+        """Take events off the journal."""
+        with self.transaction() as database:
+            database.executemany(
+                "DELETE FROM alarms WHERE commit_number = ? AND place = ?",
+                [(row.commit_number, row.place) for row in rows],
+            )
+
+    def counters(self) -> list[CounterRow]:
+        """The accumulators of segments that are finished."""
+        return [CounterRow(*row) for row in self._all("SELECT * FROM counters")]
+
+    def maintenance(self) -> list[MaintenanceRow]:
+        """The devices that are in maintenance."""
+        return [MaintenanceRow(*row) for row in self._all("SELECT * FROM maintenance ORDER BY device")]
+
+    def begin_maintenance(self, row: MaintenanceRow) -> None:
+        """Note that a device is in maintenance."""
+        with self.transaction() as database:
+            database.execute("INSERT OR REPLACE INTO maintenance VALUES (?, ?, ?, ?)", astuple(row))
+
+    def end_maintenance(self, device: str) -> None:
+        """Note that a device is no longer in maintenance."""
+        with self.transaction() as database:
+            database.execute("DELETE FROM maintenance WHERE device = ?", (device,))
 
     # Points
 

@@ -19,9 +19,11 @@ from pathlib import Path
 from typing import Any, Final, TypeVar, overload
 
 from ....errors import InvalidRequest
+from ..alarms.events import AlarmEvent
 from ..samples import Gap, StateInterval
 from .folder import check_store
 from .frames import BucketTable, SampleTable
+from .journal import alarm_events, alarm_rows
 from .manifest import IntervalRow, Manifest, StoredPoint, StorePart
 from .parts import (
     Row,
@@ -137,6 +139,25 @@ class Store:
             marks = marks[len(before) :]
             yield _table(sorted(rows + before, key=lambda row: row[:2]), by_id, [])
         yield _table(marks, by_id, intervals)
+
+    def alarms(
+        self, points: str | Sequence[str] = "*", *, since: Moment | None = None, until: Moment | None = None
+    ) -> list[AlarmEvent]:
+        """The journal of alarms, in the order of commits.
+
+        Args:
+            points, since, until: as for `read`.
+
+        Raises:
+            InvalidRequest: a pattern names no point, or a time is none.
+            ConfigError: the store cannot be read.
+        """
+        now = time.time_ns()
+        low = 0 if since is None else moment(since, now)
+        high = EVER if until is None else moment(until, now)
+        names = {(point.device, point.point) for point in self._chosen(points)}
+        events = self._from_manifest(lambda manifest: alarm_events(alarm_rows(self.folder, manifest), manifest))
+        return [each for each in events if low <= each.at < high and (each.device, each.point) in names]
 
     def _buckets(
         self, points: str | Sequence[str], since: Moment | None, until: Moment | None, bucket: int

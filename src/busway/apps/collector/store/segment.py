@@ -15,15 +15,16 @@ import contextlib
 import os
 import sqlite3
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import astuple, replace
 from itertools import repeat
 from pathlib import Path
 from typing import Final
 
+from ..alarms.events import AlarmEvent
 from ..samples import Gap, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
 from .database import open_database
 from .folder import size_of, sync_file
-from .manifest import IntervalRow, StorePart
+from .manifest import INSERT_ALARM, AlarmRow, CounterRow, IntervalRow, StorePart
 
 LOG_LIMIT: Final = 32 * 1024 * 1024
 """Bytes of the write-ahead log from which on it is moved into the file after each commit."""
@@ -43,12 +44,23 @@ CREATE TABLE IF NOT EXISTS intervals (
     device TEXT, begin INTEGER NOT NULL, "end" INTEGER, reason INTEGER NOT NULL, lost INTEGER NOT NULL,
     commit_number INTEGER NOT NULL
 );
+CREATE TABLE IF NOT EXISTS alarms (
+    commit_number INTEGER NOT NULL, place INTEGER NOT NULL, point INTEGER NOT NULL, "limit" TEXT NOT NULL,
+    event TEXT NOT NULL, at INTEGER NOT NULL, value, by TEXT NOT NULL, needs INTEGER NOT NULL, text TEXT NOT NULL,
+    PRIMARY KEY (commit_number, place)
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS counters (
+    point INTEGER PRIMARY KEY, total NOT NULL, last NOT NULL, commit_number INTEGER NOT NULL
+);
 COMMIT;
 """
 _INSERT: Final = "INSERT OR REPLACE INTO samples VALUES (?, ?, ?, ?, ?, ?)"
+_COUNTER: Final = "INSERT OR REPLACE INTO counters VALUES (?, ?, ?, ?)"
 
 KeyedBatch = tuple[Sequence[int], SampleBatch]
 """The ids of the points of a batch, and the batch."""
+KeyedAlarm = tuple[int, AlarmEvent]
+"""The id of the point of an event, and the event."""
 
 
 class Segment:
@@ -66,18 +78,27 @@ class Segment:
         )
 
     def begin(
-        self, number: int, at: int, batches: Sequence[KeyedBatch], intervals: Sequence[StateInterval | Gap]
+        self,
+        number: int,
+        at: int,
+        batches: Sequence[KeyedBatch],
+        intervals: Sequence[StateInterval | Gap],
+        alarms: Sequence[KeyedAlarm] = (),
     ) -> None:
         """Write all of a commit but its end; `commit` or `rollback` follows."""
         database = self._database
         database.execute("BEGIN IMMEDIATE")
         for ids, batch in batches:
             insert_batch(database, ids, batch, number)
+            if batch.counters:
+                database.executemany(_COUNTER, _counter_rows(ids, batch, number))
         times = [batch.time for _, batch in batches]
         low, high = (min(times), max(times)) if times else (None, None)
         count = sum(len(ids) for ids, _ in batches)
         database.execute("INSERT INTO commits VALUES (?, ?, ?, ?, ?)", (number, at, low, high, count))
         database.executemany("INSERT INTO intervals VALUES (?, ?, ?, ?, ?, ?)", _interval_rows(intervals, number))
+        if alarms:
+            database.executemany(INSERT_ALARM, [astuple(row) for row in _alarm_rows(alarms, number)])
 
     def commit(self) -> None:
         """End the transaction, then move the log into the file where it has grown.
@@ -191,6 +212,35 @@ def _interval_rows(
     ]
 
 
+def _alarm_rows(alarms: Sequence[KeyedAlarm], number: int) -> list[AlarmRow]:
+    return [
+        AlarmRow(
+            number,
+            place,
+            point,
+            event.limit,
+            event.kind.value,
+            event.at,
+            stored_value(event.value),
+            event.by,
+            event.needs_acknowledgement,
+            event.text,
+        )
+        for place, (point, event) in enumerate(alarms)
+    ]
+
+
+def _counter_rows(ids: Sequence[int], batch: SampleBatch, number: int) -> list[tuple[int, object, object, int]]:
+    known = dict(zip(batch.points, ids, strict=True))
+    return [
+        (known[each.point], _stored_number(each.total), _stored_number(each.last), number) for each in batch.counters
+    ]
+
+
+def _stored_number(value: float) -> object:
+    return stored_value(value) if is_storable(value) else float(value)
+
+
 def open_for_reading(path: Path) -> sqlite3.Connection:
     """A connection to a segment that writes nothing. Raises `FileNotFoundError` where the file is gone."""
     if not path.exists():
@@ -214,6 +264,28 @@ def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StoreP
 def is_unmade(error: sqlite3.OperationalError) -> bool:
     """Whether a segment was listed and its file made, but not yet its tables: it holds nothing."""
     return "no such table" in str(error)
+
+
+def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
+    """The events of alarms of a segment behind a commit, in the order of their commits."""
+    try:
+        rows = database.execute("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", (after,))
+    except sqlite3.OperationalError as error:
+        if not is_unmade(error):
+            raise
+        return []
+    return [AlarmRow(*row) for row in rows]
+
+
+def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
+    """The accumulators of a segment, each as it was last."""
+    try:
+        rows = database.execute("SELECT point, total, last, commit_number FROM counters")
+    except sqlite3.OperationalError as error:
+        if not is_unmade(error):
+            raise
+        return []
+    return [CounterRow(*row) for row in rows]
 
 
 def intervals_of(database: sqlite3.Connection) -> list[IntervalRow]:

@@ -20,12 +20,14 @@ from pathlib import Path
 from typing import Final, Literal, Self
 
 from ....errors import ConfigError
+from ..alarms.events import AlarmEvent
 from ..samples import Gap, PointDescription, PointGroup, Reason, SampleBatch, StateInterval
 from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
-from .manifest import Manifest, StorePart
+from .journal import forget_old_alarms
+from .manifest import AlarmRow, CounterRow, Manifest, StorePart
 from .retention import Retention, parts_to_drop
 from .sealing import SLOT, Step, can_seal, remove_unfinished, remove_unlisted, seal
-from .segment import Segment, facts_of, intervals_of, is_unmade, open_for_reading
+from .segment import Segment, alarms_of, counters_of, facts_of, intervals_of, is_unmade, open_for_reading
 
 SEGMENT_SIZE: Final = 256 * 1024 * 1024
 
@@ -59,12 +61,14 @@ class Commit:
         at: nanoseconds since 1970 UTC.
         batches: the samples.
         intervals: intervals and gaps.
+        alarms: events of alarms.
     """
 
     number: int
     at: int
     batches: Sequence[SampleBatch]
     intervals: Sequence[StateInterval | Gap]
+    alarms: Sequence[AlarmEvent] = ()
 
 
 def no_step(name: str) -> None:
@@ -95,6 +99,7 @@ class StoreWriter:
         self._segment: Segment | None = None
         self._part: StorePart | None = None
         self._slot = 0
+        self._journal_grew = True
         self._files = threading.Lock()
         self._groups: weakref.WeakKeyDictionary[PointGroup, tuple[int, ...]] = weakref.WeakKeyDictionary()
         self._lock = StoreLock(self.folder)
@@ -149,16 +154,20 @@ class StoreWriter:
         """List what the commits of a segment say; one that holds none (a crash at its begin) is taken off the list."""
         path = self.folder / SEGMENTS / part.file
         found = part
+        alarms: list[AlarmRow] = []
+        counters: list[CounterRow] = []
         try:
             with closing(open_for_reading(path)) as database:
                 found = facts_of(database, part, path.stat().st_size)
+                alarms, counters = alarms_of(database), counters_of(database)
         except FileNotFoundError:
             pass
         except sqlite3.OperationalError as error:
             if not is_unmade(error):
                 raise
         if found.last_commit is not None:
-            self.manifest.close_segment(found)
+            self.manifest.close_segment(found, alarms, counters)
+            self._journal_grew = True
             return
         self.manifest.drop_parts([part], before=0)
         remove_unlisted(self.folder, self.manifest)
@@ -184,29 +193,37 @@ class StoreWriter:
         self.manifest.describe_points(descriptions, self._next - 1)
         self._groups.clear()
 
-    def commit(self, batches: Sequence[SampleBatch], intervals: Sequence[StateInterval | Gap], now: int) -> Commit:
+    def commit(
+        self,
+        batches: Sequence[SampleBatch],
+        intervals: Sequence[StateInterval | Gap],
+        now: int,
+        alarms: Sequence[AlarmEvent] = (),
+    ) -> Commit:
         """Make samples and intervals part of the store.
 
         Args:
             batches: samples, of any devices and times.
             intervals: intervals that began or ended, and gaps.
             now: nanoseconds since 1970 UTC.
+            alarms: events of alarms.
 
         Raises:
             sqlite3.Error, OSError: nothing of it was kept (the disk is full, for one); the store is as it was.
         """
         keyed = [(self._ids(batch), batch) for batch in batches]
+        events = [(self.manifest.point_ids(event.device, [event.point])[0], event) for event in alarms]
         number = self._take_number()
         segment = self._segment_for(now)
         with ExitStack() as unless_committed:
             unless_committed.callback(self._forget_segment)
             unless_committed.callback(segment.rollback)
-            segment.begin(number, now, keyed, intervals)
+            segment.begin(number, now, keyed, intervals, events)
             self._step("before-commit")
             segment.commit()
             unless_committed.pop_all()
         self._step("after-commit")
-        return Commit(number, now, batches, intervals)
+        return Commit(number, now, batches, intervals, alarms)
 
     def sync(self) -> None:
         """Make what was committed survive a power failure, where not every commit does. Raises `OSError`."""
@@ -295,6 +312,9 @@ class StoreWriter:
         with self._files:
             dropped = parts_to_drop(self._sized_parts(), self.options.retention, now)
             age = self.options.retention.age
+            if self._journal_grew:
+                self._journal_grew = False
+                forget_old_alarms(self.manifest, 0 if age is None else now - int(age * 1_000_000_000))
             if not dropped and age is None:
                 return []
             self.manifest.drop_parts(dropped, before=0 if age is None else now - int(age * 1_000_000_000))

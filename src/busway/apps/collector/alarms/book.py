@@ -1,0 +1,91 @@
+"""The alarms of all points: which samples concern which limits.
+
+Pure: knows devices, points and samples; knows no store and no clock.
+
+1. Only points with alarms cost anything: a group of points without them is found by one look-up.
+2. Where a file is read again, an alarm stays what it was under the new limit, which holds from the next sample on. A
+   point that was renamed takes its alarms along. An alarm whose limit is gone is ended by an event.
+"""
+
+import weakref
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from ....points.point import Point
+from ..samples import PointGroup, SampleBatch
+from .events import AlarmEvent, AlarmEventKind, AlarmKey, RaisedAlarm
+from .machine import AlarmMachine
+
+_Places = tuple[tuple[int, tuple[AlarmMachine, ...]], ...]
+"""Places of points with alarms in a group, and their machines."""
+
+
+class AlarmBook:
+    """The alarm machines of a collector, by device, point and limit."""
+
+    def __init__(self) -> None:
+        self.machines: dict[AlarmKey, AlarmMachine] = {}
+        self._devices: frozenset[str] = frozenset()
+        self._places: weakref.WeakKeyDictionary[PointGroup, _Places] = weakref.WeakKeyDictionary()
+
+    def configure(
+        self, devices: Mapping[str, Sequence[Point]], at: int, raised: Mapping[AlarmKey, RaisedAlarm] | None = None
+    ) -> list[AlarmEvent]:
+        """Have the alarms that the points say.
+
+        Args:
+            devices: the points of each device.
+            at: nanoseconds since 1970 UTC.
+            raised: at a start, what the journal says there was.
+
+        Returns:
+            Ends of alarms whose limits are gone.
+        """
+        before = self.machines
+        alarms = {key: each.alarm for key, each in before.items() if each.alarm} if raised is None else dict(raised)
+        self.machines = {}
+        for device, points in devices.items():
+            for point in points:
+                for rule in point.alarms:
+                    key = (device, point.name, rule.kind)
+                    former = (device, point.was, rule.kind)
+                    known = before.get(key)
+                    alarm = alarms.pop(key, None)
+                    if alarm is None and former in alarms:
+                        alarm = replace(alarms.pop(former), point=point.name)
+                    if known is None or known.rule != rule or known.alarm is not alarm:
+                        known = AlarmMachine(device, point.name, rule, point.unit_of_measure, alarm)
+                    self.machines[key] = known
+        self._devices = frozenset(device for device, _, _ in self.machines)
+        self._places.clear()
+        return [AlarmEvent(*alarm.key, AlarmEventKind.REMOVED, at, text=alarm.text) for alarm in alarms.values()]
+
+    def take(self, batch: SampleBatch, now: float) -> Sequence[AlarmEvent]:
+        """What the samples of a read mean; ``now`` is the monotonic time of their middle, in seconds."""
+        group = batch.group
+        if group.device not in self._devices:
+            return ()
+        places = self._places.get(group)
+        if places is None:
+            places = self._places[group] = self._places_of(group)
+        if not places:
+            return ()
+        reasons = batch.reason_column()
+        return [
+            event
+            for place, machines in places
+            for machine in machines
+            if (event := machine.take(batch.values[place], reasons[place], batch.time, now)) is not None
+        ]
+
+    def _places_of(self, group: PointGroup) -> _Places:
+        by_point: dict[str, list[AlarmMachine]] = {}
+        for machine in self.machines.values():
+            if machine.device == group.device:
+                by_point.setdefault(machine.point, []).append(machine)
+        return tuple((place, tuple(by_point[point])) for place, point in enumerate(group.points) if point in by_point)
+
+    def acknowledge(self, key: AlarmKey, by: str, at: int) -> AlarmEvent | None:
+        """Acknowledge an alarm; None where there is nothing to acknowledge."""
+        machine = self.machines.get(key)
+        return None if machine is None else machine.acknowledge(by, at)

@@ -1,0 +1,185 @@
+"""The alarms of a running collector: what programs and the page use.
+
+Knows the book, the committer and asyncio; for the thread of the event loop.
+
+1. What is shown and handed on was committed: an event is in the journal first.
+2. An acknowledgement returns when it is in the journal.
+3. A reader of events that is too slow loses the oldest, which is counted.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Final, TypeVar
+
+from ....errors import InvalidRequest, Overloaded
+from ....points.point import Point
+from ..samples import NANOSECONDS, SampleBatch
+from .book import AlarmBook
+from .events import AlarmEvent, AlarmKey, AlarmState, RaisedAlarm, alarms_after, fold_event
+
+Named = TypeVar("Named", AlarmEvent, RaisedAlarm)
+
+MOST_WAITING: Final = 10_000
+"""Events that wait for a reader, at most."""
+RECENT: Final = 1000
+"""Events of the journal that are kept in memory, for the page."""
+ACKNOWLEDGE_WITHIN: Final = 5.0
+"""Seconds in which an acknowledgement has to be in the journal."""
+
+
+class _EventReader:
+    """One reader of events."""
+
+    def __init__(self) -> None:
+        self.waiting: deque[AlarmEvent] = deque(maxlen=MOST_WAITING)
+        self.arrived = asyncio.Event()
+        self.lost = 0
+
+    def take(self, events: Iterable[AlarmEvent]) -> None:
+        for event in events:
+            self.lost += len(self.waiting) == MOST_WAITING
+            self.waiting.append(event)
+        self.arrived.set()
+
+
+class CollectorAlarms:
+    """The alarms of a collector: ``collector.alarms``.
+
+    Args:
+        keep: makes events part of the journal; returns at once.
+        now: seconds of the monotonic clock of the samples.
+        wall: nanoseconds since 1970 UTC.
+
+    Attributes:
+        readers_lost: events that readers of `events` were too slow for.
+    """
+
+    def __init__(
+        self, keep: Callable[[Sequence[AlarmEvent]], None], now: Callable[[], float], wall: Callable[[], int]
+    ) -> None:
+        self.readers_lost: int = 0
+        self._keep, self._now, self._wall = keep, now, wall
+        self._book = AlarmBook()
+        self._raised: dict[AlarmKey, RaisedAlarm] = {}
+        self._journal: deque[AlarmEvent] = deque(maxlen=RECENT)
+        self._readers: list[_EventReader] = []
+        self._promised: dict[int, tuple[AlarmEvent, asyncio.Future[None]]] = {}
+        self._renamed: dict[tuple[str, str], str] = {}
+        self._ended = False
+
+    # What programs use.
+
+    def active(self) -> list[RaisedAlarm]:
+        """The alarms that are active, or that nobody has acknowledged; the one raised last comes last."""
+        return list(self._raised.values())
+
+    def pending(self) -> list[AlarmKey]:
+        """Device, point and limit of values that are beyond a limit whose delay is not over."""
+        return [key for key, machine in self._book.machines.items() if machine.state is AlarmState.PENDING]
+
+    def reason(self, key: AlarmKey) -> int:
+        """The reason of the last sample of the point of an alarm: 0 for good."""
+        machine = self._book.machines.get(key)
+        return 0 if machine is None else machine.reason
+
+    def journal(self, limit: int = 100) -> list[AlarmEvent]:
+        """The newest events, newest first; `RECENT` at most. `busway.Store.alarms` has all."""
+        return list(self._journal)[: -limit - 1 : -1]
+
+    def counts(self) -> tuple[int, int]:
+        """How many alarms are active, and how many nobody has acknowledged."""
+        states = [alarm.state for alarm in self._raised.values()]
+        return sum(each.is_active for each in states), sum(each.is_unacknowledged for each in states)
+
+    async def acknowledge(self, device: str, point: str, limit: str, by: str) -> AlarmEvent:
+        """Acknowledge an alarm; it is in the journal then.
+
+        Args:
+            device, point: names.
+            limit: the kind of the limit: ``HH``, ``H``, ``L``, ``LL`` or ``state``.
+            by: who does it.
+
+        Raises:
+            InvalidRequest: there is no such alarm to acknowledge.
+            Overloaded: the store could not be written within `ACKNOWLEDGE_WITHIN` seconds; it follows when it can.
+        """
+        event = self._book.acknowledge((device, point, limit), by, self._wall())
+        if event is None:
+            raise InvalidRequest(f"there is no alarm {limit} of {device}/{point} to acknowledge")
+        kept: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._promised[id(event)] = event, kept
+        self._keep([event])
+        try:
+            async with asyncio.timeout(ACKNOWLEDGE_WITHIN):
+                await kept
+        except TimeoutError:
+            raise Overloaded("the store cannot be written now; the acknowledgement waits in memory") from None
+        finally:
+            self._promised.pop(id(event), None)
+        return event
+
+    async def events(self) -> AsyncIterator[AlarmEvent]:
+        """The events from now on, each after it is in the journal, until the collector ends."""
+        reader = _EventReader()
+        self._readers.append(reader)
+        try:
+            while not self._ended:
+                while reader.waiting:
+                    yield reader.waiting.popleft()
+                reader.arrived.clear()
+                await reader.arrived.wait()
+        finally:
+            self._readers.remove(reader)
+            self.readers_lost += reader.lost
+
+    # What the collector does.
+
+    def begin(self, journal: Sequence[AlarmEvent], devices: Mapping[str, Sequence[Point]]) -> None:
+        """Go on where a journal ends."""
+        self._raised = alarms_after(journal)
+        self._journal.extend(journal)
+        self._tell(self._book.configure(devices, self._wall(), self._raised))
+
+    def configure(self, devices: Mapping[str, Sequence[Point]]) -> None:
+        """Go on with the limits of a file that was read again."""
+        there = {(device, point.name) for device, points in devices.items() for point in points}
+        self._renamed = {
+            (device, point.was): point.name
+            for device, points in devices.items()
+            for point in points
+            if point.was and (device, point.was) not in there
+        }
+        self._raised = {each.key: each for each in map(self._with_name, self._raised.values())}
+        self._tell(self._book.configure(devices, self._wall()))
+
+    def take(self, batch: SampleBatch) -> Sequence[AlarmEvent]:
+        """What the samples of a read that has just ended mean; the caller has them kept with the samples."""
+        return self._book.take(batch, self._now() - batch.half_width / NANOSECONDS)
+
+    def committed(self, events: Sequence[AlarmEvent]) -> None:
+        """Note events that are in the journal now."""
+        for event in events:
+            fold_event(self._raised, self._with_name(event))
+            promised = self._promised.get(id(event))
+            if promised is not None and not promised[1].done():
+                promised[1].set_result(None)
+        self._journal.extend(events)
+        for reader in self._readers:
+            reader.take(events)
+
+    def end(self) -> None:
+        """End all readers."""
+        self._ended = True
+        for reader in self._readers:
+            reader.arrived.set()
+
+    def _with_name(self, named: Named) -> Named:
+        """An alarm or event with the name that its point has now."""
+        name = self._renamed.get((named.device, named.point))
+        return named if name is None else replace(named, point=name)
+
+    def _tell(self, events: Sequence[AlarmEvent]) -> None:
+        if events:
+            self._keep(events)

@@ -1,0 +1,160 @@
+"""What happens to an alarm, and what an alarm is after it.
+
+Pure. The journal is a list of `AlarmEvent`; the alarms that there are follow from it, so a start after a crash knows
+what was active and acknowledged by reading the journal.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+from ..samples import Value
+
+
+class AlarmEventKind(StrEnum):
+    """What happened."""
+
+    RAISED = "raised"
+    ACKNOWLEDGED = "acknowledged"
+    CLEARED = "cleared"
+    REMOVED = "removed"
+    """The limit, the point or the device is no longer in the file."""
+
+
+class AlarmState(StrEnum):
+    """How an alarm is."""
+
+    NORMAL = "normal"
+    PENDING = "pending"
+    """The value is beyond the limit, and the delay is not over."""
+    UNACKNOWLEDGED = "active, not acknowledged"
+    ACKNOWLEDGED = "active"
+    """Active, and acknowledged or without need of it."""
+    CLEARED = "cleared, not acknowledged"
+    """The value has come back, and nobody has acknowledged the alarm."""
+
+    @property
+    def is_active(self) -> bool:
+        """Whether the value has not come back."""
+        return self in (AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED)
+
+    @property
+    def is_unacknowledged(self) -> bool:
+        """Whether a person has to acknowledge it."""
+        return self in (AlarmState.UNACKNOWLEDGED, AlarmState.CLEARED)
+
+
+NEXT_STATE: Final = {
+    (AlarmState.NORMAL, AlarmEventKind.RAISED): AlarmState.UNACKNOWLEDGED,
+    (AlarmState.CLEARED, AlarmEventKind.RAISED): AlarmState.UNACKNOWLEDGED,
+    (AlarmState.UNACKNOWLEDGED, AlarmEventKind.ACKNOWLEDGED): AlarmState.ACKNOWLEDGED,
+    (AlarmState.CLEARED, AlarmEventKind.ACKNOWLEDGED): AlarmState.NORMAL,
+    (AlarmState.UNACKNOWLEDGED, AlarmEventKind.CLEARED): AlarmState.CLEARED,
+    (AlarmState.ACKNOWLEDGED, AlarmEventKind.CLEARED): AlarmState.NORMAL,
+    (AlarmState.UNACKNOWLEDGED, AlarmEventKind.REMOVED): AlarmState.NORMAL,
+    (AlarmState.ACKNOWLEDGED, AlarmEventKind.REMOVED): AlarmState.NORMAL,
+    (AlarmState.CLEARED, AlarmEventKind.REMOVED): AlarmState.NORMAL,
+}
+"""The state after an event; what is not here changes nothing. A rule without acknowledgement raises to ACKNOWLEDGED."""
+
+AlarmKey = tuple[str, str, str]
+"""Device, point, and the kind of the limit: at most one alarm each."""
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmEvent:
+    """A line of the journal.
+
+    Attributes:
+        device, point: names.
+        limit: the kind of the limit: ``HH``, ``H``, ``L``, ``LL``, or ``state``.
+        kind: what happened.
+        at: nanoseconds since 1970 UTC; the time of the sample, where one was the cause.
+        value: what the point was; None where no sample was the cause.
+        by: who did it; empty where a sample was the cause.
+        needs_acknowledgement: whether a person has to acknowledge the alarm that was raised.
+        text: what the alarm means: ``above 80 °C``.
+    """
+
+    device: str
+    point: str
+    limit: str
+    kind: AlarmEventKind
+    at: int
+    value: Value | None = None
+    by: str = ""
+    needs_acknowledgement: bool = False
+    text: str = ""
+
+    @property
+    def key(self) -> AlarmKey:
+        """Which alarm it concerns."""
+        return self.device, self.point, self.limit
+
+
+@dataclass(frozen=True, slots=True)
+class RaisedAlarm:
+    """An alarm that is active, or that nobody has acknowledged.
+
+    Attributes:
+        device, point, limit, text: as in the event that raised it.
+        state: how it is; neither normal nor pending.
+        since: nanoseconds since 1970 UTC at which it was raised.
+        value: what the point was then.
+        acknowledged_by, acknowledged_at: who acknowledged it, and when; None for not yet.
+        cleared_at: when the value came back; None while it has not.
+    """
+
+    device: str
+    point: str
+    limit: str
+    text: str
+    state: AlarmState
+    since: int
+    value: Value | None
+    acknowledged_by: str | None = None
+    acknowledged_at: int | None = None
+    cleared_at: int | None = None
+
+    @property
+    def key(self) -> AlarmKey:
+        """Which alarm it is."""
+        return self.device, self.point, self.limit
+
+
+def alarm_after(alarm: RaisedAlarm | None, event: AlarmEvent) -> RaisedAlarm | None:
+    """What an alarm is after an event; None for normal."""
+    before = AlarmState.NORMAL if alarm is None else alarm.state
+    state = NEXT_STATE.get((before, event.kind))
+    if state is None:
+        return alarm
+    if event.kind is AlarmEventKind.RAISED:
+        needs = event.needs_acknowledgement or before is AlarmState.CLEARED
+        state = state if needs else AlarmState.ACKNOWLEDGED
+        return RaisedAlarm(event.device, event.point, event.limit, event.text, state, event.at, event.value)
+    if state is AlarmState.NORMAL or alarm is None:
+        return None
+    if event.kind is AlarmEventKind.ACKNOWLEDGED:
+        return replace(alarm, state=state, acknowledged_by=event.by, acknowledged_at=event.at)
+    return replace(alarm, state=state, cleared_at=event.at)
+
+
+def alarms_after(journal: Iterable[AlarmEvent]) -> dict[AlarmKey, RaisedAlarm]:
+    """The alarms that there are after all events of a journal, in the order in which they were raised."""
+    alarms: dict[AlarmKey, RaisedAlarm] = {}
+    for event in journal:
+        fold_event(alarms, event)
+    return alarms
+
+
+def fold_event(alarms: dict[AlarmKey, RaisedAlarm], event: AlarmEvent) -> None:
+    """Change the alarms that there are by one event."""
+    before = alarms.get(event.key)
+    after = alarm_after(before, event)
+    if after is before:
+        return
+    if event.kind is AlarmEventKind.RAISED or after is None:
+        alarms.pop(event.key, None)
+    if after is not None:
+        alarms[event.key] = after

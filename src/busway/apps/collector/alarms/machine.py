@@ -1,0 +1,92 @@
+"""One limit of one point: values in, events out.
+
+Pure: knows a rule, values and the time as a number.
+
+1. A good or uncertain value decides. A bad sample raises and clears nothing, and does not interrupt a delay; what is
+   shown beside the alarm is its reason.
+2. The delay runs from the first value beyond the limit, and begins again after a value that is not. It is measured by
+   samples: an alarm is raised by the first one beyond the limit that is at least the delay later.
+3. An active alarm is cleared, at once, by a value that has come back by the hysteresis.
+4. What the machine does is told by events, and its state is what `alarm_after` makes of them: the journal is the state.
+"""
+
+import math
+
+from ....points.point_rules import AlarmRule
+from ..samples import Quality, Value, quality_of
+from .events import AlarmEvent, AlarmEventKind, AlarmState, RaisedAlarm, alarm_after
+
+
+class AlarmMachine:
+    """The alarm of one limit.
+
+    Args:
+        device, point: names.
+        rule: the limit.
+        unit_of_measure: of the point, for texts.
+        alarm: what it was before a restart.
+
+    Attributes:
+        alarm: what there is; None while there is none.
+        reason: that of the last sample, 0 for good.
+    """
+
+    __slots__ = ("_beyond_since", "alarm", "device", "point", "reason", "rule", "unit_of_measure")
+
+    def __init__(
+        self, device: str, point: str, rule: AlarmRule, unit_of_measure: str = "", alarm: RaisedAlarm | None = None
+    ) -> None:
+        self.device = device
+        self.point = point
+        self.rule: AlarmRule = rule
+        self.unit_of_measure = unit_of_measure
+        self.alarm: RaisedAlarm | None = alarm
+        self.reason = 0
+        self._beyond_since: float | None = None
+
+    @property
+    def state(self) -> AlarmState:
+        """How the alarm is."""
+        if self.alarm is not None:
+            return self.alarm.state
+        return AlarmState.NORMAL if self._beyond_since is None else AlarmState.PENDING
+
+    def take(self, value: Value | None, reason: int, at: int, now: float) -> AlarmEvent | None:
+        """Take in a sample.
+
+        Args:
+            value: what the point is; None for nothing.
+            reason: why it is not good; 0 for good.
+            at: nanoseconds since 1970 UTC of the sample.
+            now: seconds of a monotonic clock, of the same moment.
+
+        Returns:
+            What that means; None for nothing.
+        """
+        self.reason = reason
+        if not isinstance(value, int | float) or math.isnan(value) or quality_of(reason) is Quality.BAD:
+            return None
+        active = self.state.is_active
+        if self.rule.is_beyond(value, active=active):
+            return None if active else self._beyond(value, at, now)
+        self._beyond_since = None
+        return self._tell(AlarmEventKind.CLEARED, at, value) if active else None
+
+    def _beyond(self, value: Value, at: int, now: float) -> AlarmEvent | None:
+        if self._beyond_since is None:
+            self._beyond_since = now
+        if now - self._beyond_since < self.rule.delay:
+            return None
+        self._beyond_since = None
+        return self._tell(AlarmEventKind.RAISED, at, value)
+
+    def acknowledge(self, by: str, at: int) -> AlarmEvent | None:
+        """Acknowledge the alarm; None where there is nothing to acknowledge."""
+        return self._tell(AlarmEventKind.ACKNOWLEDGED, at, by=by) if self.state.is_unacknowledged else None
+
+    def _tell(self, kind: AlarmEventKind, at: int, value: Value | None = None, by: str = "") -> AlarmEvent:
+        rule = self.rule
+        text = rule.text(self.unit_of_measure)
+        event = AlarmEvent(self.device, self.point, rule.kind, kind, at, value, by, rule.acknowledge, text)
+        self.alarm = alarm_after(self.alarm, event)
+        return event

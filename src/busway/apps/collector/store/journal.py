@@ -1,0 +1,92 @@
+"""The journal of alarms in a store, and the accumulators: what the open segment and the manifest have of them.
+
+Knows where both stand. A segment has its own events; when it ends they move into the manifest, in the transaction that
+lists it as finished, so that they outlive its samples.
+"""
+
+import sqlite3
+from collections.abc import Iterable
+from contextlib import closing
+from pathlib import Path
+from typing import Final
+
+from ..alarms.events import AlarmEvent, AlarmEventKind, alarms_after
+from ..samples import CounterState
+from .folder import SEGMENTS
+from .manifest import AlarmRow, Manifest
+from .segment import alarms_of, is_unmade, open_for_reading, sample_value
+
+MOST_EVENTS: Final = 100_000
+"""Events that are kept at most; those of alarms that are still active are kept beyond it."""
+
+
+def alarm_rows(folder: Path, manifest: Manifest, after: int = 0) -> list[AlarmRow]:
+    """The events behind a commit, in the order of their commits."""
+    rows: dict[tuple[int, int], AlarmRow] = {}
+    for part in manifest.parts():
+        if part.kind == "open":
+            rows.update(
+                ((row.commit_number, row.place), row) for row in _of_segment(folder / SEGMENTS / part.file, after)
+            )
+    # The manifest last: a segment that ended meanwhile has moved its events there.
+    rows.update(((row.commit_number, row.place), row) for row in manifest.alarms(after))
+    return [rows[key] for key in sorted(rows)]
+
+
+def _of_segment(path: Path, after: int) -> list[AlarmRow]:
+    try:
+        with closing(open_for_reading(path)) as database:
+            return alarms_of(database, after)
+    except FileNotFoundError:  # not made yet, or sealed already
+        return []
+    except sqlite3.OperationalError as error:
+        if not is_unmade(error):
+            raise
+        return []
+
+
+def alarm_events(rows: Iterable[AlarmRow], manifest: Manifest) -> list[AlarmEvent]:
+    """Events with the names that their points have now."""
+    points = {point.id: point for point in manifest.points()}
+    return [
+        AlarmEvent(
+            points[row.point].device,
+            points[row.point].point,
+            row.limit,
+            AlarmEventKind(row.event),
+            row.at,
+            None if row.value is None else sample_value(row.value, 0, points[row.point].is_state),
+            row.by,
+            bool(row.needs),
+            row.text,
+        )
+        for row in rows
+        if row.point in points
+    ]
+
+
+def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) -> int:
+    """Drop events from before a time, and the oldest beyond a number; how many. Those of active alarms are kept."""
+    rows = manifest.alarms()
+    excess = max(0, len(rows) - most)
+    old = [row for place, row in enumerate(rows) if row.at < before or place < excess]
+    if not old:
+        return 0
+    events = dict(zip(rows, alarm_events(rows, manifest), strict=True))
+    active = alarms_after(events.values())
+    gone = [row for row in old if (alarm := active.get(events[row].key)) is None or row.at < alarm.since]
+    manifest.forget_alarms(gone)
+    return len(gone)
+
+
+def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:
+    """The accumulators of each device as they were committed last, before the open segment was begun."""
+    points = {point.id: point for point in manifest.points()}
+    found: dict[str, list[CounterState]] = {}
+    for row in manifest.counters():
+        point = points.get(row.point)
+        if point is not None:
+            total, last = (sample_value(each, 0, False) for each in (row.total, row.last))
+            if isinstance(total, int | float) and isinstance(last, int | float):
+                found.setdefault(point.device, []).append(CounterState(point.point, total, last))
+    return found

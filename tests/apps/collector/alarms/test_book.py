@@ -1,0 +1,79 @@
+"""The alarms of all points: which samples concern which limits, and what a changed file does to alarms."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from busway.apps.collector.alarms.book import AlarmBook
+from busway.apps.collector.alarms.events import AlarmEventKind, AlarmState
+from busway.apps.collector.samples import PointGroup, Reason, SampleBatch, Value
+from busway.codes import Table
+from busway.points.point import Point
+from busway.points.point_rules import AlarmRule
+
+GROUP = PointGroup("meter", ("voltage", "current"))
+LIMITS = (AlarmRule("H", 10.0, acknowledge=True), AlarmRule("HH", 20.0))
+CURRENT = Point("current", Table.HOLDING_REGISTERS, 1, alarms=LIMITS)
+POINTS = (Point("voltage", Table.HOLDING_REGISTERS, 0), CURRENT)
+
+
+def book_of(points: Sequence[Point] = POINTS) -> AlarmBook:
+    book = AlarmBook()
+    assert book.configure({"meter": points}, 0) == []
+    return book
+
+
+def told(
+    book: AlarmBook, current: Value | None, at: float = 0.0, group: PointGroup = GROUP, reason: int = 0
+) -> list[str]:
+    values = [None] * (len(group.points) - 1) + [current]
+    reasons = [int(Reason.TIMEOUT)] * (len(group.points) - 1) + [reason]
+    return [f"{event.limit} {event.kind}" for event in book.take(SampleBatch(group, 0, 0, values, reasons), at)]
+
+
+def test_each_limit_of_a_point_is_an_alarm_of_its_own() -> None:
+    book = book_of()
+    assert told(book, 25.0) == ["H raised", "HH raised"]
+    assert told(book, 15.0) == ["HH cleared"]
+    assert told(book, 5.0, group=PointGroup("other", ("current",))) == []
+    assert told(book, 5.0, group=PointGroup("meter", ("voltage",))) == []
+
+
+def test_a_changed_limit_holds_from_the_next_sample_on_and_the_alarm_stays_what_it_was() -> None:
+    book = book_of()
+    told(book, 15.0)
+    assert book.acknowledge(("meter", "current", "H"), "anna", 1) is not None
+    higher = replace(CURRENT, alarms=(replace(LIMITS[0], limit=30.0),))
+    assert book.configure({"meter": (higher,)}, 2) == []
+    machine = book.machines["meter", "current", "H"]
+    assert machine.state is AlarmState.ACKNOWLEDGED
+    assert told(book, 29.0) == ["H cleared"]
+    assert told(book, 31.0) == ["H raised"]
+
+
+def test_a_renamed_point_takes_its_alarms_along() -> None:
+    book = book_of()
+    told(book, 15.0)
+    renamed = replace(CURRENT, name="amps", was="current")
+    assert book.configure({"meter": (renamed,)}, 2) == []
+    alarm = book.machines["meter", "amps", "H"].alarm
+    assert alarm is not None
+    assert (alarm.point, alarm.state) == ("amps", AlarmState.UNACKNOWLEDGED)
+    assert told(book, 5.0, group=PointGroup("meter", ("amps",))) == ["H cleared"]
+
+
+def test_an_alarm_whose_limit_or_device_is_gone_is_ended_by_an_event() -> None:
+    book = book_of()
+    told(book, 25.0)
+    gone = book.configure({"meter": (replace(CURRENT, alarms=LIMITS[:1]),)}, 7)
+    assert [(event.limit, event.kind, event.at) for event in gone] == [("HH", AlarmEventKind.REMOVED, 7)]
+    assert [event.limit for event in book.configure({}, 8)] == ["H"]
+    assert book.configure({"meter": POINTS}, 9) == []
+    assert book.machines["meter", "current", "H"].state is AlarmState.NORMAL
+
+
+def test_a_delay_that_runs_is_not_begun_again_by_a_file_that_says_the_same() -> None:
+    slow = replace(CURRENT, alarms=(AlarmRule("H", 10.0, delay=10.0),))
+    book = book_of((slow,))
+    assert told(book, 15.0, at=0.0) == []
+    book.configure({"meter": (slow,)}, 1)
+    assert told(book, 15.0, at=10.0) == ["H raised"]
