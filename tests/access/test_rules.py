@@ -325,7 +325,7 @@ def test_registers_on_the_wire_are_judged_as_one_by_one(limits, registers):
     assert limits.permit_all(wire) == all(limits.permit(register) for register in registers)
 
 
-def writable(policy, unit, function, table, listed=None):
+def writable(policy, unit, function, table, listed=frozenset()):
     """Where a function may write: first, end, rule and limits of each zone."""
     rights = Rights(policy.rules, policy.default)
     zones = rights.permitted(UnitAccess(unit, listed, function, None, table, True))
@@ -354,7 +354,7 @@ def test_the_zones_of_writes_say_which_rule_decides_where():
 
 def test_the_zones_of_a_unit_are_those_of_the_unit_that_its_device_is_listed_as_too():
     policy = Policy.of(Rule.of(name="shut", action="deny", units=3), default="allow")
-    assert writable(policy, 255, 6, Table.HOLDING_REGISTERS, listed=3) == []
+    assert writable(policy, 255, 6, Table.HOLDING_REGISTERS, listed=frozenset({3})) == []
     assert len(writable(policy, 255, 6, Table.HOLDING_REGISTERS)) == 1
     assert writable(Policy.of(Rule.of(values=(1, 2))), 1, 5, Table.COILS)[0][3] is None
 
@@ -369,7 +369,7 @@ def test_zones_cover_every_address_once_and_each_by_the_first_rule_that_fits(wri
         default="read-only",
     )
     rights = Rights(policy.rules, policy.default)
-    zones = rights.zones(UnitAccess(1, None, 3, None, Table.HOLDING_REGISTERS, writes))
+    zones = rights.zones(UnitAccess(1, frozenset(), 3, None, Table.HOLDING_REGISTERS, writes))
     assert [zone.first for zone in zones] == [0, *(zone.end for zone in zones[:-1])]
     for address in range(30):
         (name,) = {zone.rule_name for zone in zones if zone.first <= address < zone.end}

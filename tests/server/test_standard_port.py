@@ -89,3 +89,19 @@ async def test_where_it_cannot_be_had_that_is_an_error_by_name_and_a_warning_oth
         async with busway.Server([f"tcp://127.0.0.1:{free}"], handler) as server:
             assert server.endpoints == [f"tcp://127.0.0.1:{free}"]
     assert [record.getMessage() for record in caplog.records if "not listened on beside" in record.getMessage()]
+
+
+@pytest.mark.clause("M6")
+async def test_rules_about_the_listener_beside_which_it_stands_hold_there_too(taken: socket.socket) -> None:
+    taken.close()
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        url = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+    policy = busway.Policy.of(busway.Rule.of(name="no", action="deny", listeners=[url]), default="allow")
+    responder = busway.serve(units=busway.Device(holding_registers=[7]))._responder
+    async with busway.Server([url], responder, standard_port=True, policy=policy) as server:
+        assert len(server.endpoints) == 2
+        for endpoint in server.endpoints:
+            async with busway.open(endpoint) as link:
+                with pytest.raises(busway.ExceptionReply, match="exception 01"):
+                    await link.unit(1).read_holding_registers(0, count=1)

@@ -17,10 +17,11 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from functools import partial
 from typing import Final
 
-from ..codes import ExceptionCode
+from ..codes import BROADCAST_UNIT, ExceptionCode
 from ..options.networks import host_of_peer
 from ..pdu.fast_answers import Answer
 from ..pdu.functions import AnyRequest
@@ -65,11 +66,12 @@ class PolicyRights:
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
         """Whether a read is always permitted, without a rate limit, so that it may be forwarded unchecked."""
-        question = Question.of(request, unit=unit, listed=None if served is None else served.unit, asker=_ANYBODY)
+        question = Question.of(request, unit=unit, listed=_NO_UNITS if served is None else served.units, asker=_ANYBODY)
         decision = self.rights.decide(question)
         return decision.allowed and not decision.rates and not question.writes
 
 
+_NO_UNITS: Final[frozenset[int]] = frozenset()
 _ANYBODY: Final = Asker()
 """Rights are about the clients that have them: a question to them needs no client."""
 
@@ -145,9 +147,11 @@ class PolicyAuthorizer:
         rights = known.rights
         if rights.permits_all and self._audit is None:
             return None
-        listed = None if served is None else served.unit
+        listed = _NO_UNITS if served is None else served.units
         question = Question.of(request, unit=context.unit, listed=listed, asker=asker)
         decision = rights.decide(question)
+        if context.executed is not None:
+            decision = _denied_to_all(rights, question) or decision
         waits = decision.needs_current and served is not None and served.device is not None
         if not waits:
             if decision.allowed:
@@ -180,7 +184,7 @@ class PolicyAuthorizer:
         """The exception code that refuses a request to several units; 0 if it is permitted for all of them.
 
         For requests that reach several units at once. A rule with a rate counts it as one request, however many of the
-        units it is about. Nothing else is counted, and nothing is recorded in the audit log.
+        units it is about. A refusal is counted, logged and recorded as that of a request to one unit is.
 
         Args:
             context: of the request as it was received.
@@ -202,10 +206,14 @@ class PolicyAuthorizer:
         for unit in units:
             decision = decided(unit)
             if not decision.allowed:
+                self._refuse(context, asker, decision)
                 return decision.code
             rates |= {id(rule): rule for rule in decision.rates}
         too_fast = self._too_fast(Decision(True, rates=tuple(rates.values())), asker, charged)
-        return 0 if too_fast is None else too_fast.code
+        if too_fast is None:
+            return 0
+        self._refuse(context, asker, too_fast)
+        return too_fast.code
 
     def _refuse(self, context: RequestContext, asker: Asker, decision: Decision) -> ExceptionResponse:
         rule = decision.rule_name
@@ -250,9 +258,19 @@ class PolicyAuthorizer:
         if found is None:
             if len(in_force.of_clients) >= _MOST_CLIENTS:
                 in_force.of_clients.clear()
-            asker = Asker(host_of_peer(client.peer), client.role, client.listener)
+            asker = Asker(host_of_peer(client.peer), client.role, client.listener, client.listener_names)
             found = in_force.of_clients[client] = asker, _rights_of(asker, in_force, self._audit)
         return found
+
+
+def _denied_to_all(rights: Rights, question: Question) -> Decision | None:
+    """The refusal of a broadcast by a rule that names unit 0; None where no such rule denies it.
+
+    A broadcast of a line is judged for each unit that hears it. A rule that permits unit 0 gives no right to these.
+    """
+    decision = rights.decide(replace(question, unit=BROADCAST_UNIT, listed=_NO_UNITS))
+    is_named = decision.rule is not None and decision.rule.units is not None
+    return decision if is_named and not decision.allowed and not decision.needs_current else None
 
 
 def _rights_of(asker: Asker, in_force: _InForce, audit: AuditLog | None) -> PolicyRights:

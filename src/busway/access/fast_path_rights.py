@@ -53,7 +53,7 @@ def bind(
         return None
 
     def access(space: Table | None, writes: bool) -> UnitAccess:
-        return UnitAccess(unit, served.unit, kind.code, None, space, writes)
+        return UnitAccess(unit, served.units, kind.code, None, space, writes)
 
     if kind in DONE:
         assert kind.writes is not None

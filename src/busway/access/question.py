@@ -53,11 +53,13 @@ class Asker:
         host: numeric address, ``10.0.0.7``; the name of a serial line.
         role: role of the certificate; None without one.
         listener: URL of the listener.
+        listener_names: further URLs by which a rule may name it.
     """
 
     host: str = ""
     role: str | None = None
     listener: str = ""
+    listener_names: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -67,8 +69,8 @@ class Question:
     Attributes:
         asker: the client.
         unit: the unit asked, 0…255.
-        listed: the unit under which its device is configured, if another one: a sole device also answers to units 0
-            and 255.
+        listed: the units under which its device is configured: a device may have several, and a sole one also answers
+            to units 0 and 255.
         function: the function code.
         sub_function: of 08 and 43; None for the others, and where it is truncated.
         pieces: the ranges that it touches.
@@ -84,7 +86,7 @@ class Question:
     pieces: tuple[TouchedRange, ...]
     written: tuple[int, ...] | None = None
     masks: tuple[int, int] | None = None
-    listed: int | None = None
+    listed: frozenset[int] = frozenset()
 
     @classmethod
     def of(
@@ -92,7 +94,7 @@ class Question:
         request: AnyRequest,
         *,
         unit: int,
-        listed: int | None = None,
+        listed: frozenset[int] = frozenset(),
         peer: str = "",
         role: str | None = None,
         listener: str = "",
@@ -103,7 +105,7 @@ class Question:
         Args:
             request: what was decoded.
             unit: the unit asked, 0…255.
-            listed: the unit under which its device is configured; None for ``unit``.
+            listed: the units under which its device is configured; empty for ``unit``.
             peer: ``host:port`` or host of the client; with ``role`` and ``listener``, who asks.
             role: role of its certificate; None without one.
             listener: URL of the listener.

@@ -87,7 +87,7 @@ class UnitAccess(NamedTuple):
 
     Attributes:
         unit: the unit asked, 0…255.
-        listed: the unit under which its device is configured; None for ``unit``.
+        listed: the units under which its device is configured; empty for ``unit``.
         function: the function code.
         sub_function: of 08 and 43; None for the others, and where it is truncated.
         space: a table, files, or None for requests that touch no items.
@@ -95,7 +95,7 @@ class UnitAccess(NamedTuple):
     """
 
     unit: int
-    listed: int | None
+    listed: frozenset[int]
     function: int
     sub_function: int | None
     space: Space
@@ -117,7 +117,7 @@ class Rights:
         self._rules = rules
         self._default = default
         self.permits_all: bool = not rules and default.permits(True)
-        self._of_units: dict[tuple[int, int | None], tuple[tuple[int, Rule], ...]] = {}
+        self._of_units: dict[tuple[int, frozenset[int]], tuple[tuple[int, Rule], ...]] = {}
         self._zones: dict[UnitAccess, tuple[list[int], tuple[Zone, ...]]] = {}
 
     def zones(self, access: UnitAccess) -> tuple[Zone, ...]:
@@ -207,7 +207,7 @@ class Rights:
             limits = rule.limits
         return Zone(first, end, rule, order, action, action.permits(access.writes), limits)
 
-    def _of_unit(self, unit: int, listed: int | None) -> tuple[tuple[int, Rule], ...]:
+    def _of_unit(self, unit: int, listed: frozenset[int]) -> tuple[tuple[int, Rule], ...]:
         """The rules that apply to a unit, with their order: filtered once per unit, since there may be many
         thousands.
         """
@@ -219,7 +219,7 @@ class Rights:
             found = self._of_units[key] = tuple(
                 (order, rule)
                 for order, rule in enumerate(self._rules)
-                if rule.units is None or unit in rule.units or listed in rule.units
+                if rule.units is None or unit in rule.units or not rule.units.isdisjoint(listed)
             )
         return found
 

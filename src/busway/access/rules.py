@@ -239,7 +239,7 @@ class Rule:
         return (
             (self.peers is None or asker.host in self.peers)
             and (self.roles is None or asker.role in self.roles)
-            and (not self.listeners or any(_is_listener(each, asker.listener) for each in self.listeners))
+            and (not self.listeners or any(_is_listener(each, asker) for each in self.listeners))
         )
 
     def names(self, function: int, sub_function: int | None) -> bool:
@@ -376,8 +376,10 @@ def listener_name(text: str) -> str:
         return parse_endpoint(text).url
 
 
-def _is_listener(wanted: str, listener: str) -> bool:
-    return listener == wanted or (wanted.endswith("://") and listener.startswith(wanted))
+def _is_listener(wanted: str, asker: Asker) -> bool:
+    if wanted == asker.listener or wanted in asker.listener_names:
+        return True
+    return wanted.endswith("://") and asker.listener.startswith(wanted)
 
 
 @contextmanager

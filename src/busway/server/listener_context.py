@@ -89,6 +89,7 @@ class ListenerContext:
     Attributes:
         loop: the event loop it lives on.
         listener: URL, as it is bound.
+        listener_names: further URLs by which rules may name it.
         hosts: numeric addresses that it is bound to.
         settings, parameters: of the listener.
         counters: shared by all listeners of a server.
@@ -114,6 +115,7 @@ class ListenerContext:
         self.loop = loop
         self._pipeline = pipeline
         self.listener: str = settings.endpoint.url
+        self.listener_names: tuple[str, ...] = ()
         self.hosts: tuple[str, ...] = ()
         self.settings = settings
         self.parameters: ListenerParameters = settings.limits
@@ -133,6 +135,12 @@ class ListenerContext:
         self._repeats = Repeats()
         self._tap = tap
         self._tapped_connections: dict[ConnectedPeer, TappedConnection] = {}
+
+    def bound_as(self, names: Sequence[str]) -> None:
+        """Note the URLs as they are bound; rules may name the listener by them, and as it was configured."""
+        configured = (self.settings.endpoint.url, self.settings.beside)
+        self.listener = names[0]
+        self.listener_names = tuple(dict.fromkeys(name for name in (*configured, *names[1:]) if name))
 
     @property
     def framing(self) -> str:
@@ -162,7 +170,9 @@ class ListenerContext:
 
     def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> Session:
         """Make the session of a new connection; ``share``: most requests that one call of it processes, on TCP."""
-        client = ClientIdentity(connected_peer.peer, self.listener, connected_peer.role, connected_peer.is_priority)
+        client = ClientIdentity(
+            connected_peer.peer, self.listener, connected_peer.role, connected_peer.is_priority, self.listener_names
+        )
         if self.framing != "mbap":
             return FramedSession(
                 self.loop,

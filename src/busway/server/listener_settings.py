@@ -37,6 +37,7 @@ class ListenerSettings:
         access: who may connect, beside the server's own question; None leaves it to that.
         tls: certificate, key and authorities; None where the carrier is not TLS.
         is_optional: whether the others go on where it cannot be had.
+        beside: URL of the listener beside which it stands, if it was opened for that one: rules about that one hold.
     """
 
     endpoint: Endpoint
@@ -47,6 +48,7 @@ class ListenerSettings:
     access: HostAuthorizer | None
     tls: TlsParameters | None
     is_optional: bool = False
+    beside: str = ""
 
     def line_framing(
         self, units: Container[int], functions: FunctionTable, *, started: float | None = None

@@ -58,7 +58,12 @@ class DeviceResponder:
         if unit_policy is UnitPolicy.ANY and len(distinct) > 1:
             raise ConfigError("unit policy any needs exactly one device", key="unit_policy")
         self._devices: dict[int, Device] = dict(units)
-        self._served = {unit: ServedUnit(unit, device) for unit, device in units.items()}
+        listed: dict[int, list[int]] = {}
+        for unit, device in units.items():
+            listed.setdefault(id(device), []).append(unit)
+        self._served = {
+            unit: ServedUnit(unit, device, units=frozenset(listed[id(device)])) for unit, device in units.items()
+        }
         if len(distinct) == 1:
             first = next(iter(units))
             beside = range(256) if unit_policy is UnitPolicy.ANY else (BROADCAST_UNIT, TCP_DEVICE_UNIT)

@@ -37,7 +37,8 @@ def with_standard_port(wanted: Sequence[ListenerSettings], choice: bool | None) 
         if choice is None and (not port or _is_loopback(host)):
             continue
         taken.add(host)
-        found.append(replace(one, endpoint=replace(one.endpoint, port=DEFAULT_TCP_PORT), is_optional=choice is None))
+        endpoint = replace(one.endpoint, port=DEFAULT_TCP_PORT)
+        found.append(replace(one, endpoint=endpoint, is_optional=choice is None, beside=one.endpoint.url))
     return found
 
 

@@ -74,7 +74,7 @@ class TcpListener:
             undo.pop_all()
         self.names = [bound_name(settings.endpoint.scheme, one) for one in bound]
         listener_context = self.management.listener_context
-        listener_context.listener = self.names[0]
+        listener_context.bound_as(self.names)
         listener_context.hosts = tuple(str(one.getsockname()[0]) for one in bound)
         listener_context.diagnosis.is_open = True
 

@@ -67,7 +67,7 @@ class UdpListener:
                 self._sockets.append(made)
             undo.pop_all()
         self.names = [bound_name(listener_context.settings.endpoint.scheme, one) for one in bound]
-        listener_context.listener = self.names[0]
+        listener_context.bound_as(self.names)
         listener_context.hosts = tuple(str(one.getsockname()[0]) for one in bound)
 
     # What the server asks.

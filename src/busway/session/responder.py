@@ -47,16 +47,26 @@ class ClientIdentity:
         listener: URL of the listener.
         role: role of the client's certificate; None without one.
         is_priority: whether the client is a priority host.
+        listener_names: further URLs of the listener by which rules may name it: as it was configured, and every
+            address that it is bound to.
         audit_text: how audit lines name the client; filled in by what writes them.
     """
 
-    __slots__ = ("audit_text", "is_priority", "listener", "peer", "role")
+    __slots__ = ("audit_text", "is_priority", "listener", "listener_names", "peer", "role")
 
-    def __init__(self, peer: str = "", listener: str = "", role: str | None = None, is_priority: bool = False) -> None:
+    def __init__(
+        self,
+        peer: str = "",
+        listener: str = "",
+        role: str | None = None,
+        is_priority: bool = False,
+        listener_names: tuple[str, ...] = (),
+    ) -> None:
         self.peer: str = peer
         self.listener: str = listener
         self.role: str | None = role
         self.is_priority: bool = is_priority
+        self.listener_names: tuple[str, ...] = listener_names
         self.audit_text: str = ""
 
 
@@ -313,16 +323,23 @@ class ServedUnit:
     """A unit that a responder serves, with its device if the fast path can use it.
 
     Attributes:
-        unit: the unit as which its device is configured. A sole device also answers as others, such as 0 and 255, and
-            rights are checked for both: a client denied on unit 1 must not reach the same device by another unit.
+        unit: the unit as which its device is configured; the first where a sole device has several.
         device: the device, if it is one of this process: then `Responder.answer` calls `RequestContext.replacing`
             before it executes a write.
         is_direct: whether requests may reach the device by the fast path.
+        units: all units as which its device is configured; ``unit`` alone where nothing is said. Rules about any of
+            them hold, also where the device answers as yet others, such as 0 and 255: a client denied on unit 1 must
+            not reach the same device by another unit.
     """
 
     unit: int
     device: DirectDevice | None = None
     is_direct: bool = True
+    units: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        if not self.units:
+            object.__setattr__(self, "units", frozenset((self.unit,)))
 
 
 class Responder(Protocol):

@@ -270,7 +270,11 @@ class TcpServerSession:
                     counted += 1
                 if began is not None:
                     began = pipeline.clock()
-                if function == FunctionCode.DIAGNOSTICS:  # it may have muted a unit, or woken it
+                if self._generation != pipeline.generation:  # a hook has replaced the policy, for example
+                    self._renew_fast_path()
+                    fast = NO_FAST_PATH if muted else self._fast
+                    known, functions = fast.reads, fast.functions
+                elif function == FunctionCode.DIAGNOSTICS:  # it may have muted a unit, or woken it
                     fast = NO_FAST_PATH if muted else self._fast
                     known, functions = fast.reads, fast.functions
                     reads = None if muted else self._reads

@@ -91,7 +91,7 @@ def _evaded(rule: Rule, rights: Rights, accesses: Sequence[Access], way: Way, ot
             continue
         shift = near.route.shift - far.route.shift if is_item else 0
         mine, others = (
-            rights.zones(UnitAccess(each, None, kind.code, kind.sub_code, touched.space, touched.writes))
+            rights.zones(UnitAccess(each, frozenset(), kind.code, kind.sub_code, touched.space, touched.writes))
             for each in (asked, unit)
         )
         for zone in mine:

@@ -3,7 +3,8 @@
 Knows routes, upstreams and the gateway's own unit; knows no bytes (Messaging on TCP/IP V1.0b §4.4.2, T32).
 
 1. A write to unit 0 goes to all upstreams of the listener that take broadcasts, and is answered when it was sent. All
-   units of an upstream hear it, so a route must permit the write for each of them, and the policy too.
+   units of an upstream hear it, so a route must permit the write for each of them. Where the policy denies it for one
+   unit of one upstream, no upstream hears it.
 2. Requests without a route get 0A. Unit 0 and the own unit are then the gateway itself. A serial listener does not
    answer for units without a route (`ListenerRouter.serves`).
 3. A malformed request is answered here, as by any server: it could not be framed on a serial line. A request with an
@@ -160,9 +161,16 @@ class ListenerRouter:
                 return self._not_forwarded(context, found)
             forwarder = self._forwarder_of(found)
             if forwarder is not None:
+                if self._reaches_all(found, unit, request, forwarder):
+                    code = self.refusal_of(context, request, self._routes.units_to(found.upstream), set())
+                    if code:
+                        return self._refused(context, code)
                 return self._forward(context, request, found, forwarder)
             found = None
         if found is None and self._own is not None and unit in (self._own_unit, BROADCAST_UNIT):
+            code = 0 if unit == self._own_unit else self.refusal_of(context, request, (self._own_unit,), set())
+            if code:  # by unit 0 it is still the own unit, and what a rule says of that holds
+                return self._refused(context, code)
             self.counters.own += 1
             return self._own.answer(context, request)
         return self._no_route(context, found)
@@ -170,6 +178,12 @@ class ListenerRouter:
     def _forwarder_of(self, route: Route) -> Forwarder | None:
         """The forwarder of a route; None if it forwards nothing, or its upstream was just removed."""
         return self._forwarders.get(route.upstream) if route.action is RouteAction.FORWARD else None
+
+    @staticmethod
+    def _reaches_all(route: Route, unit: int, request: Request, forwarder: Forwarder) -> bool:
+        """Whether a request to one unit is a broadcast behind."""
+        takes_it = request.broadcast and forwarder.upstream.takes_broadcasts
+        return takes_it and route.upstream_unit(unit) == BROADCAST_UNIT
 
     def _target(self, forwarder: Forwarder, unit: int, route: Route) -> ForwardTarget:
         key = route.upstream, route.upstream_unit(unit), route.timeout
@@ -215,8 +229,13 @@ class ListenerRouter:
         if isinstance(own, Route) and own.action is not RouteAction.FORWARD:
             return self._not_forwarded(context, own)
         charged: set[int] = set()
-        found = [self._way_to_all(context, name, request, charged) for name in self._takers()]
-        ways = [way for way in found if way is not None]
+        ways: list[Route | int] = []
+        for name in self._takers():
+            way = self._way_to_all(context, name, request, charged)
+            if isinstance(way, int) and context.judged is not None and context.judged.is_denied:
+                return self._refused(context, way)
+            if way is not None:
+                ways.append(way)
         if not ways:
             forwarder = None if not isinstance(own, Route) else self._forwarder_of(own)
             if forwarder is not None and isinstance(own, Route):
