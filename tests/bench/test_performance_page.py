@@ -1,11 +1,10 @@
 """docs/performance.md says what the run says that it names."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import performance_page
+from generated import assert_up_to_date
 
 ROOT = Path(__file__).parents[2]
 NEEDED = ("server", "client", "gateway", "layers")
@@ -31,14 +30,7 @@ RUN = {
 
 
 def test_page_is_what_the_generator_makes_of_the_run_that_is_kept() -> None:
-    done = subprocess.run(
-        [sys.executable, "scripts/performance_page.py", "--check"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert_up_to_date("performance_page.py")
 
 
 def test_page_names_the_run_and_the_machine() -> None:

@@ -1,9 +1,10 @@
 """The part of the simulator's page on faults: its table is that of the code and has every known fault profile."""
 
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
+
+from field_faults import OF_SERVERS, PLAYED_ELSEWHERE
+from generated import assert_up_to_date
 
 from busway.apps.simulator.fault_sections import fault_problems
 from busway.config.files.faults import FaultSection
@@ -14,56 +15,11 @@ from busway.testing import CLIENT_FAULT_PROFILES, FAULT_PROFILES
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "simulator.md"
 
-OF_THE_FIELD = [
-    "late",
-    "queue-lag",
-    "foreign-transaction",
-    "transaction+1",
-    "transaction=0",
-    "transaction=random",
-    "unit=255",
-    "unit=0",
-    "unit=1",
-    "mute-after-connect",
-    "close-if-silent",
-    "single-client",
-    "idle-close",
-    "wedged",
-    "min-gap",
-    "unit-switch",
-    "max-block",
-    "hole",
-    "wide-register",
-    "short",
-    "long",
-    "leading-zero",
-    "noise",
-    "dribble",
-    "glue",
-    "echo",
-    "busy",
-    "execute-then-drop",
-    "wrong-echo",
-    "odd-exception",
-    "fc6-only",
-    "fc16-only",
-    "broadcast-reply",
-    "hot-unplug",
-    "bad-certificate",
-    "slow-loris",
-]
-"""How devices, lines, gateways and clients are known to misbehave."""
+OF_THE_FIELD = (*OF_SERVERS, *PLAYED_ELSEWHERE)
 
 
 def test_the_table_of_fault_profiles_is_that_of_the_code() -> None:
-    done = subprocess.run(
-        [sys.executable, "scripts/fault_profiles_table.py", "--check"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert_up_to_date("fault_profiles_table.py")
 
 
 def test_every_known_fault_profile_can_be_played_or_says_who_plays_it() -> None:

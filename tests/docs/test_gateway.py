@@ -1,12 +1,11 @@
 """The page on the gateway: its code runs, its files are right, its tables say what the code says."""
 
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from generated import assert_up_to_date
 
 from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.gateway.overview import ROUTING_HEADINGS, gateway_rows, routing_rows
@@ -76,11 +75,4 @@ def test_every_key_of_listeners_lines_and_routes_is_explained(text: str) -> None
 
 
 def test_the_tables_of_registers_are_those_of_the_map() -> None:
-    done = subprocess.run(
-        [sys.executable, "scripts/gateway_registers.py", "--check"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert_up_to_date("gateway_registers.py")

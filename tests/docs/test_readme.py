@@ -1,11 +1,10 @@
 """The README: its example runs, its table is that of the pages, and it fits one screen."""
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from generated import assert_up_to_date
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -25,10 +24,7 @@ def test_it_fits_one_screen() -> None:
 
 @pytest.mark.parametrize("script", ["function_table.py", "comparison_table.py"])
 def test_generated_tables_are_up_to_date(script: str) -> None:
-    done = subprocess.run(
-        [sys.executable, f"scripts/{script}", "--check"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert_up_to_date(script)
 
 
 def test_the_two_commands_and_the_limits_are_named() -> None:

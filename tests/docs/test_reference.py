@@ -1,12 +1,11 @@
 """The reference says what the code says: defaults, errors, exception codes, endpoints, types, orders."""
 
 import inspect
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from generated import assert_up_to_date
 
 import busway
 from busway import errors
@@ -24,10 +23,7 @@ def page(name: str) -> str:
 
 @pytest.mark.clause("T19")
 def test_the_defaults_are_those_of_the_parameter_classes_and_the_guides_keepalive_stands_beside_ours() -> None:
-    done = subprocess.run(
-        [sys.executable, "scripts/defaults_table.py", "--check"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert_up_to_date("defaults_table.py")
     text = page("defaults.md")
     assert "| idle time before the first probe | 2 hours | 60 s |" in text
     assert "| time between probes | 75 s | 10 s |" in text

@@ -1,49 +1,14 @@
 """The table of fault profiles: what it says of each, and how it grows."""
 
 import pytest
+from field_faults import OF_SERVERS
 
 from busway import ConfigError
 from busway.testing import CLIENT_FAULT_PROFILES, FAULT_PROFILES, Carrier, Fault, FaultProfile, FaultProfileTable
 
-OF_THE_FIELD = (
-    "late",
-    "queue-lag",
-    "foreign-transaction",
-    "transaction+1",
-    "transaction=0",
-    "transaction=random",
-    "unit=255",
-    "unit=0",
-    "unit=1",
-    "mute-after-connect",
-    "close-if-silent",
-    "single-client",
-    "idle-close",
-    "wedged",
-    "min-gap",
-    "unit-switch",
-    "max-block",
-    "hole",
-    "wide-register",
-    "short",
-    "long",
-    "dribble",
-    "glue",
-    "busy",
-    "execute-then-drop",
-    "wrong-echo",
-    "odd-exception",
-    "fc6-only",
-    "fc16-only",
-    "leading-zero",
-    "noise",
-    "echo",
-    "broadcast-reply",
-)
-
 
 def test_every_fault_profile_of_a_server_is_there_under_its_name() -> None:
-    assert tuple(FAULT_PROFILES) == OF_THE_FIELD
+    assert tuple(FAULT_PROFILES) == OF_SERVERS
     assert tuple(CLIENT_FAULT_PROFILES) == ("slow-loris",)
 
 

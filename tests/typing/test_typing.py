@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+from generated import assert_up_to_date
 
 from busway.client.operations import LEVELS
 from busway.errors import InvalidRequest
@@ -94,9 +95,7 @@ def test_the_names_of_orders_and_levels_are_those_that_exist() -> None:
 
 
 def test_the_types_of_options_are_those_of_the_parameter_classes() -> None:
-    words = [sys.executable, "scripts/option_types.py", "--check"]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False, timeout=60)
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert_up_to_date("option_types.py")
 
 
 def test_public_symbols_have_types_that_checkers_agree_on(tmp_path: Path) -> None:

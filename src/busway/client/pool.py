@@ -1,85 +1,45 @@
-"""Links by endpoint: one shared connection for all users on an event loop (Messaging on TCP/IP V1.0b §4.2.1).
-
-Knows the users of each link; knows no requests.
-
-1. Automatic management: users of one endpoint share its link; the last one to leave closes it.
-2. Explicit management: a link that is not shared belongs to its user alone; there may be ``max_connections`` of them.
-3. Users with different connection settings cannot share a link: the second gets an error that names the setting.
-4. If several links lead to one endpoint, a rule chooses one for each request (§4.2.1.2).
-"""
+"""The links of an event loop: one shared connection for all users of an endpoint (`shared_links` has the rules)."""
 
 import asyncio
-from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 from ..errors import ConfigError
-from ..options.client import LinkSelection, TransactionScope
-from .checks import check_same
-from .connection_choice import check_room, chosen
+from ..options.client import LinkSelection
 from .connector import connector_for
 from .link import AsyncLinkDriver
-from .scope import ClientScope, same_scope
+from .scope import ClientScope
 from .sessions import client_session_for
 from .settings import LinkSettings
-
-
-@dataclass(slots=True)
-class _Shared:
-    settings: LinkSettings
-    link: AsyncLinkDriver
-    users: int = 0
+from .shared_links import SharedLinks
 
 
 class LinkPool:
-    """The links of one event loop, by endpoint."""
+    """The links of one event loop."""
 
     def __init__(self) -> None:
-        self._shared: dict[str, _Shared] = {}
-        self._links: dict[str, WeakKeyDictionary[AsyncLinkDriver, None]] = {}  # in the order they were made
-        self._scope: ClientScope | None = None
+        self._links: SharedLinks[AsyncLinkDriver] = SharedLinks(_made)
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AsyncLinkDriver:
         """Get the link for one more user of an endpoint. Raises `ConfigError`, `Overloaded`."""
-        name = settings.endpoint.url
-        if not shared:
-            check_room(list(self._links.get(name, ())), settings)
-            return self._make(settings, shared=False)
-        entry = self._shared.get(name)
-        if entry is None:
-            entry = self._shared[name] = _Shared(settings, self._make(settings, shared=True))
-        check_same(entry.settings, settings)
-        entry.users += 1
-        return entry.link
+        return self._links.acquire(settings, shared=shared)
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AsyncLinkDriver:
-        """Choose one of the open links to an endpoint for a request. Raises `LinkDown` if there are none."""
-        return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
+        """Choose one of the links to the endpoint for a request. Raises `LinkDown` if there are none."""
+        return self._links.choose(settings, rule)
 
     async def release(self, settings: LinkSettings, link: AsyncLinkDriver) -> None:
         """Give a link back; the last user closes its connection."""
-        name = settings.endpoint.url
-        entry = self._shared.get(name)
-        if entry is not None and entry.link is link:
-            entry.users -= 1
-            if entry.users:
-                return
-            del self._shared[name]
-        self._links[name].pop(link, None)
-        if not self._links[name]:
-            del self._links[name]
-        await link.close()
+        if self._links.release(settings, link):
+            await link.close()
 
-    def _make(self, settings: LinkSettings, *, shared: bool) -> AsyncLinkDriver:
-        scope = None
-        if settings.parameters.scope is TransactionScope.CLIENT:
-            scope = self._scope = same_scope(self._scope, settings.parameters.max_transactions)
-        session = client_session_for(settings, None if scope is None else scope.places)
-        connector = connector_for(settings, session, user="busway.open on an event loop")
-        link = AsyncLinkDriver(connector, session, settings, shared=shared, scope=scope)
-        if scope is not None:
-            scope.enter(link)
-        self._links.setdefault(settings.endpoint.url, WeakKeyDictionary())[link] = None
-        return link
+
+def _made(settings: LinkSettings, shared: bool, scope: ClientScope | None) -> AsyncLinkDriver:
+    session = client_session_for(settings, None if scope is None else scope.places)
+    connector = connector_for(settings, session, user="busway.open on an event loop")
+    link = AsyncLinkDriver(connector, session, settings, shared=shared, scope=scope)
+    if scope is not None:
+        scope.enter(link)
+    return link
 
 
 _pools: "WeakKeyDictionary[asyncio.AbstractEventLoop, LinkPool]" = WeakKeyDictionary()

@@ -85,16 +85,9 @@ async def _connected(host: str, port: int, local_address: str | None, interface:
         found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     attempts = _Attempts(interface, local_address)
     for connection, address in attempts.towards(found):
-        try:
+        with attempts.noting_failure(connection):
             connection.setblocking(False)
             await loop.sock_connect(connection, _with_zone(address))
-        except OSError as error:
-            connection.close()
-            attempts.problem = error
-        except BaseException:
-            connection.close()
-            raise
-        else:
             return connection
     raise attempts.problem
 
@@ -110,16 +103,9 @@ def dial_through(interface: str, host: str, port: int, local_address: str | None
     """Open a TCP connection through a network interface and return its blocking socket. Raises `OSError`."""
     attempts = _Attempts(interface, local_address)
     for connection, address in attempts.towards(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)):
-        try:
+        with attempts.noting_failure(connection):
             connection.settimeout(timeout)
             connection.connect(address)
-        except OSError as error:
-            connection.close()
-            attempts.problem = error
-        except BaseException:
-            connection.close()
-            raise
-        else:
             return connection
     raise attempts.problem
 
@@ -154,3 +140,15 @@ class _Attempts:
                 self.problem = error
                 continue
             yield connection, address
+
+    @contextlib.contextmanager
+    def noting_failure(self, connection: socket.socket) -> Iterator[None]:
+        """Close the socket where the block fails, and note an `OSError` as the problem; others pass."""
+        try:
+            yield
+        except OSError as error:
+            connection.close()
+            self.problem = error
+        except BaseException:
+            connection.close()
+            raise

@@ -1,14 +1,13 @@
 """The ready-made devices: what a client of such a device would find, and that their pages say it."""
 
 import math
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from generated import assert_up_to_date
 
 import busway
 from busway.apps.simulator.includes import load_declaration, parse_declaration
@@ -348,7 +347,4 @@ def test_an_unknown_device_in_an_include_is_said_with_its_line(tmp_path: Path) -
 
 
 def test_the_pages_of_the_devices_are_those_that_the_devices_give() -> None:
-    done = subprocess.run(
-        [sys.executable, "scripts/register_maps.py", "--check"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert_up_to_date("register_maps.py")

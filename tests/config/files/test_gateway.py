@@ -8,8 +8,9 @@ from damaged_texts import after_accidents
 
 from busway.apps.gateway.configuration import parse_gateway
 from busway.codes import Table
-from busway.config.files.gateway import read_gateway_file
+from busway.config.files.gateway import GatewayFile
 from busway.config.files.problems import FileError
+from busway.config.files.schema import parse_with_source
 from busway.errors import ConfigError
 
 GOOD = (Path(__file__).parent / "gateway.toml").read_text(encoding="utf-8")
@@ -23,12 +24,12 @@ ROUTE = "[[route]]\n"
 def problems_of(text: str) -> list[str]:
     """The sentences about a file that cannot be used."""
     with pytest.raises(FileError) as caught:
-        read_gateway_file(text, "x.toml")
+        parse_with_source(text, GatewayFile, "x.toml")
     return str(caught.value).splitlines()
 
 
 def test_listeners_lines_and_routes_are_read() -> None:
-    file, _ = read_gateway_file(GOOD, "gateway.toml")
+    file, _ = parse_with_source(GOOD, GatewayFile, "gateway.toml")
     assert [listener.title for listener in file.listener] == ["scada", "plc"]
     assert [line.name for line in file.link] == ["hall", "inverter"]
     assert file.link[0].options() == {"timeout": 0.5, "unit_switch_gap": 0.01}
@@ -39,14 +40,14 @@ def test_listeners_lines_and_routes_are_read() -> None:
 
 
 def test_a_listener_without_a_name_is_called_by_its_url() -> None:
-    file, _ = read_gateway_file(LISTENER + LINE, "x.toml")
+    file, _ = parse_with_source(LISTENER + LINE, GatewayFile, "x.toml")
     assert file.listener[0].title == "tcp://127.0.0.1:5020"
 
 
 def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> None:
     policy = '[policy]\ndefault = "deny"\n[[policy.rule]]\nlisteners = ["office", "tls://"]\n'
     office = LISTENER + 'name = "office"\n'
-    file, _ = read_gateway_file(office + LINE + policy, "x.toml")
+    file, _ = parse_with_source(office + LINE + policy, GatewayFile, "x.toml")
     assert file.policy is not None
     (rule,) = file.policy.policy().rules
     assert rule.listeners == ("tcp://127.0.0.1:5020", "tls://")

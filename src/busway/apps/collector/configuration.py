@@ -15,11 +15,11 @@ from typing import Any, Final
 from ...client.checks import default_unit
 from ...client.settings import LinkSettings
 from ...codes import Table
-from ...config.files.collector import CollectedDeviceSection, CollectorFile, read_collector_file, sink_options
+from ...config.files.collector import CollectedDeviceSection, CollectorFile, sink_options
 from ...config.files.device import UnitSection
 from ...config.files.lines import Path
 from ...config.files.problems import FileError
-from ...config.files.schema import Source
+from ...config.files.schema import Source, parse_with_source
 from ...config.links import NamedLink
 from ...config.paths import within
 from ...config.profiles import DEVICES, PREFIX, read_profile
@@ -175,7 +175,7 @@ def parse_collector(text: str, name: str) -> CollectorConfiguration:
     Raises:
         FileError: all that is wrong, each with file, line and key.
     """
-    file, source = read_collector_file(text, name)
+    file, source = parse_with_source(text, CollectorFile, name)
     report = ConfigurationReport(source)
     common = put_together(file, name, report, link_defaults=LINK_DEFAULTS)
     devices: dict[str, CollectedDevice] = {}

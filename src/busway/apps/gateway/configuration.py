@@ -13,10 +13,10 @@ from typing import Any
 
 from ...access.rules import AccessRules, Policy
 from ...client.settings import link_settings
-from ...config.files.gateway import GatewayFile, GatewayListenerSection, UpstreamSection, read_gateway_file
+from ...config.files.gateway import GatewayFile, GatewayListenerSection, UpstreamSection
 from ...config.files.lines import Path as Place
 from ...config.files.problems import FileError
-from ...config.files.schema import Source
+from ...config.files.schema import Source, parse_with_source
 from ...config.links import NamedLink
 from ...config.reading import read_text
 from ...config.report import ConfigurationReport
@@ -173,7 +173,7 @@ def parse_gateway(
     Raises:
         FileError: all problems, each with file, line and key.
     """
-    file, source = read_gateway_file(text, name)
+    file, source = parse_with_source(text, GatewayFile, name)
     return _put_together(file, source, preflight=preflight, changes=changes)
 
 

@@ -19,7 +19,8 @@ from ...access.rules import AccessRules, Policy
 from ...config.certificates import tls_of
 from ...config.files.lines import Path as Place
 from ...config.files.problems import FileError
-from ...config.files.system import SystemFile, read_system_file
+from ...config.files.schema import parse_with_source
+from ...config.files.system import SystemFile
 from ...config.links import NamedLink, named_links
 from ...config.paths import rooted, within
 from ...config.preflight import check_files, check_roles
@@ -168,7 +169,7 @@ def parse_configuration(
         FileError: all that is wrong, each with file, line and key.
     """
     try:
-        file, source = read_system_file(text, name)
+        file, source = parse_with_source(text, SystemFile, name)
     except FileError as error:
         raise _what_reads_it(error) from None
     report = ConfigurationReport(source)

@@ -42,26 +42,12 @@ from pydantic import BeforeValidator, ConfigDict, Field
 from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url
-from .schema import Section, Source, read_source
+from .schema import Section
 from .simulation import Parameter
 from .system import SystemFile, twice
 
 Name = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^/\s\x00-\x1f][^/\x00-\x1f]*$")]
 """A name of a device: it stands before the slash in ``device/point``."""
-
-
-def read_collector_file(text: str, name: str) -> "tuple[CollectorFile, Source]":
-    """Read a collector file and check its structure; returns it with the line of every key.
-
-    Args:
-        text: its content.
-        name: its name, for the sentences.
-
-    Raises:
-        FileError: all that is wrong with it, each with file, line and key.
-    """
-    source = read_source(text, name)
-    return source.checked(CollectorFile), source
 
 
 class CollectorSection(Section):

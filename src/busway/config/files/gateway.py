@@ -40,7 +40,7 @@ from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, clashes
 from .options import OptionSection, with_options_of
-from .schema import FileProblems, Section, Source, read_source
+from .schema import FileProblems, Section
 from .system import LinkSection, SystemFile, twice
 
 NOT_OF_GATEWAYS: Final = {
@@ -50,20 +50,6 @@ NOT_OF_GATEWAYS: Final = {
 """Options of links that have no effect in a gateway, and what there is instead."""
 
 Numbers = int | str | list[int | str]
-
-
-def read_gateway_file(text: str, name: str) -> "tuple[GatewayFile, Source]":
-    """Read a gateway file and check its structure; returns it with the line of every key.
-
-    Args:
-        text: its content.
-        name: its name, for the sentences.
-
-    Raises:
-        FileError: all that is wrong with it, each with file, line and key.
-    """
-    source = read_source(text, name)
-    return source.checked(GatewayFile), source
 
 
 def is_gateway(sections: Container[str]) -> bool:

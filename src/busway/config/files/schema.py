@@ -87,18 +87,24 @@ def read_source(text: str, name: str) -> Source:
         raise FileError([_exhausting_problem(text, error, name)]) from error
 
 
-def parse_file(text: str, schema: type[File], name: str) -> File:
-    """Parse a TOML text and check it by a schema class. Raises `FileError` with all problems.
+def parse_with_source(text: str, schema: type[File], name: str) -> tuple[File, Source]:
+    """Parse a TOML text and check it by a schema class; the file, and where everything in it stands.
 
     Args:
         text: the file's text, in TOML.
         schema: what it has to look like.
-        name: the file's name, for the sentences.
+        name: the file's name, for messages.
 
     Raises:
-        FileError: all that is wrong with it.
+        FileError: all that is wrong with it, each with file, line and key.
     """
-    return read_source(text, name).checked(schema)
+    source = read_source(text, name)
+    return source.checked(schema), source
+
+
+def parse_file(text: str, schema: type[File], name: str) -> File:
+    """As `parse_with_source`, the file alone."""
+    return parse_with_source(text, schema, name)[0]
 
 
 def in_order(problems: Iterable[ConfigError]) -> list[ConfigError]:

@@ -48,24 +48,10 @@ from .lines import Path
 from .listeners import ListenerSection, Url, clashes
 from .options import OptionSection, with_options_of
 from .policy import ActionWord, PolicySection
-from .schema import FileProblems, Section, Source, read_source
+from .schema import FileProblems, Section
 
 DEFAULT_LISTEN: Final = "tcp://127.0.0.1:5020"
 """Where units are served if the file does not say."""
-
-
-def read_system_file(text: str, name: str) -> "tuple[SystemFile, Source]":
-    """Read a configuration file and check its structure; returns it with the line of every key.
-
-    Args:
-        text: its content.
-        name: its name, for the sentences.
-
-    Raises:
-        FileError: all that is wrong with it, each with file, line and key.
-    """
-    source = read_source(text, name)
-    return source.checked(SystemFile), source
 
 
 def host_and_port(text: str) -> tuple[str, int]:

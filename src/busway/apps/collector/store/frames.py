@@ -3,6 +3,7 @@
 Knows columns; knows no file.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
@@ -12,8 +13,32 @@ from ....extras import require
 from ..samples import Gap, Quality, Sample, StateInterval, Value, quality_of, reason_text
 
 
+class ColumnTable(ABC):
+    """Named columns of equal length, as Arrow, pandas or polars have them too."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def columns(self) -> dict[str, list[Any]]:  # columns have different types
+        """The columns by name."""
+
+    def to_arrow(self) -> Any:  # pyarrow has no types of its own
+        """A `pyarrow.Table`; time is a timestamp in UTC. Raises `MissingExtra`."""
+        return _arrow_table(self.columns())
+
+    def to_pandas(self) -> Any:  # pandas may not be there to check
+        """A `pandas.DataFrame`. Raises `MissingExtra`."""
+        require("pandas", "a data frame")
+        return self.to_arrow().to_pandas()
+
+    def to_polars(self) -> Any:  # polars may not be there to check
+        """A `polars.DataFrame`. Raises `MissingExtra`."""
+        require("polars", "a data frame")
+        return import_module("polars").from_arrow(self.to_arrow())
+
+
 @dataclass(frozen=True, slots=True)
-class SampleTable:
+class SampleTable(ColumnTable):
     """Samples in columns, ordered by time; one entry of each list for each sample.
 
     Time without reads is there as samples without a value, one for each point at its begin, with its reason.
@@ -63,23 +88,9 @@ class SampleTable:
             "half_width": self.half_width,
         }
 
-    def to_arrow(self) -> Any:  # pyarrow has no types of its own
-        """A `pyarrow.Table`; time is a timestamp in UTC. Raises `MissingExtra`."""
-        return _arrow_table(self.columns())
-
-    def to_pandas(self) -> Any:  # pandas may not be there to check
-        """A `pandas.DataFrame`. Raises `MissingExtra`."""
-        require("pandas", "a data frame")
-        return self.to_arrow().to_pandas()
-
-    def to_polars(self) -> Any:  # polars may not be there to check
-        """A `polars.DataFrame`. Raises `MissingExtra`."""
-        require("polars", "a data frame")
-        return import_module("polars").from_arrow(self.to_arrow())
-
 
 @dataclass(frozen=True, slots=True)
-class BucketTable:
+class BucketTable(ColumnTable):
     """Buckets of points in columns, ordered by time and point; those without samples and outside of gaps are left out.
 
     Attributes:
@@ -118,20 +129,6 @@ class BucketTable:
             "quality": [quality_of(reason).name.lower() for reason in self.reason],
             "reason": [reason_text(reason) for reason in self.reason],
         }
-
-    def to_arrow(self) -> Any:  # pyarrow has no types of its own
-        """A `pyarrow.Table`; time is a timestamp in UTC. Raises `MissingExtra`."""
-        return _arrow_table(self.columns())
-
-    def to_pandas(self) -> Any:  # pandas may not be there to check
-        """A `pandas.DataFrame`. Raises `MissingExtra`."""
-        require("pandas", "a data frame")
-        return self.to_arrow().to_pandas()
-
-    def to_polars(self) -> Any:  # polars may not be there to check
-        """A `polars.DataFrame`. Raises `MissingExtra`."""
-        require("polars", "a data frame")
-        return import_module("polars").from_arrow(self.to_arrow())
 
 
 def _number(value: Value | None) -> float | int | None:
