@@ -13,6 +13,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
 from lying_devices import Answer
@@ -75,6 +76,19 @@ def of_csv(text: str) -> dict[Key, str]:
     return found
 
 
+def of_parquet(file: Path) -> dict[Key, int]:
+    """The good samples of ``busway query --parquet``; the digits of what is no float are texts."""
+    import pyarrow.parquet
+
+    table = pyarrow.parquet.read_table(file)
+    table = table.set_column(0, "time", table["time"].cast("int64"))
+    return {
+        (row["device"], row["point"], row["time"]): int(row["value"] if row["text"] is None else row["text"])
+        for row in table.to_pylist()
+        if row["quality"] == "good"
+    }
+
+
 def nanoseconds(text: str) -> int:
     """A time of the command line, as nanoseconds since 1970."""
     whole, _, part = text.rstrip("Z").partition(".")
@@ -94,10 +108,23 @@ def good_samples(table: Iterable[Any]) -> tuple[dict[Key, object], list[str]]:
     return found, twice
 
 
+def bad_samples(table: Iterable[Any]) -> dict[tuple[str, str], list[tuple[int, int]]]:
+    """By point, the transactions of which no value came: their begins and ends."""
+    found = defaultdict(list)
+    for sample in table:
+        if sample.value is None:
+            span = sample.half_width + SECOND // 20
+            found[sample.device, sample.point].append((sample.time - span, sample.time + span))
+    return found
+
+
 def missing_answers(
-    kept: Mapping[Key, object], answers: Mapping[str, Sequence[Answer]], excused: Sequence[tuple[int, int]]
+    kept: Mapping[Key, object],
+    bad: Mapping[tuple[str, str], Sequence[tuple[int, int]]],
+    answers: Mapping[str, Sequence[Answer]],
+    excused: Sequence[tuple[int, int]],
 ) -> Iterable[str]:
-    """Honest answers whose value is nowhere in the store, and those that are there at two times."""
+    """Honest answers whose read is nowhere in the store, with its value or as bad, and those that are there twice."""
     turns: dict[tuple[str, str, int], list[int]] = defaultdict(list)
     for (device, point, time), value in kept.items():
         if point.startswith("code"):
@@ -114,7 +141,9 @@ def missing_answers(
                 continue
             for start in range(answer.start, answer.start + answer.count, 4):
                 point = f"code{start}"
-                if point in WANTED and (device, point, answer.round) not in turns:
+                if point not in WANTED or (device, point, answer.round) in turns:
+                    continue
+                if not any(begin <= answer.received <= end for begin, end in bad.get((device, point), ())):
                     yield f"{device}/{point}: the answer {answer.round} at {answer.received} is not in the store"
 
 

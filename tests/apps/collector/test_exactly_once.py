@@ -22,7 +22,19 @@ from typing import Any
 
 import pytest
 from foreign_servers import ForeignServer, free_port, nats_server
-from kept_once import SECOND, Delivered, Key, good_samples, missing_answers, of_csv, of_lines, profile
+from kept_once import (
+    SECOND,
+    Delivered,
+    Key,
+    bad_samples,
+    good_samples,
+    missing_answers,
+    nanoseconds,
+    of_csv,
+    of_lines,
+    of_parquet,
+    profile,
+)
 from lying_devices import Field, Lies, LyingDevice
 
 import busway
@@ -228,14 +240,14 @@ class Walk:
         until(self._is_up, self.log)
         self.excused.append((time.time_ns() - SECOND, time.time_ns() + 600 * SECOND))
         time.sleep(1)
-        until(self._has_handed_on, self.log)
+        until(lambda: not self._not_handed_on(), lambda: f"never handed on: {self._not_handed_on()[:5]}\n{self.log()}")
         assert self.collecting.end(signal.SIGTERM) == 0, self.log()
 
-    def _has_handed_on(self) -> bool:
+    def _not_handed_on(self) -> list[object]:
+        """Samples that are not in the file, and sinks that are behind."""
         kept, _ = good_samples(busway.Store(self.folder / "data").read())
-        return kept.keys() <= self.lines().values.keys() and all(
-            sink["error"] is None and sink["behind"] == 0 for sink in self._ask("sinks")["sinks"]
-        )
+        behind = [sink for sink in self._ask("sinks")["sinks"] if sink["behind"] or sink["error"]]
+        return [*(kept.keys() - self.lines().values.keys()), *behind]
 
     def _is_up(self) -> bool:
         try:
@@ -259,12 +271,13 @@ class Walk:
         wrong += [f"{key} never reached the file" for key in kept if key not in lines.values]
         for name, seen in self.seen:
             wrong += [f"{key} was in a {name} and is {kept.get(key)}" for key in seen if kept.get(key) != seen[key]]
+        wrong += self._queries_that_differ(kept)
         held = {(device, point, value) for (device, point, _), value in kept.items()}
         wrong += [f"{value} was shown and is not in the store" for value in self.shown - held]
         for number, (restored, before) in enumerate(self.restored):
             wrong += self._no_prefix(f"backup {number}", restored, before, kept, lines)
         answers = {name: self._world.answers[device.number] for name, device in self.devices.items()}
-        wrong += missing_answers(kept, answers, self.excused)
+        wrong += missing_answers(kept, bad_samples(table), answers, self.excused)
         wrong += [
             f"no gap has the end at {end}"
             for end in self.ends
@@ -274,6 +287,22 @@ class Walk:
             f"{len(kept)} samples kept, {lines.copies} handed on, {len(self.ends)} ends, {len(self.restored)} backups"
         )
         return wrong
+
+    def _queries_that_differ(self, kept: dict[Key, Any]) -> list[str]:
+        """What the command line says in each format."""
+        data, file = str(self.folder / "data"), self.folder / "all.parquet"
+        of_json = {}
+        for line in self.busway("query", data, "*", "--json").splitlines():
+            row = json.loads(line)
+            if row["quality"] == "good":
+                device, _, point = row["point"].partition("/")
+                of_json[device, point, nanoseconds(row["time"])] = row["value"]
+        found: dict[str, dict[Key, Any]] = {"JSON": of_json}
+        found["CSV"] = {key: int(value) for key, value in of_csv(self.busway("query", data, "*", "--csv")).items()}
+        if importlib.util.find_spec("pyarrow") is not None:
+            self.busway("query", data, "*", "--parquet", str(file))
+            found["Parquet"] = of_parquet(file)
+        return [f"the query in {name} differs from the store" for name, rows in found.items() if rows != kept]
 
     def _same(self, where: str, seen: dict[Key, set[Any]], kept: dict[Key, Any]) -> list[str]:
         return [

@@ -185,6 +185,16 @@ def test_tables_become_arrow_and_frames_where_those_are_installed(tmp_path: Path
             assert len(getattr(store.read(), method)()) == 7
 
 
+def test_integers_that_no_float_holds_keep_their_digits_as_text_in_columns(tmp_path: Path) -> None:
+    with StoreWriter(tmp_path, now=at(0)) as writer:
+        for second, value in enumerate((2**53, 2**53 + 1, -(2**63) + 1, 2**64 - 1, 1.5, True)):
+            writer.commit([SampleBatch(PUMP, at(second), 7, (value,))], [], at(second))
+        table = Store(tmp_path).read()
+    digits = ["9007199254740993", "-9223372036854775807", "18446744073709551615"]
+    assert table.columns()["text"] == [None, *digits, None, None]
+    assert table.to_arrow().column("text").to_pylist() == [None, *digits, None, None]
+
+
 def test_a_sealed_part_names_its_points_for_other_programs(tmp_path: Path) -> None:
     import pyarrow.parquet as pq
 

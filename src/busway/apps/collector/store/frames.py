@@ -7,10 +7,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any
+from typing import Any, Final
 
 from ....extras import require
 from ..samples import Gap, Quality, Sample, StateInterval, Value, quality_of, reason_text
+
+EXACT: Final = 2**53
+"""Integers up to this are floats too."""
 
 
 class ColumnTable(ABC):
@@ -76,13 +79,16 @@ class SampleTable(ColumnTable):
         return [quality_of(reason) for reason in self.reason]
 
     def columns(self) -> dict[str, list[Any]]:  # columns have different types
-        """The columns by name, with quality and reason in words; values as numbers, and texts beside them."""
+        """The columns by name, with quality and reason in words; values as numbers, and texts beside them.
+
+        An integer that no float holds has its digits as text too, because a column of numbers may become one of floats.
+        """
         return {
             "time": self.time,
             "device": self.device,
             "point": self.point,
             "value": [_number(value) for value in self.value],
-            "text": [value if isinstance(value, str) else None for value in self.value],
+            "text": [_text(value) for value in self.value],
             "quality": [quality.name.lower() for quality in self.quality],
             "reason": [reason_text(reason) for reason in self.reason],
             "half_width": self.half_width,
@@ -133,6 +139,12 @@ class BucketTable(ColumnTable):
 
 def _number(value: Value | None) -> float | int | None:
     return None if value is None or isinstance(value, str) else value
+
+
+def _text(value: Value | None) -> str | None:
+    if isinstance(value, int) and abs(value) > EXACT and int(float(value)) != value:
+        return str(value)
+    return value if isinstance(value, str) else None
 
 
 def _arrow_table(columns: dict[str, list[Any]]) -> Any:
