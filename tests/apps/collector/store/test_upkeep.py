@@ -1,11 +1,13 @@
 """Check, backup and restore, while a store is written."""
 
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
-from collected import NOON, filled
+from collected import NOON, PUMP, at, filled, read_of
 
+from busway.apps.collector.store import upkeep
 from busway.apps.collector.store.folder import SEGMENTS
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.upkeep import back_up, check_store_files, restore
@@ -81,3 +83,40 @@ def test_a_backup_never_overwrites_and_a_damaged_one_is_not_restored(tmp_path: P
         path.unlink()
     with pytest.raises(ConfigError, match=r"the backup is not whole|listed"):
         restore(tmp_path / "backup", tmp_path / "again")
+
+
+def test_a_backup_of_a_segment_that_has_no_tables_yet_is_whole(tmp_path: Path) -> None:
+    with filled(tmp_path / "data", 3) as writer:
+        writer.roll()
+        begun = writer.manifest.add_segment()
+        with closing(sqlite3.connect(tmp_path / "data" / SEGMENTS / begun.file)) as database:
+            database.execute("PRAGMA journal_mode=WAL")
+        assert check_store_files(tmp_path / "data") == []
+        back_up(tmp_path / "data", tmp_path / "copy")
+    restore(tmp_path / "copy", tmp_path / "again")
+    assert len(Store(tmp_path / "again").read()) == 9
+
+
+@pytest.mark.parametrize("meanwhile", ["sealed", "new point"])
+def test_what_happens_while_a_backup_is_made_takes_nothing_from_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, meanwhile: str
+) -> None:
+    copied: list[str] = []
+    copy = upkeep._copy_database
+
+    def copy_slowly(source: Path, target: Path) -> None:
+        copy(source, target)
+        copied.append(source.name)
+        if len(copied) == 1 and meanwhile == "sealed":
+            writer.roll()
+            writer.seal_closed()
+        elif len(copied) == 1:
+            writer.commit([read_of(PUMP, 100, 1.0)], [], at(100))
+
+    monkeypatch.setattr(upkeep, "_copy_database", copy_slowly)
+    with filled(tmp_path / "data", 3) as writer:
+        back_up(tmp_path / "data", tmp_path / "copy")
+    restore(tmp_path / "copy", tmp_path / "again")
+    kept = Store(tmp_path / "again").read()
+    assert len(kept) == (9 if meanwhile == "sealed" else 10)
+    assert kept == Store(tmp_path / "data").read()

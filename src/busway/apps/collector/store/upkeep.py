@@ -3,8 +3,9 @@
 Knows files and what the manifest says of them; changes nothing in the store that it looks at.
 
 1. A check reads every part, and tells each problem in one sentence. It takes no lock.
-2. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. SQLite copies the
-   open segment, so it has every commit up to a moment not before that of the manifest.
+2. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. Segments are
+   copied first, by SQLite, so the open one has every commit up to a moment; then the manifest again, so that all their
+   points are in it. Where the list of parts changed meanwhile, all of that is done again. Sealed parts come last.
 3. A backup that is cut short is in a folder with the end ``.unfinished``, and no store.
 """
 
@@ -18,7 +19,7 @@ from ....errors import ConfigError
 from .folder import LOCK, MANIFEST, SEGMENTS, UNFINISHED, check_store, holder_of, make_folder, sync_file, sync_folder
 from .manifest import Manifest, StorePart
 from .sealing import arrow, can_seal
-from .segment import facts_of, open_for_reading
+from .segment import facts_of, is_unmade, open_for_reading
 
 _TRIES = 10
 
@@ -40,7 +41,6 @@ def check_store_files(folder: Path) -> list[str]:
 
 def _problems(folder: Path, manifest: Manifest, *, tolerant: bool = False) -> Iterator[str]:
     parts = manifest.parts()
-    known = {point.id for point in manifest.points()}
     seen: dict[int, str] = {}
     for part in parts:
         path = folder / SEGMENTS / part.file
@@ -52,9 +52,9 @@ def _problems(folder: Path, manifest: Manifest, *, tolerant: bool = False) -> It
             yield f"{part.file} is listed, but the file is not there"
             continue
         if part.kind == "sealed":
-            yield from _problems_of_sealed(path, part, known)
+            yield from _problems_of_sealed(path, part, manifest)
         else:
-            yield from _problems_of_segment(path, part, known)
+            yield from _problems_of_segment(path, part, manifest)
         if part.first_commit is not None and part.kind != "sealed":
             other = seen.setdefault(part.first_commit, part.file)
             if other != part.file:
@@ -66,7 +66,7 @@ def _problems(folder: Path, manifest: Manifest, *, tolerant: bool = False) -> It
             yield f"{path.name} is in the folder, but not listed"
 
 
-def _problems_of_segment(path: Path, part: StorePart, known: set[int]) -> Iterator[str]:
+def _problems_of_segment(path: Path, part: StorePart, manifest: Manifest) -> Iterator[str]:
     try:
         with closing(open_for_reading(path)) as database:
             database.execute("BEGIN")
@@ -79,14 +79,23 @@ def _problems_of_segment(path: Path, part: StorePart, known: set[int]) -> Iterat
                 yield f"{part.file} has {facts.rows} samples, but {part.rows} are listed"
             if rows > (facts.rows or 0):
                 yield f"{part.file} has {rows} samples, but its commits made {facts.rows}"
-            found = {row[0] for row in database.execute("SELECT DISTINCT point FROM samples")}
-            if found - known:
-                yield f"{part.file} has samples of points that are not listed: {sorted(found - known)[:5]}"
+            yield from _unlisted(
+                part, {row[0] for row in database.execute("SELECT DISTINCT point FROM samples")}, manifest
+            )
     except sqlite3.DatabaseError as error:
+        if part.kind == "open" and isinstance(error, sqlite3.OperationalError) and is_unmade(error):
+            return
         yield f"{part.file} cannot be read: {error}"
 
 
-def _problems_of_sealed(path: Path, part: StorePart, known: set[int]) -> Iterator[str]:
+def _unlisted(part: StorePart, found: set[int], manifest: Manifest) -> Iterator[str]:
+    """Points of samples that the manifest lacks; it is read after them, because a point is listed before it has any."""
+    unlisted = found - {point.id for point in manifest.points()}
+    if unlisted:
+        yield f"{part.file} has samples of points that are not listed: {sorted(unlisted)[:5]}"
+
+
+def _problems_of_sealed(path: Path, part: StorePart, manifest: Manifest) -> Iterator[str]:
     if not can_seal():
         yield f"{part.file} cannot be checked without pyarrow: pip install 'busway[store]'"
         return
@@ -97,9 +106,7 @@ def _problems_of_sealed(path: Path, part: StorePart, known: set[int]) -> Iterato
         return
     if table.num_rows != part.rows:
         yield f"{part.file} has {table.num_rows} samples, but {part.rows} are listed"
-    found = set(arrow("compute").unique(table["point"]).to_pylist())
-    if found - known:
-        yield f"{part.file} has samples of points that are not listed: {sorted(found - known)[:5]}"
+    yield from _unlisted(part, set(arrow("compute").unique(table["point"]).to_pylist()), manifest)
     bounds = arrow("compute").min_max(table["time"].cast("int64")).as_py()
     if (bounds["min"], bounds["max"]) != (part.low, part.high):
         yield f"{part.file} has other times than are listed"
@@ -116,9 +123,9 @@ def back_up(folder: Path, target: Path) -> int:
         raise ConfigError("exists already; a backup makes a folder of its own", file=str(target))
     unfinished = target.with_name(target.name + UNFINISHED)
     try:
-        shutil.rmtree(unfinished, ignore_errors=True)
-        make_folder(unfinished)
         for _ in range(_TRIES):
+            shutil.rmtree(unfinished, ignore_errors=True)
+            make_folder(unfinished)
             copied = _copied(folder, unfinished)
             if copied is not None:
                 break
@@ -133,23 +140,35 @@ def back_up(folder: Path, target: Path) -> int:
 
 
 def _copied(folder: Path, target: Path) -> int | None:
-    """Copy the manifest and the parts it lists; None where one has gone meanwhile."""
+    """Copy segments, the manifest and sealed parts; None where the list of parts changed meanwhile."""
+    listed = _copied_manifest(folder, target)
+    for part in listed:
+        if part.kind != "sealed":
+            source = folder / SEGMENTS / part.file
+            try:
+                with closing(open_for_reading(source)):
+                    _copy_database(source, target / SEGMENTS / part.file)
+            except FileNotFoundError:  # it is sealed by now, or not made yet: the list tells
+                pass
+    parts = _copied_manifest(folder, target)
+    if [(part.file, part.kind) for part in parts] != [(part.file, part.kind) for part in listed]:
+        return None
+    for part in parts:
+        if part.kind == "sealed":
+            copy = target / SEGMENTS / part.file
+            try:
+                shutil.copyfile(folder / SEGMENTS / part.file, copy)
+            except FileNotFoundError:  # dropped meanwhile
+                return None
+            sync_file(copy)
+    return len(parts)
+
+
+def _copied_manifest(folder: Path, target: Path) -> list[StorePart]:
+    """Copy the manifest; the parts that it lists."""
     _copy_database(folder / MANIFEST, target / MANIFEST)
     with closing(Manifest(target)) as manifest:
-        parts = manifest.parts()
-    for part in parts:
-        source, copy = folder / SEGMENTS / part.file, target / SEGMENTS / part.file
-        try:
-            if part.kind == "sealed":
-                shutil.copyfile(source, copy)
-                sync_file(copy)
-            else:
-                with closing(open_for_reading(source)):
-                    _copy_database(source, copy)
-        except FileNotFoundError:
-            if part.kind != "open":
-                return None
-    return len(parts)
+        return manifest.parts()
 
 
 def _copy_database(source: Path, target: Path) -> None:
