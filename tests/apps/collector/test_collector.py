@@ -191,6 +191,21 @@ async def test_another_store_is_refused_as_a_whole(tmp_path: Path) -> None:
             assert [each.name for each in collector.status()] == ["pump"]
 
 
+async def test_changes_that_hold_after_the_next_start_are_named_until_they_are_undone(tmp_path: Path) -> None:
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"})
+        text = file.read_text()
+        async with busway.collect(file) as collector:
+            file.write_text(text.replace("[collector]\n", '[collector]\npage = "off"\nkeep_days = 7\n'))
+            left = ["[collector] keep_days holds after the next start", "[collector] page holds after the next start"]
+            assert await collector.reload(load_collector(file)) == left
+            assert await collector.reload(load_collector(file)) == left
+            file.write_text(text + '[page_access]\ntokens = "tokens"\n')
+            assert await collector.reload(load_collector(file)) == ["[page_access] holds after the next start"]
+            file.write_text(text)
+            assert await collector.reload(load_collector(file)) == ["nothing changed"]
+
+
 async def test_a_link_that_is_not_there_is_a_reason_and_the_others_are_polled(tmp_path: Path) -> None:
     async with served() as server:
         async with served() as closed:

@@ -130,6 +130,7 @@ class Collector:
 
     def __init__(self, configuration: CollectorConfiguration) -> None:
         self.configuration: CollectorConfiguration = configuration
+        self._started_with = configuration
         self.readers_lost: int = 0
         self._committer: Committer | None = None
         self.knowledge: Knowledge = Knowledge()
@@ -464,7 +465,7 @@ class Collector:
         except ConfigError as error:
             self._audit_change(configuration.text, [str(error)], False, by, origin)
             raise
-        done = [*await self._apply(configuration), *left_for_the_next_start(old, configuration)]
+        done = [*await self._apply(configuration), *left_for_the_next_start(self._started_with, configuration)]
         self._audit_change(configuration.text, done, True, by, origin, old.text)
         return done or ["nothing changed"]
 

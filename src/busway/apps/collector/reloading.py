@@ -11,9 +11,14 @@ import contextlib
 import os
 import stat
 from pathlib import Path
+from typing import Final
 
+from ...config.files.collector import CollectorSection
 from ...errors import ConfigError
 from .configuration import CollectorConfiguration
+
+_READ_AT_THE_START: Final = tuple(key for key in CollectorSection.model_fields if key not in ("store", "learn"))
+"""Keys of ``[collector]``; another store is refused, and `learn` holds at once."""
 
 
 def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfiguration) -> None:
@@ -26,12 +31,14 @@ def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfigu
         )
 
 
-def left_for_the_next_start(old: CollectorConfiguration, new: CollectorConfiguration) -> list[str]:
-    """What differs and holds after the next start only, each as a sentence."""
-    before, after = old.file.collector, new.file.collector
-    keys = [f"[collector] {key}" for key in type(after).model_fields if getattr(before, key) != getattr(after, key)]
-    if old.file.audit != new.file.audit:
+def left_for_the_next_start(started: CollectorConfiguration, new: CollectorConfiguration) -> list[str]:
+    """What differs from the configuration of the start and holds after the next one only, each as a sentence."""
+    before, after = started.file.collector, new.file.collector
+    keys = [f"[collector] {key}" for key in _READ_AT_THE_START if getattr(before, key) != getattr(after, key)]
+    if started.file.audit != new.file.audit:
         keys.append("[audit]")
+    if started.file.page_access != new.file.page_access:
+        keys.append("[page_access]")
     return [f"{key} holds after the next start" for key in keys]
 
 
