@@ -3,7 +3,7 @@
 import pytest
 
 from busway.errors import ConfigError, LinkDown
-from busway.transport.serial.reopen import ReopenPolicy, open_when_there, open_when_there_blocking
+from busway.transport.serial.reopen import ReopenPolicy, open_when_there
 
 POLICY = ReopenPolicy(first=0.1, most=1.0)
 
@@ -56,18 +56,10 @@ async def test_a_port_is_waited_for_and_each_failure_told() -> None:
     assert told == [("it is not there", 0.1), ("it is not there", 0.2), ("it is not there", 0.4)]
 
 
-def test_a_thread_waits_in_the_same_way() -> None:
-    slept: list[float] = []
-    assert open_when_there_blocking(Opener(2), POLICY, sleep=slept.append) == "port"
-    assert slept == [0.1, 0.2]
-
-
 async def test_what_waiting_does_not_change_is_raised_at_once() -> None:
     refusal = ConfigError("it is no serial port")
     with pytest.raises(ConfigError):
         await open_when_there(Opener(1, refusal).open, POLICY)
-    with pytest.raises(ConfigError):
-        open_when_there_blocking(Opener(1, refusal), POLICY)
 
 
 async def test_the_last_failure_is_raised_when_it_is_enough() -> None:
@@ -78,6 +70,4 @@ async def test_the_last_failure_is_raised_when_it_is_enough() -> None:
 
     with pytest.raises(LinkDown):
         await open_when_there(Opener(9).open, ReopenPolicy(attempts=3), sleep=sleep)
-    with pytest.raises(LinkDown):
-        open_when_there_blocking(Opener(9), ReopenPolicy(attempts=3), sleep=slept.append)
-    assert len(slept) == 4
+    assert len(slept) == 2

@@ -55,11 +55,6 @@ class ReadCost:
         """The same line with another device."""
         return replace(self, base=base)
 
-    @property
-    def widest_gap(self) -> int:
-        """The widest hole, in registers, that is cheaper to read than to leave out."""
-        return int(self.base / self.per_register)
-
 
 def line_cost(
     timing: SerialTiming, framing: Literal["rtu", "ascii"] = "rtu", *, turnaround: float = TURNAROUND, gap: float = 0.0

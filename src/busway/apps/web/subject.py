@@ -128,7 +128,7 @@ class PageSubject(Protocol):
     """A simulation."""
 
     @property
-    def units(self) -> Mapping[int, Any]:  # Any: `PageUnit`
+    def units(self) -> Mapping[int, PageUnit]:
         """The units by number."""
 
     @property

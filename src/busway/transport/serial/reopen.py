@@ -1,13 +1,12 @@
 """Opens a serial port that may be missing for now, with pauses between the attempts.
 
-Knows how often; the waiting itself is handed in, so that an event loop, a thread and a test each wait in their way.
+Knows how often; the waiting itself is handed in, so that a test waits in its own way.
 
 1. The first pause is short: an adapter that is replugged is back within a second. Each further one doubles, up to a
    most; a port that is gone for hours costs one attempt per ``most`` seconds.
 2. Only what may be different later is tried again: `LinkDown` is, `ConfigError` is not.
 """
 
-import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import TypeVar
@@ -84,26 +83,3 @@ async def open_when_there(
                 raise
             waiting(error, pause)
         await sleep(pause)
-
-
-def open_when_there_blocking(
-    opener: Callable[[], Port],
-    policy: ReopenPolicy,
-    *,
-    waiting: Callable[[LinkDown, float], None] = _ignore,
-    sleep: Callable[[float], object] = time.sleep,
-) -> Port:
-    """Open a port in the calling thread, waiting for a missing one. ``sleep`` or ``waiting`` may raise to stop
-    waiting.
-    """
-    failures = 0
-    while True:
-        try:
-            return opener()
-        except LinkDown as error:
-            failures += 1
-            pause = policy.pause(failures)
-            if pause is None:
-                raise
-            waiting(error, pause)
-        sleep(pause)
