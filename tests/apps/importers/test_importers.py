@@ -347,3 +347,59 @@ def test_a_hostile_name_ends_no_comment_and_no_text() -> None:
     found.omit("line\nunit = 7", "a\nb = 1", "c")
     file = parse_device_file(found.text("s\n[[unit]]"), "x")
     assert [(section.unit, [point.name for point in section.point]) for section in file.unit] == [([1], [keys["name"]])]
+
+
+WRONG_VALUES = {
+    "hub.yaml": """\
+modbus:
+  - sensors:
+      - name: scaled
+        address: 1
+        scale: tenth
+      - name: several
+        address: 2
+        virtual_count: many
+      - name: absent
+        address: 3
+        nan_value: zz
+      - name: good
+        address: 5
+    switches:
+      - name: switch
+        address: 1
+        command_on: yes please
+""",
+    "telegraf.toml": """\
+[[inputs.modbus]]
+holding_registers = [{ name = "scaled", address = [1], scale = "tenth" }, { name = "good", address = [5] }]
+[[inputs.modbus]]
+slave_id = "first"
+coils = [{ name = "unit", address = [1] }]
+""",
+}
+
+
+@pytest.mark.parametrize("name", WRONG_VALUES)
+def test_a_point_with_a_value_that_cannot_be_read_is_reported_and_the_others_are_kept(
+    name: str, tmp_path: Path
+) -> None:
+    file = tmp_path / name
+    file.write_text(WRONG_VALUES[name], encoding="utf-8")
+    found = import_file(str(file))
+    text = found.text(name)
+    assert 'name = "good", address = "holding:5"' in text
+    reported = {each.what for each in found.omissions if "has a value that cannot be read" in each.why}
+    wanted = {"scaled", "several", "absent", "switch"} if name == "hub.yaml" else {"scaled", "unit"}
+    assert reported == wanted
+    assert all(each.where.startswith("line ") for each in found.omissions)
+
+
+@pytest.mark.parametrize(
+    "points",
+    ['[{"name": "ID", "type": "uint16", "size": "x"}]', "[5]", '[{"name": "a", "type": "uint16", "symbols": 7}]'],
+)
+def test_a_sunspec_model_with_a_value_that_cannot_be_read_is_refused(points: str, tmp_path: Path) -> None:
+    file = tmp_path / "model.json"
+    file.write_text(f'{{"id": 1, "group": {{"name": "g", "points": {points}}}}}', encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"model\.json: is no SunSpec model: it has a value that cannot be read"):
+        import_file(str(file))

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from ...values.refusal import shown
-from .imported import ImportedDevice
+from .imported import ImportedDevice, tables_in
 from .plain_yaml import Place, YamlDocument, parse_yaml
 
 _TABLES: Final = {"holding": "holding", "input": "input", "coil": "coil", "discrete_input": "discrete"}
@@ -46,7 +46,7 @@ def _hub(hub: Mapping[str, Any], place: Place, document: YamlDocument, found: Im
         why = "is more than a point: write its registers as points" if is_list else "is an option of the link"
         found.omit(f"line {document.line((*place, key))}", key, why)
     for key, make in (("sensors", _sensor), ("binary_sensors", _binary_sensor), ("switches", _switch)):
-        for at, entity in _entities(hub.get(key)):
+        for at, entity in tables_in(hub.get(key)):
             here = (*place, key, at)
             where = f"line {document.line(here)}"
             name = str(entity.get("name", f"{key}_{at + 1}"))
@@ -57,8 +57,9 @@ def _hub(hub: Mapping[str, Any], place: Place, document: YamlDocument, found: Im
                 continue
             keys: dict[str, Any] = {"name": name, "unit_of_measure": entity.get("unit_of_measurement")}
             keys["meta"] = {each: entity[each] for each in _META if entity.get(each) is not None} or None
-            for made in make(entity, keys, where, found):
-                found.add(_unit(entity), made, where)
+            with found.reporting(where, name):
+                for made in make(entity, keys, where, found):
+                    found.add(_unit(entity), made, where)
 
 
 def _sensor(
@@ -132,7 +133,3 @@ def _unit(entity: Mapping[str, Any]) -> int:
 
 def _number(value: Any) -> Any:
     return int(value, 16) if isinstance(value, str) else value
-
-
-def _entities(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:
-    return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))

@@ -7,9 +7,10 @@ Knows the schema of device files and reports; knows no format of others.
 2. A point that cannot be is left out and reported; the others are kept. Points that share registers are allowed to.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from pydantic import ValidationError
 
@@ -17,6 +18,9 @@ from ...config.files.schema import faults_of
 from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
 from ...errors import ConfigError
 from ..simulator.device_text import device_text
+
+WRONG_VALUE: Final = (ValueError, TypeError, AttributeError, OverflowError)
+"""What reading a value of a file raises where it has another type or form."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +73,14 @@ class ImportedDevice:
     def omit(self, where: str, what: str, why: str) -> None:
         """Report something that is not carried over."""
         self.omissions.append(Omission(where, what, why))
+
+    @contextmanager
+    def reporting(self, where: str, what: str) -> Iterator[None]:
+        """Report what is read in the block where a value in it has a type or form that its format does not have."""
+        try:
+            yield
+        except WRONG_VALUE as error:
+            self.omit(where, what, f"has a value that cannot be read: {error}")
 
     def sections(self) -> list[SimulatedUnitSection]:
         """The units, checked; points that cannot be are reported and left out.
@@ -123,6 +135,11 @@ class ImportedDevice:
         if self.omissions:
             remarks += ["", "Not carried over:", *(f"  {each}" for each in self.omissions)]
         return device_text(units, remarks=remarks, compact=True)
+
+
+def tables_in(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:  # Any: what the file has
+    """The tables of a list, each with its place; nothing where it is none."""
+    return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))
 
 
 def _once(name: str, taken: set[str]) -> str:

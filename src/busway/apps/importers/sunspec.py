@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from ...errors import ConfigError
 from ...values.refusal import shown
-from .imported import ImportedDevice
+from .imported import WRONG_VALUE, ImportedDevice
 
 FIRST_MODEL: Final = 40002
 """Offset of the first model where the map begins at 40000, behind the marker "SunS"."""
@@ -74,7 +74,12 @@ def read_sunspec(
         f"SunSpec model {model.get('id', '?')}, {group.get('label', group.get('name', ''))}.",
         f"Its register ID is assumed at offset {first}; --address says where a device has it.",
     ]
-    _Model(found, name, dict(counts or {})).take(group, first)
+    try:
+        _Model(found, name, dict(counts or {})).take(group, first)
+    except ConfigError:
+        raise
+    except WRONG_VALUE as error:  # where the following points are is not known then
+        raise ConfigError(f"is no SunSpec model: it has a value that cannot be read: {error}", file=name) from error
     found.omit("", ", ".join(_SAYING_NOTHING), "say nothing about values")
     return found
 

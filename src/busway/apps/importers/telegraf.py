@@ -3,12 +3,12 @@
 Knows Telegraf's keys and types. Its addresses count from 0.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 from ...config.files.schema import Source, read_source
 from ...values.refusal import shown
-from .imported import ImportedDevice
+from .imported import ImportedDevice, tables_in
 
 _TABLES: Final = {
     "coil": "coil", "discrete": "discrete", "holding": "holding", "input": "input",
@@ -51,14 +51,14 @@ def _plugin(plugin: Mapping[str, Any], path: tuple[Any, ...], source: Source, fo
         found.omit(_line(source, (*path, key)), key, "an option of Telegraf's connection, not of the device")
     unit = plugin.get("slave_id", 1)
     for key in ("coils", "discrete_inputs", "holding_registers", "input_registers"):
-        for at, field in _tables(plugin.get(key)):
+        for at, field in tables_in(plugin.get(key)):
             _field(field, _TABLES[key], unit, "", (*path, key, at), source, found)
     for style in ("request", "metric"):
-        for at, section in _tables(plugin.get(style)):
+        for at, section in tables_in(plugin.get(style)):
             for key in section.keys() - {"slave_id", "byte_order", "register", "measurement", "fields"}:
                 found.omit(_line(source, (*path, style, at, key)), key, "is Telegraf's own")
             table = _TABLES.get(str(section.get("register", "holding")), "")
-            for place, field in _tables(section.get("fields")):
+            for place, field in tables_in(section.get("fields")):
                 own = _TABLES.get(str(field.get("register", "")), table)
                 where = (*path, style, at, "fields", place)
                 _field(
@@ -71,6 +71,13 @@ def _field(
     found: ImportedDevice,
 ) -> None:  # fmt: skip
     where, name = _line(source, path), str(field.get("name", ""))
+    with found.reporting(where, name or "a field"):
+        _known_field(field, table, unit, order, where, name, found)
+
+
+def _known_field(
+    field: Mapping[str, Any], table: str, unit: int, order: str, where: str, name: str, found: ImportedDevice
+) -> None:
     if field.get("omit"):
         found.omit(where, name or "a field", "is omitted by Telegraf too: only registers between others")
         return
@@ -110,10 +117,6 @@ def _type(kind: str, registers: int, length: object) -> str | None:
     if kind == "STRING":
         return f"string:{2 * (length if isinstance(length, int) else max(registers, 1))}"
     return None
-
-
-def _tables(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:
-    return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))
 
 
 def _line(source: Source, path: tuple[Any, ...]) -> str:
