@@ -42,6 +42,8 @@ from .status import GatewayListenerStatus, GatewayStatus, upstream_numbers
 from .upstream import Upstream
 
 if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
     from ...access.audit_log import AuditLog
 
 
@@ -377,9 +379,9 @@ def _standard_port(listener: GatewayListener, plan: GatewayPlan) -> bool | None:
     return choice if listener.name in (reachable or list(plain))[:1] else False
 
 
-def _to_zero(counters: object) -> None:
+def _to_zero(counters: "DataclassInstance") -> None:
     """Set the numbers of a dataclass to zero."""
-    for one in fields(counters):  # type: ignore[arg-type]  # a dataclass of any kind
+    for one in fields(counters):
         setattr(counters, one.name, 0)
 
 

@@ -8,7 +8,9 @@ Knows declared options (`busway.options.declaration`) and pydantic; knows no par
 
 from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import BeforeValidator, Field, create_model, model_validator
 
@@ -95,13 +97,10 @@ def with_options_of(
 
 def _annotation(option: Option) -> Any:  # a type as annotations have it
     """The type of the key for an option, for the schema."""
-    kinds = [_plain(kind) for kind in option.kinds]
-    if len(kinds) > 1:
-        return Annotated[
-            Union[tuple(kinds)],  # noqa: UP007  # as many as there are
-            BeforeValidator(_one_of(option), json_schema_input_type=Union[tuple(kinds)]),  # noqa: UP007
-        ]
-    return _or_none(kinds[0]) if option.is_optional else kinds[0]
+    kind = reduce(or_, [_plain(kind) for kind in option.kinds])
+    if len(option.kinds) > 1:
+        return Annotated[kind, BeforeValidator(_one_of(option), json_schema_input_type=kind)]
+    return _or_none(kind) if option.is_optional else kind
 
 
 def _plain(kind: Any) -> Any:  # both are types as annotations have them
