@@ -1,4 +1,4 @@
-"""The words of the specification: function, sub-function and exception codes, and the limits of the wire.
+"""Codes and limits of the specification: function, sub-function and exception codes, and sizes on the wire.
 
 Knows numbers and their sections; knows nothing that does anything with them.
 """
@@ -51,22 +51,22 @@ class Table(Enum):
 
     @property
     def holds_bits(self) -> bool:
-        """Whether an item is one bit; otherwise it is a 16-bit register."""
+        """Whether an item of the table is one bit; otherwise it is a 16-bit register."""
         return self in (Table.COILS, Table.DISCRETE_INPUTS)
 
     @property
     def is_writable(self) -> bool:
-        """Whether a function of the specification writes to it."""
+        """Whether Modbus has a function that writes to this table."""
         return self in (Table.COILS, Table.HOLDING_REGISTERS)
 
     @property
     def label(self) -> str:
-        """The name with spaces, in the singular: ``holding register``."""
+        """Name of the table's items with spaces, in the singular: ``holding register``."""
         return self.value.replace("_", " ").removesuffix("s")
 
 
 class FunctionCode(IntEnum):
-    """Public function codes (Application Protocol V1.1b3 §5.1)."""
+    """The public function codes (Application Protocol V1.1b3 §5.1)."""
 
     READ_COILS = 0x01
     READ_DISCRETE_INPUTS = 0x02
@@ -117,7 +117,7 @@ class DiagnosticCode(IntEnum):
 
 
 class ExceptionCode(IntEnum):
-    """Exception codes (Application Protocol V1.1b3 §7; 07 from PI-MBUS-300)."""
+    """The exception codes (Application Protocol V1.1b3 §7; 07 from PI-MBUS-300)."""
 
     ILLEGAL_FUNCTION = 0x01
     ILLEGAL_DATA_ADDRESS = 0x02
@@ -147,12 +147,12 @@ EXCEPTION_MEANING: Final[dict[int, str]] = {
 
 
 def exception_meaning(code: int) -> str:
-    """What an exception code says, in words; codes outside the specification are named as such."""
+    """The meaning of an exception code in words; codes outside the specification are named as such."""
     return EXCEPTION_MEANING.get(code, "an exception code outside the specification")
 
 
 def function_name(code: int) -> str:
-    """A function code as a person reads it, ``3 (read holding registers)``."""
+    """A function code with its name, ``3 (read holding registers)``."""
     try:
         return f"{code} ({FunctionCode(code).name.lower().replace('_', ' ')})"
     except ValueError:

@@ -1,4 +1,4 @@
-"""Everything that can go wrong, as one tree.
+"""The errors of this library, all derived from `ModbusError`.
 
 ::
 
@@ -199,7 +199,7 @@ class NoAnswer(ModbusError):
 
 
 class NoReply(NoAnswer, TimeoutError):
-    """No usable reply came in time.
+    """Error: no usable reply came in time.
 
     Attributes:
         kind: ``"nothing"`` came, ``"partial"`` (some bytes, no whole frame), ``"late"`` (a unit known to answer after
@@ -259,7 +259,7 @@ class UnitSuspended(NoReply):
 
 
 class Overloaded(ModbusError):
-    """A bounded queue was full. Nothing was sent."""
+    """Error: a bounded queue was full. Nothing was sent."""
 
 
 class WriteOutcomeUnknown(NoAnswer):
@@ -270,7 +270,7 @@ class WriteOutcomeUnknown(NoAnswer):
 
 
 class LinkDown(NoAnswer, ConnectionError):
-    """The connection could not be opened, or it ended before the reply.
+    """Error: the connection could not be opened, or it ended before the reply.
 
     Attributes:
         sent: whether bytes of the request may have left this host.

@@ -1,4 +1,4 @@
-"""The optional packages, and the error that says how to install one that is missing.
+"""Optional packages: checks that one is installed, and the error that says how to install it.
 
 Knows which extra of busway brings which package (pyproject.toml declares them); imports none of them.
 """
@@ -49,7 +49,7 @@ def require(package: str, purpose: str, *, key: str | None = None) -> None:
 
 
 def missing_extra(error: ImportError) -> MissingExtra | None:
-    """What a failed import means for the user, where the package is one of ours to name; None otherwise."""
+    """The error for the user if a failed import was that of an optional package; None otherwise."""
     package = (error.name or "").partition(".")[0]
     if package not in EXTRA_OF:
         return None

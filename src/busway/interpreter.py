@@ -1,4 +1,4 @@
-"""Which Pythons busway runs on; asked once, when the package is imported.
+"""Check that this Python interpreter is supported; done once, when the package is imported.
 
 Knows the interpreter; knows nothing of busway.
 

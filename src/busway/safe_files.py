@@ -1,4 +1,4 @@
-"""Open files whose names stand in a configuration: regular files only, of a bounded size, past no planted link.
+"""Opens files that a configuration names safely: only regular files of limited size, not through links of other users.
 
 Knows names and kinds of files; knows nothing of what stands in them.
 
@@ -32,7 +32,7 @@ IsOurs = Callable[[bytes], bool]
 
 
 def read_safely(path: str | os.PathLike[str], *, most: int) -> bytes:
-    """The content of a regular file.
+    """The contents of a regular file.
 
     Args:
         path: the file.
@@ -54,7 +54,7 @@ def read_safely(path: str | os.PathLike[str], *, most: int) -> bytes:
 
 
 def open_to_append(path: str | os.PathLike[str], *, mode: int = 0o600) -> int:
-    """A descriptor to write at the end of a regular file; the file is made with ``mode`` if it is not there.
+    """Open a regular file for appending, and return its descriptor; created with ``mode`` if it is missing.
 
     Raises:
         ConfigError: it cannot be opened, is no regular file, or is reached by a link of another user; names the file.
@@ -63,7 +63,7 @@ def open_to_append(path: str | os.PathLike[str], *, mode: int = 0o600) -> int:
 
 
 def open_to_replace(path: str | os.PathLike[str], *, is_ours: IsOurs, kind: str, mode: int = 0o666) -> int:
-    """A descriptor of an empty regular file in place of the old content; the file is made if it is not there.
+    """Open a regular file with its contents removed, and return its descriptor; created if it is missing.
 
     Args:
         path: the file.
@@ -91,7 +91,7 @@ def open_to_replace(path: str | os.PathLike[str], *, is_ours: IsOurs, kind: str,
 
 
 def check_replaceable(path: str | os.PathLike[str], *, is_ours: IsOurs, kind: str) -> str:
-    """The path without links of a file that may be replaced by renaming another to it, or is not there yet.
+    """Check that a file may be replaced by renaming another one to it, or is missing. Returns its path without links.
 
     Raises:
         ConfigError: as of `open_to_replace`.
@@ -112,7 +112,7 @@ def check_replaceable(path: str | os.PathLike[str], *, is_ours: IsOurs, kind: st
 
 
 def past_links(path: str | os.PathLike[str]) -> str:
-    """An absolute path to the same file, with every link on the way replaced by what it points to.
+    """An absolute path to the same file with all links resolved.
 
     The file itself need not be there. Raises `ConfigError` where a link belongs to another user, or leads in a circle.
     """
@@ -161,7 +161,7 @@ def _refuse_foreign(link: Path, facts: os.stat_result, given: str) -> None:
 
 
 def _opened(path: str | os.PathLike[str], flags: int, mode: int = 0o666) -> int:
-    """A descriptor of a regular file."""
+    """Open a regular file and return its descriptor."""
     name = past_links(path)
     try:
         handle = os.open(name, flags | _ALWAYS | _NO_WAIT | _NO_LINK, mode)

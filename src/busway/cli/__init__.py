@@ -1,5 +1,4 @@
-"""The command line: ``busway read``, ``write``, ``identify``, ``scan``, ``counters``, ``serve``, ``sniff``, ``decode``,
-``demo``.
+"""The command line: one file for each command of ``busway``, such as ``read``, ``serve`` and ``gateway``.
 
 One file per command. Only here are files and the environment read, and only here is anything printed.
 
@@ -28,7 +27,7 @@ def main() -> None:
 
 
 def _refuse(error: ImportError) -> NoReturn:
-    """End with code 2 and the command that installs what is missing; anything else is an error of ours."""
+    """End the process with code 2 and the command that installs a missing package; re-raise other errors."""
     from ..extras import missing_extra
 
     missing = missing_extra(error)

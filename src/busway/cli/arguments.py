@@ -1,4 +1,4 @@
-"""What several commands take: their options, and text → checked value.
+"""Options that several commands share, and the conversion of their texts to checked values.
 
 Knows how an argument is written and named in a sentence; sends nothing.
 """
@@ -42,7 +42,7 @@ _NUMBER = re.compile(r"\d{1,18}|0[xX][0-9a-fA-F]{1,16}")
 
 
 def whole_number(text: str, name: str, low: int, high: int) -> int:
-    """The number of an option, decimal or ``0x…``; `ConfigError` names the option and the range."""
+    """Parse the number of an option, decimal or ``0x…``; `ConfigError` names the option and the range."""
     number = int(text, 16 if text[:2].lower() == "0x" else 10) if _NUMBER.fullmatch(text) else -1
     if not low <= number <= high:
         raise ConfigError(f"a whole number {low}…{high} is needed, not {text!r}", key=name)
@@ -50,7 +50,7 @@ def whole_number(text: str, name: str, low: int, high: int) -> int:
 
 
 def seconds(text: str, name: str, *, low: float = 0.001, high: float = 86_400) -> float:
-    """Seconds of a time: ``500ms``, ``1s``, ``2`` (seconds), ``1h``. `ConfigError` names the option."""
+    """Parse a duration in seconds: ``500ms``, ``1s``, ``2`` (seconds), ``1h``. `ConfigError` names the option."""
     match = _TIME.fullmatch(text.strip())
     if match is None:
         raise ConfigError(f"a time such as 500ms, 1s or 2m is needed, not {text!r}", key=name)
@@ -61,7 +61,7 @@ def seconds(text: str, name: str, *, low: float = 0.001, high: float = 86_400) -
 
 
 def limits_of(kind: type[Any], option: str) -> tuple[float, float]:
-    """The least and the greatest number that an option of a parameter class may be."""
+    """The smallest and the largest number that an option of a parameter class accepts."""
     from ..options.declaration import Range, declared
 
     limits = declared(kind)[option].limits
@@ -79,7 +79,7 @@ def refuse_unknown_option(value: str) -> None:
 def opened_unit(
     url: str, *, unit: str | None, timeout: str | None, retries: str | None, verbose: int
 ) -> Iterator["BlockingUnit"]:
-    """The unit of a URL behind a blocking link; nothing is sent yet.
+    """Context manager: a unit of a URL behind a blocking link; nothing is sent yet.
 
     Raises:
         ConfigError, InvalidRequest: invalid URL or option.

@@ -1,4 +1,4 @@
-"""``busway certs``: make certificates to try Modbus/TCP Security with, and show what certificates say.
+"""``busway certs``: makes certificates to try Modbus/TCP Security with, and shows the contents of certificates.
 
 1. Nothing is overwritten without ``--force``, and before anything is written it is known that all of it can be.
 2. File names go to stdout, one per line; what to try next goes to stderr.
@@ -86,7 +86,7 @@ def _make(
 
 
 def _file_name(role: str) -> str:
-    """``client-ROLE``, as far as a file and a name in a certificate can have it."""
+    """The file name ``client-ROLE``, with characters that files and certificates cannot have replaced."""
     return f"client-{re.sub(r'[^A-Za-z0-9._-]+', '-', role).lower()[:50]}"
 
 

@@ -1,4 +1,4 @@
-"""``busway simulate --clone``: record a live device into a simulation file.
+"""``busway simulate --clone``: records a live device into a simulation file.
 
 1. The device is only read. With ``--map`` each point of the map is read once, without it the tables are searched.
 2. The file goes to stdout, or with ``--out`` into a file; progress and what could not be recorded go to stderr.
@@ -29,7 +29,7 @@ _LAST = 65_535
 
 @dataclass(frozen=True, slots=True)
 class CloneOptions:
-    """What the options ask for, as they were written.
+    """The options of ``--clone`` as texts.
 
     Attributes:
         url: the device.
@@ -66,7 +66,7 @@ def refuse_without_clone(options: CloneOptions) -> None:
 
 
 def clone_device(options: CloneOptions) -> int:
-    """Record the device, and write the file."""
+    """Record the device, and write the simulation file."""
     from ..apps.simulator.device_text import device_text
 
     duration = None if options.watch is None else seconds(options.watch, "--watch")
@@ -104,7 +104,7 @@ def _recorded(unit: "BlockingUnit", options: CloneOptions, duration: float | Non
 
 
 def _moments(duration: float) -> Iterator[float]:
-    """Seconds since now, one after the other as they come."""
+    """Yield the seconds since the start, as time passes, until ``duration``."""
     began = time.monotonic()
     due = 0.0
     while due < duration:
@@ -114,7 +114,7 @@ def _moments(duration: float) -> Iterator[float]:
 
 
 def _ranges(text: str) -> list[range]:
-    """The ranges of ``0-999,40000``."""
+    """Parse address ranges such as ``0-999,40000``."""
     found = []
     for part in text.split(","):
         match = _RANGE.fullmatch(part.strip())

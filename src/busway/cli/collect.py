@@ -1,4 +1,4 @@
-"""``busway collect``: poll devices and keep what they say, until Ctrl-C or SIGTERM.
+"""``busway collect``: polls devices and stores their values, until Ctrl-C or SIGTERM.
 
 1. ``plan`` and ``learnt`` send nothing and open no port. ``plan`` ends with code 4 where the admission test refuses.
 2. Status goes to stdout, one line for each link and for each device that is not well; everything else to stderr.

@@ -1,4 +1,4 @@
-"""``busway collect demo``: a small plant on a serial line, a gateway before it, a collector and its page behind that.
+"""``busway collect demo``: a small plant on a serial line, a gateway in front of it, and a collector with its page.
 
 1. Everything is on loopback and in a folder of its own, which is removed at the end.
 2. It ends by itself, or at Ctrl-C.
@@ -38,7 +38,7 @@ line_baud = {baud}
 
 
 async def collect_demo(limit: float, page: str) -> None:
-    """Run the whole system for ``limit`` seconds, with its page on host and port ``page``, or on a free port."""
+    """Run the whole demonstration for ``limit`` seconds, with its page at host and port ``page``, or on a free port."""
     from ..apps.collector.collector import Collector
     from ..apps.collector.configuration import load_collector
 
@@ -60,7 +60,7 @@ async def collect_demo(limit: float, page: str) -> None:
 
 
 def _written(folder: Path, url: str, page: str) -> Path:
-    """The collector file and a profile for each device, in a folder."""
+    """Write the collector file and a profile for each device into a folder. Returns the file's path."""
     from ..apps.simulator.plant import PLANT_FILE
     from ..config.files.device import parse_device_file
     from .demo import BAUD

@@ -1,4 +1,4 @@
-"""``busway config``: say what a configuration file means, or what is wrong with it, and which options there are.
+"""``busway config``: explains a configuration file or its errors, and lists the options.
 
 1. ``check`` opens what the file names (certificates, the audit log's folder), and no connection.
 2. What was understood goes to stdout; what is odd, or wrong, to stderr, each with file, line and key.
@@ -74,7 +74,7 @@ def _show(file: str) -> None:
 
 
 def _print_options(url: str | None) -> None:
-    """Name, default, values and meaning of each option: of a link to a URL, or of all links and servers."""
+    """Print name, default, values and meaning of each option: of a link to a URL, or of all links and servers."""
     from ..options.endpoints import parse_endpoint
     from ..options.offer import LINKS, SERVERS, Offer
 

@@ -1,4 +1,4 @@
-"""``busway counters``: what a device counts of its communication, read over Modbus.
+"""``busway counters``: shows the diagnostic counters of a device, read over Modbus.
 
 1. Diagnostic counters (function 08, sub-functions 0B…12) and diagnostic register (02), event counter (11), event log
    (12), exception status (07). Nothing is cleared and nothing is written.
@@ -60,7 +60,7 @@ _OTHER_EVENTS = {0x00: "communication restarted", 0x04: "listen-only mode entere
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """One thing that the device told.
+    """One value that a device reported, with its name.
 
     Attributes:
         function: ``08/0B``, ``11``.
@@ -106,7 +106,7 @@ def counters(
 
 
 def _questions() -> list[tuple[str, str, Callable[["BlockingUnit"], list[Fact]]]]:
-    """Function, name, and how it is asked."""
+    """The functions to ask a device: code, name, and a function that asks and returns the values."""
     questions: list[tuple[str, str, Callable[[BlockingUnit], list[Fact]]]] = []
     for code, meaning in COUNTERS:
         function, name = f"08/{code:02X}", code.name.lower().removeprefix("return_")
@@ -152,7 +152,7 @@ def _status_text(status: int) -> str:
 
 
 def event_text(event: int) -> str:
-    """What an event byte means (§6.10)."""
+    """The meaning of an event byte of function 12 (§6.10)."""
     if event in _OTHER_EVENTS:
         return _OTHER_EVENTS[event]
     if event & _RECEIVE_EVENT:
@@ -185,7 +185,7 @@ def _show(facts: list[Fact], *, as_json: bool) -> None:
 
 
 def _number(fact: Fact) -> str:
-    """Bits in hexadecimal, counts in decimal."""
+    """A reported value as text: bits in hexadecimal or binary, counts in decimal."""
     if fact.name in ("status", "diagnostic_register"):
         return f"0x{fact.value:04X}"
     return f"0b{fact.value:08b}" if fact.name == "exception_status" else str(fact.value)

@@ -1,4 +1,4 @@
-"""``busway decode``: frames as they stand in a log or a manual, explained field by field.
+"""``busway decode``: explains frames from a log or a manual, field by field.
 
 1. Each argument is a frame; bytes and 16-bit groups that the shell has split (``01 03 00 6b …``, ``0103 006b …``) are
    joined to one.
@@ -78,14 +78,14 @@ def _one_of(text: str, name: str, allowed: list[str]) -> str:
 
 
 def _joined(texts: list[str]) -> list[str]:
-    """The frames; single bytes and 16-bit groups are one frame that the shell has split."""
+    """The frames to decode; arguments that are single bytes or 16-bit groups are joined to one frame."""
     if len(texts) > 1 and all(len(_SEPARATORS.sub("", text)) in (2, 4) and text[0] != ":" for text in texts):
         return [" ".join(texts)]
     return texts
 
 
 def _bytes_of(text: str) -> bytes:
-    """The bytes of a frame; those of an ASCII frame are its characters."""
+    """The bytes of a frame given as text; those of an ASCII frame are its characters."""
     if _ASCII_FRAME.fullmatch(text) and not text[1:].isspace():
         return text.replace("\\r", "\r").replace("\\n", "\n").encode("ascii", errors="replace")
     digits = _SEPARATORS.sub("", text)

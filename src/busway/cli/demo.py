@@ -1,4 +1,4 @@
-"""``busway demo``: a small plant on a serial line, a gateway in front, and a client that polls through it over TCP.
+"""``busway demo``: a small plant on a serial line, a gateway in front of it, and a client that polls it over TCP.
 
 1. They are real conversations: any other client can join in while it runs. Only the wire of the line is made of
    software, with the time that each character takes; where a system has no pseudo-terminals, a connection is in its
@@ -58,7 +58,7 @@ DEATH_AFTER, DEATH_LASTS, DEATH_EVERY = 3.0, 3.0, 8.0
 
 @dataclass(slots=True)
 class Polled:
-    """What the client has seen.
+    """What the polling client of the demonstration has read: values, latencies and errors.
 
     Attributes:
         values: the latest value by name, in its unit of measure; None after an error.
@@ -72,7 +72,7 @@ class Polled:
 
     @property
     def transactions(self) -> int:
-        """All of them."""
+        """Number of transactions, successful or not."""
         return len(self.latencies) + self.errors
 
 
@@ -111,7 +111,7 @@ async def _run(port: int, limit: float | None) -> None:
 
 
 async def started_plant(stack: AsyncExitStack, port: int) -> "tuple[Plant, str]":
-    """A plant that lives behind a gateway until ``stack`` ends, and the gateway's URL."""
+    """Start a plant behind a gateway, until ``stack`` ends. Returns the plant and the gateway's URL."""
     from ..apps.simulator.plant import Plant
 
     plant = Plant()
@@ -133,7 +133,7 @@ async def started_plant(stack: AsyncExitStack, port: int) -> "tuple[Plant, str]"
 
 
 def _line(stack: AsyncExitStack) -> tuple[str, str]:
-    """URLs of both ends of a line; the near one is empty where it is that of the far end's server."""
+    """URLs of both ends of a serial line; the near one is empty if the server of the far end opens it."""
     try:
         from ..testing.line import PacedLine
     except ImportError:  # a system without terminals
@@ -144,7 +144,7 @@ def _line(stack: AsyncExitStack) -> tuple[str, str]:
 
 
 def _devices(plant: "Plant", url: str) -> "Server":
-    """The devices on their line, one of them slow and one that dies and comes back; not started yet."""
+    """The server of the plant's devices on their line, one slow and one that fails and recovers; not started yet."""
     from ..apps.simulator.plant import METER, THERMOMETER
     from ..faults.fault import Schedule
     from ..faults.switchboard import FaultSwitchboard
@@ -160,7 +160,7 @@ def _devices(plant: "Plant", url: str) -> "Server":
 
 
 async def _started(line: str, port: int) -> "Gateway":
-    """The gateway on the wanted port, or on a free one."""
+    """Start the gateway on the wanted port, or on a free one."""
     from ..apps.gateway.gateway import Gateway
     from ..apps.gateway.settings import simple_plan
 
@@ -178,7 +178,7 @@ async def _started(line: str, port: int) -> "Gateway":
 
 
 async def _move(plant: "Plant") -> None:
-    """Let the plant live."""
+    """Advance the plant in real time, for ever."""
     before = time.monotonic()
     while True:
         await asyncio.sleep(TICK_SECONDS)
@@ -190,7 +190,7 @@ async def _move(plant: "Plant") -> None:
 async def _poll(
     link: "AsyncLink", plant: "Plant", polled: Polled, stop: asyncio.Event, limit: float | None, url: str
 ) -> None:
-    """Read every point again and again, each device for itself, and show what came, until it is time."""
+    """Read every point again and again, each device in its own task, and show the values until the time is over."""
     tags = {unit: list(points.sections.values()) for unit, points in plant.points.items()}
     view: View = LiveView() if sys.stdout.isatty() else LineView()
     began = time.monotonic()
@@ -211,7 +211,7 @@ async def _poll(
 
 
 async def _poll_unit(unit: "AsyncUnit", sections: Sequence["PointSection"], polled: Polled) -> None:
-    """Read the points of one device for ever."""
+    """Read the points of one device again and again."""
     while True:
         due = time.monotonic() + POLL_SECONDS
         for section in sections:
@@ -232,17 +232,17 @@ async def _read(unit: "AsyncUnit", section: "PointSection", polled: Polled) -> N
 
 
 class View(Protocol):
-    """Something that shows what was read."""
+    """Interface of a display of the values that were read."""
 
     def show(self, url: str, tags: "Tags", polled: Polled, elapsed: float) -> None:
-        """Show it as it is now."""
+        """Show the current values."""
 
     def close(self) -> None:
-        """No more comes."""
+        """End the display."""
 
 
 class LineView:
-    """A block of lines each second."""
+    """A display that prints a block of lines each second."""
 
     def __init__(self) -> None:
         self._due = BLOCK_SECONDS
@@ -259,7 +259,7 @@ class LineView:
 
 
 class LiveView:
-    """One table, drawn anew in its place."""
+    """A display that redraws one table in place."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -307,7 +307,7 @@ def _shown(value: Any) -> str:
 
 
 def percentile(sorted_values: Sequence[float], percent: float) -> float:
-    """The smallest value that ``percent`` of all do not exceed (nearest rank); 0 without values."""
+    """The percentile of sorted values (nearest rank); 0 without values."""
     if not sorted_values:
         return 0.0
     return sorted_values[max(math.ceil(len(sorted_values) * percent / 100), 1) - 1]

@@ -1,4 +1,4 @@
-"""How a command ends: the exit codes, and the one that an error earns.
+"""The exit codes of all commands, and which error ends with which code.
 
 ====  ==========================================================================================
 code  meaning

@@ -19,7 +19,7 @@ PRIVATE: Final = 0o600
 
 
 def open_capture(name: str) -> "Capture":
-    """A new capture file for its owner alone (0600), which takes the place of an old one.
+    """Create a capture file that only its owner can read (0600), replacing an old one.
 
     Raises:
         ConfigError: it cannot be written, is reached by a link of another user, or holds something else; names it.
@@ -42,7 +42,7 @@ __all__ = ["capturing", "open_capture", "read_text"]
 
 @contextlib.contextmanager
 def capturing(name: str | None) -> Iterator[None]:
-    """Write what links and servers receive and send meanwhile into a capture file; nothing where there is no name.
+    """Context manager that records the traffic of links and servers in a capture file; does nothing without a name.
 
     Raises:
         ConfigError: the file cannot be written.

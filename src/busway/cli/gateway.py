@@ -1,4 +1,4 @@
-"""``busway gateway``: forward client requests to serial lines or other servers, until Ctrl-C or SIGTERM.
+"""``busway gateway``: forwards client requests to serial lines or other servers, until Ctrl-C or SIGTERM.
 
 1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
 2. A listener that the network reaches is read-only unless there is a policy, or writes are allowed by name.
@@ -134,7 +134,9 @@ def _is_url(word: str) -> bool:
 
 
 def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> "Callable[[], GatewayConfiguration]":
-    """What reads the configuration, now and whenever it is read again. Raises `ConfigError` for words that are none."""
+    """A function that reads the gateway's configuration, now and at each reload. Raises `ConfigError` for wrong
+    arguments.
+    """
     from ..apps.gateway.configuration import load_gateway, simple_gateway
     from ..options.client import CLIENT_DEADLINE
     from ..options.gateway import GatewayListenerParameters
@@ -158,7 +160,7 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
 
 
 def _check(words: list[str]) -> None:
-    """Print what a file means; what is odd, or wrong, goes to stderr."""
+    """Print what a gateway file means; warnings and errors go to stderr."""
     from ..apps.gateway.configuration import load_gateway
     from ..apps.gateway.overview import ROUTING_HEADINGS, gateway_rows, routing_rows
 
@@ -173,7 +175,7 @@ def _check(words: list[str]) -> None:
 
 
 def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: str | None) -> None:
-    """Print the unit file that starts what the words of this command line start."""
+    """Print the systemd unit file that starts the gateway with these command-line words."""
     from .systemd_unit import ServiceUnit, program
 
     is_file = configuration.name in words
@@ -194,7 +196,7 @@ def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: 
 
 
 def _separate(words: list[str]) -> list[str]:
-    """The words, with options and their paths apart: ``--audit=log`` is ``--audit log``."""
+    """The command-line words with options and values separated: ``--audit=log`` becomes ``--audit log``."""
     pairs = [(word, *word.partition("=")) for word in words]
     return [each for word, name, _, path in pairs for each in ((name, path) if name in _PATHS and path else (word,))]
 
@@ -227,12 +229,12 @@ def _running(service: "Service") -> "Gateway":
 
 
 def _standing(gateway: "Gateway") -> str:
-    """What a service manager shows."""
+    """The status text for the service manager: listeners and upstreams of the gateway."""
     return f"{', '.join(gateway.endpoints)} to {', '.join(upstream.name for upstream in gateway.plan.upstreams)}"
 
 
 async def _drain(gateway: "Gateway", seconds: float, at_once: asyncio.Event, manager: "Manager") -> None:
-    """Drain open requests; a second signal stops at once."""
+    """Wait until open requests are answered; a second signal stops at once."""
     waiting = gateway.open_requests
     manager.stopping(f"{waiting} requests to answer")
     if waiting:

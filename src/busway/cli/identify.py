@@ -1,4 +1,4 @@
-"""``busway identify``: what a device says of itself.
+"""``busway identify``: shows how a device identifies itself.
 
 1. Device identification (43/14): the highest level that the device has; some refuse a level above their own, so the
    levels are tried from the highest down.
@@ -99,7 +99,7 @@ def _show(facts: list[Fact], *, as_json: bool, as_csv: bool) -> None:
 
 
 def _with_raw(value: bytes) -> str:
-    """The text, and the bytes where the text does not tell all of them."""
+    """An identification value as text, with its bytes if the text does not show all of them."""
     text = _text(value)
     return text if text.encode() == value and text.isprintable() else f"{text}  [{value.hex(' ')}]"
 

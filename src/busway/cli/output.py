@@ -1,4 +1,4 @@
-"""Values on stdout: a table on a terminal, aligned lines elsewhere, JSON lines or CSV on demand.
+"""Output of values on stdout: a table on a terminal, aligned lines elsewhere, JSON lines or CSV on demand.
 
 Knows rows and how they look; knows no device.
 
@@ -23,7 +23,7 @@ from ..values import Address, ValueType, format_address, printable
 
 @dataclass(frozen=True, slots=True)
 class TableRow:
-    """One value.
+    """One value to print, with its address and raw bytes.
 
     Attributes:
         address: where it stands.
@@ -43,7 +43,7 @@ class TableRow:
 
     @property
     def outcome(self) -> str:
-        """What became of a value that was written; empty for one that was read."""
+        """The result of writing the value; empty for one that was read."""
         if not self.written:
             return ""
         if self.verified is None:
@@ -52,12 +52,12 @@ class TableRow:
 
     @property
     def raw_text(self) -> str:
-        """Registers in hexadecimal, four digits each; a bit as 0 or 1."""
+        """The raw content: registers in hexadecimal, four digits each; a bit as 0 or 1."""
         return self.raw.hex(" ", 2) if len(self.raw) > 1 else str(self.raw[0])
 
 
 def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any], raw: bytes) -> list[TableRow]:
-    """The rows of consecutive values from ``place`` on; ``form`` is None for coils and discrete inputs."""
+    """The output rows of consecutive values from ``place`` on; ``form`` is None for coils and discrete inputs."""
     step = 1 if form is None else form.registers
     size = 1 if form is None else 2 * step
     rows = []
@@ -86,7 +86,7 @@ def fewest_digits(value: float, size: int) -> float:
 
 
 def shown_value(value: Any) -> str:
-    """A value as a person reads and writes it."""
+    """A value as text for people."""
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, tuple):  # sixteen bits, the least significant first
@@ -97,20 +97,20 @@ def shown_value(value: Any) -> str:
 
 
 def json_value(value: Any) -> Any:
-    """A value as JSON can hold it."""
+    """A value as JSON can represent it: infinities and NaN become texts."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return list(value) if isinstance(value, tuple) else value
 
 
 class Writer(Protocol):
-    """Something that shows rows; ``time`` is when they were read, empty where that is not asked for."""
+    """Interface of an output of rows; ``time`` is when they were read, empty if it is not shown."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
-        """Show these rows."""
+        """Print these rows."""
 
     def close(self) -> None:
-        """No more rows come."""
+        """End the output."""
 
 
 def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writer:
@@ -127,7 +127,7 @@ def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writ
 
 
 class LineWriter:
-    """Columns: address, value, raw; with the time in front if there is one."""
+    """Output as columns: address, value, raw; with the time in front if there is one."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         cells = [
@@ -141,7 +141,7 @@ class LineWriter:
 
 
 class JsonWriter:
-    """One JSON object per value and line."""
+    """Output as one JSON object per value and line."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         for row in rows:
@@ -167,7 +167,7 @@ class JsonWriter:
 
 
 class CsvWriter:
-    """A header line, then one line per value."""
+    """Output as CSV: a header line, then one line per value."""
 
     def __init__(self) -> None:
         self._has_header = False
@@ -189,7 +189,7 @@ class CsvWriter:
 
 
 class TableWriter:
-    """A table with headings."""
+    """Output as a table with headings."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         from rich.console import Console
@@ -201,7 +201,7 @@ class TableWriter:
 
 
 class LiveTableWriter:
-    """One table that is drawn anew in its place."""
+    """Output as one table that is redrawn in place."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -217,7 +217,7 @@ class LiveTableWriter:
 
 
 class LivePage:
-    """Aligned lines that are drawn anew in their place."""
+    """Aligned lines that are redrawn in place on a terminal."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -227,11 +227,11 @@ class LivePage:
 
     @staticmethod
     def fits() -> bool:
-        """Whether stdout is a terminal."""
+        """Whether live output is possible: stdout is a terminal."""
         return sys.stdout.isatty()
 
     def show(self, lines: Sequence[Sequence[str]], time: str) -> None:
-        """Show these cells, a line each."""
+        """Replace the lines on the terminal by these."""
         from rich.table import Table as RichTable
         from rich.text import Text
 
@@ -241,7 +241,7 @@ class LivePage:
         self._live.update(grid, refresh=True)
 
     def close(self) -> None:
-        """Leave the last lines as they are."""
+        """End live output; the last lines stay."""
         self._live.stop()
 
 
@@ -263,7 +263,7 @@ def _table(rows: Sequence[TableRow], time: str) -> Any:
 
 
 def print_aligned(lines: Sequence[Sequence[str]]) -> None:
-    """Lines of cells, each column as wide as its widest cell."""
+    """Print lines of cells, each column as wide as its widest cell."""
     if not lines:
         return
     lines = [[printable(cell) for cell in cells] for cells in lines]
@@ -274,7 +274,7 @@ def print_aligned(lines: Sequence[Sequence[str]]) -> None:
 
 
 def print_csv(header: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
-    """Lines of CSV, behind a header line if it is not empty."""
+    """Print CSV, with a header line unless it is empty."""
     import csv
 
     writer = csv.writer(sys.stdout, lineterminator="\n")
@@ -284,12 +284,14 @@ def print_csv(header: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
 
 
 def print_json(fields: dict[str, Any]) -> None:
-    """One JSON object on a line."""
+    """Print one JSON object on a line."""
     print(json_text(fields))
 
 
 def json_text(document: Any, *, indent: int | None = None) -> str:
-    """A document as JSON that stdout and a terminal take: what cannot be shown, or not encoded, is ``\\u2026``."""
+    """A document as JSON text for any stdout and terminal: characters that cannot be shown or encoded become
+    ``\u2026``.
+    """
     import json
 
     encoding = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "")
@@ -300,12 +302,12 @@ def json_text(document: Any, *, indent: int | None = None) -> str:
 
 
 def say(sentence: str) -> None:
-    """One sentence on stderr."""
+    """Print one sentence on stderr."""
     print(f"busway: {printable(sentence)}", file=sys.stderr, flush=True)
 
 
 def say_problems(sentence: str, problems: str) -> None:
-    """One sentence on stderr, and below it a line for each problem."""
+    """Print one sentence on stderr, and below it a line for each problem."""
     say(sentence)
     for line in problems.split("\n"):
         print(printable(line), file=sys.stderr, flush=True)

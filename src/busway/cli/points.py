@@ -1,4 +1,4 @@
-"""``busway points``: device files made of what other programs have.
+"""``busway points``: converts descriptions of devices from other programs into device files.
 
 1. The device file goes to stdout or into a file; what could not be carried over goes to stderr, a line each, and into
    the head of the file.

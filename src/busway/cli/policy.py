@@ -1,4 +1,4 @@
-"""``busway policy``: say what a policy permits, and which rules it has, without a server.
+"""``busway policy``: tells what a policy permits, and lists its rules, without a server.
 
 1. ``test`` asks what a server would ask: first whether the host may connect, then the rules. A request that depends on
    what stands in a register (function 22 under limits) is judged as a gateway judges it, which cannot read it.
@@ -109,7 +109,7 @@ def _access_rules(file: str) -> "AccessRules":
 
 
 def _checked_host(text: str) -> str:
-    """A numeric address, as a server sees it."""
+    """Check a numeric address, as a server sees that of a client."""
     from ..options.networks import Networks, host_of_peer
 
     host = host_of_peer(text)
@@ -180,7 +180,7 @@ _REQUESTS = {"read": _read_request, "write": _write_request, "mask": _mask_reque
 
 
 def _answer(rules: "AccessRules", question: "Question", host: str, text: str, *, as_json: bool) -> bool:
-    """Say what is decided about a request; whether it is allowed."""
+    """Print the decision about a request. Returns whether it is allowed."""
     if not rules.addresses(host):
         why = rules.addresses.why(host)
         if as_json:
@@ -217,7 +217,7 @@ def _sentence(decision: "Decision", text: str) -> str:
 
 
 def _show_rules(rules: "AccessRules", *, as_json: bool) -> None:
-    """The address lists, the rules in their order, and the default."""
+    """Print the address lists, the rules in their order, and the default."""
     rows = [(rule.name, rule.action.value, _facts(rule)) for rule in rules.policy.rules]
     rows.append(("default", rules.policy.default.value, {}))
     access = rules.addresses
@@ -236,7 +236,7 @@ def _show_rules(rules: "AccessRules", *, as_json: bool) -> None:
 
 
 def _facts(rule: "Rule") -> dict[str, str]:
-    """What a rule is about, each in the notation in which it could be written."""
+    """The conditions of a rule, each in the notation of policy files."""
     found: dict[str, str] = {}
     if rule.peers is not None:
         found["peers"] = ", ".join(rule.peers)
@@ -273,7 +273,7 @@ def _items(prefix: str, first: int, end: int) -> str:
 
 
 def _numbers(numbers: frozenset[int]) -> str:
-    """``1-5, 7``."""
+    """Numbers as text with ranges: ``1-5, 7``."""
     from ..access.notation import merged
 
     ranges = merged((number, number + 1) for number in numbers)

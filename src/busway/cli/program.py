@@ -1,4 +1,4 @@
-"""The program ``busway``: loads the command that is asked for, and ends with the exit code it earned.
+"""The program ``busway``: loads the requested command, runs it, and ends with its exit code.
 
 Knows how commands are found and how they end; knows nothing of what they do.
 
@@ -33,7 +33,7 @@ COMMANDS = {
     "identify": "Ask a device what it is.",
     "scan": "Find the units that answer on a line or behind an address.",
     "counters": "Read what a device counts of its communication.",
-    "serve": "Be a device.",
+    "serve": "Serve one or several devices over Modbus.",
     "simulate": "Be devices that behave as a file says.",
     "gateway": "Forward client requests to serial lines or other servers.",
     "collect": "Poll devices and keep what they say.",
@@ -55,21 +55,21 @@ _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
 class Verbatim:
-    """Hands the text of an argument on as it is.
+    """Parameter type of an argument whose text is passed to the command unchanged.
 
     Typer would load pydantic (0.1 s) to turn text into text.
     """
 
     @staticmethod
     def coerce(value: Any, param: Any, ctx: Any) -> Any:
-        """The value, or an empty tuple where several may stand and none does."""
+        """The unchanged text, or an empty tuple if an argument of several texts was not given."""
         if value is None and (param.multiple or param.nargs == -1):
             return ()
         return value
 
 
 class Command(TyperCommand):
-    """A command whose arguments reach it as text."""
+    """A command whose arguments are passed to it as texts."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _verbatim(super().get_params(ctx))
@@ -90,7 +90,7 @@ class Command(TyperCommand):
 
 
 class Program(TyperGroup):
-    """The group of commands, each loaded when it is named."""
+    """The group of all commands; each is loaded when it is used."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _verbatim(super().get_params(ctx))
@@ -135,7 +135,7 @@ class Program(TyperGroup):
         sys.exit(int(code))
 
     def _run(self, given: list[str], name: str, complete_var: str | None, extra: dict[str, Any]) -> int:
-        """Run the command, and say in one sentence what went wrong; the exit code."""
+        """Run the command, print its error as one sentence, and return the exit code."""
         code: int
         try:
             result = super().main(given, name, complete_var, standalone_mode=False, **extra)
@@ -157,7 +157,7 @@ class Program(TyperGroup):
 
 
 def _verbatim(params: list[Any]) -> list[Any]:
-    """The parameters, each given its text as it is."""
+    """Set the parameters of a command to pass their texts unchanged."""
     for param in params:
         param._runtime_param = Verbatim
     return params
@@ -173,7 +173,7 @@ def _option_row(param: Any) -> tuple[str, str]:
 
 
 def load(name: str) -> Any:
-    """The command of a name, ready to be parsed."""
+    """Load the command with this name."""
     module = import_module(f".{name}", __package__)
     single = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     settings = {**_SETTINGS, **getattr(module, "SETTINGS", {})}
@@ -189,7 +189,7 @@ def _fail(sentence: str, code: ExitCode, *, prefix: str = "busway: ") -> ExitCod
 
 
 def _fail_unexpectedly(error: Exception) -> ExitCode:
-    """What is no error of ours: wrong use that the parser found, a library or a stream that is not there, a defect."""
+    """Report an error that is no `ModbusError`: wrong usage, a missing package, a lost stream, or a defect."""
     if hasattr(error, "format_message"):  # the parser's errors: of click, or of typer's copy of it
         return _fail(_usage_sentence(error), ExitCode.WRONG_USE)
     if isinstance(error, ImportError) and (missing := missing_extra(error)) is not None:

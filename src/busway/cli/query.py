@@ -1,4 +1,4 @@
-"""``busway query``: what a store of the collector holds.
+"""``busway query``: shows the contents of a store of the collector.
 
 1. Samples are printed as they are read, so any length of time can be asked for; buckets are summed up first.
 2. Time without reads is a line without a value that says why; in buckets, a bucket with 0 samples.
@@ -165,7 +165,7 @@ def _iso(nanoseconds: int) -> str:
 
 
 def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> int:
-    """Write tables to a file that is not there yet."""
+    """Write tables to a new Parquet file."""
     from ..apps.collector.store.sealing import arrow
 
     path = Path(name)
@@ -190,7 +190,7 @@ def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> 
 
 
 def _plain(table: Any) -> Any:
-    """The table with values as floats, so that all tables of a file are alike."""
+    """A table with all values as floats, so that all tables of a Parquet file have the same columns."""
     for name in ("value", "minimum", "maximum"):
         if name in table.column_names:
             index = table.column_names.index(name)

@@ -1,4 +1,4 @@
-"""``busway read``: values of a device, once or again and again.
+"""``busway read``: shows values of a device, once or repeatedly.
 
 1. Every address, type and count is checked before the first byte goes out.
 2. With several addresses, one that the device refuses does not keep the others from being read; the exit code is that
@@ -57,7 +57,7 @@ holding:0 and holding:0x10 count from 0.
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What is read from one address."""
+    """What to read from one address: place, type and count."""
 
     place: Address
     form: ValueType[Any] | None
@@ -118,7 +118,7 @@ def _read_points(
     url: str, names: list[str], file: str, unit: str | None, period: float | None, as_json: bool, as_csv: bool,
     timeout: str | None, retries: str | None, capture: str | None, verbose: int,
 ) -> int:  # fmt: skip
-    """The points of a file, by their names."""
+    """Read the points of a device file by their names, and print them."""
     from .read_points import PointReader, load_points, read_points
 
     number, section = load_points(file, None if unit is None else whole_number(unit, "--unit", 0, 255))
@@ -133,7 +133,7 @@ def _read_points(
 
 
 def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool) -> Wanted:
-    """What one address means; an address that cannot be read is refused here."""
+    """Parse one address with its type and count; an invalid one is refused here."""
     if text.startswith("-"):
         raise ConfigError("there is no such option", key=text)
     place = parse_address(text)
@@ -193,7 +193,7 @@ def _read_again_and_again(
 
 
 def _rows(unit: "BlockingUnit", wanted: Wanted, *, split: bool) -> list[TableRow]:
-    """Ask, and keep the bytes beside the values."""
+    """Read the values of an address, with their raw bytes."""
     from ..client.operations import read_values
 
     form = None if wanted.place.bit is not None else wanted.form  # the bit of an address is its type

@@ -1,4 +1,4 @@
-"""``busway read --points FILE``: the points of a device by name, in as few requests as its rules allow.
+"""``busway read --points FILE``: reads points of a device by name, in as few requests as its rules allow.
 
 1. What is wrong with the file is said as a whole, and nothing is sent then.
 2. A read that fails is a record of each of its points, with the reason. A read of several points that the device
@@ -32,7 +32,7 @@ _REFUSED: Final = (ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DAT
 
 @dataclass(frozen=True, slots=True)
 class PointRecord:
-    """What is said of one point.
+    """The result of reading one point: value, quality and raw bytes.
 
     Attributes:
         point: it.
@@ -46,7 +46,7 @@ class PointRecord:
 
     @property
     def value(self) -> Any:  # what its type says
-        """Its value with the fewest digits that its registers tell apart."""
+        """The value with the fewest digits that its registers distinguish."""
         value, point = self.reading.value, self.point
         if isinstance(value, float) and point.type.startswith("float") and not point.conversion.changes:
             return fewest_digits(value, 2 * point.width)
@@ -54,7 +54,7 @@ class PointRecord:
 
     @property
     def address(self) -> str:
-        """Where it stands; empty for a computed point."""
+        """The address of the point; empty for a computed point."""
         if self.point.formula:
             return ""
         name = self.point.type
@@ -63,7 +63,7 @@ class PointRecord:
 
 
 def load_points(name: str, unit: int | None) -> "tuple[int | None, UnitSection]":
-    """The unit of a file that is meant, and its number.
+    """Load the unit to read from a device file, and its number.
 
     Args:
         name: a device file, a simulation file, ``device:NAME``, or a register map whose name ends in ``.csv``.
@@ -91,7 +91,7 @@ def load_points(name: str, unit: int | None) -> "tuple[int | None, UnitSection]"
 
 
 def chosen_points(section: "UnitSection", names: Sequence[str]) -> list[Point]:
-    """The points of a unit whose names fit: all, or those of some names and patterns (``string.*``)."""
+    """The points of a unit whose names match: all, or those of some names and patterns (``string.*``)."""
     points = section.described()
     for name in names:
         if not any(fnmatchcase(point.name, name) for point in points):
@@ -101,7 +101,7 @@ def chosen_points(section: "UnitSection", names: Sequence[str]) -> list[Point]:
 
 
 class PointReader:
-    """Reads some points of a unit, again and again.
+    """Reads some points of a unit repeatedly.
 
     Args:
         unit: the device.
@@ -122,7 +122,7 @@ class PointReader:
         """Of the first failure of the last round."""
 
     def _with_inputs(self, points: Iterable[Point]) -> list[Point]:
-        """The points, and those that they are computed from or scaled with."""
+        """The points, and those that they are computed from or scaled by."""
         found: dict[str, Point] = {}
         waiting = [point.name for point in points]
         while waiting:
@@ -136,7 +136,7 @@ class PointReader:
         return [point for point in self._all.values() if point.name in found]
 
     def read(self) -> list[PointRecord]:
-        """One round: a record for each point that is wanted and exists, in the order of the file."""
+        """Read all wanted points once: a record for each that exists, in the order of the file."""
         self.code = ExitCode.DONE
         counting = self._counting()
         records = self._read([point for point in self._stored if point.name in counting])
@@ -147,7 +147,7 @@ class PointReader:
         return [records[point.name] for point in self.points if point.name in records and _exists(point, records)]
 
     def _counting(self) -> set[str]:
-        """The points that say how many members groups have, and those that these are computed from."""
+        """The points that give the number of members of groups, and those these are computed from."""
         names = {name for point in self._stored for name, _ in point.exists}
         return {point.name for point in self._with_inputs([self._all[name] for name in names])}
 
@@ -186,7 +186,7 @@ class PointReader:
         replies: list[tuple[ReadDecoder, bytes]],
         found: dict[str, PointRecord],
     ) -> None:
-        """One read; where the device refuses it and it has several points, each of them alone."""
+        """Send one read; if the device refuses it, read each of its points separately."""
         from ..client.operations import READ
 
         table = points[0].table
@@ -212,7 +212,7 @@ class PointReader:
 
 
 def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
-    """Whether a member of a group is there, as far as the device has said."""
+    """Whether a member of a group exists, as far as the device has told."""
     for name, place in point.exists:
         record = records.get(name)
         if record is not None and record.reading.value is not None and place > record.reading.value:
@@ -221,7 +221,7 @@ def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
 
 
 def _items(decoder: ReadDecoder, point: Point, data: bytes) -> bytes:
-    """The bytes of one point of a reply; of a bit one byte, 0 or 1."""
+    """The raw bytes of one point in a reply; for a bit one byte, 0 or 1."""
     first = point.start - decoder.start
     if point.table.holds_bits:
         return bytes([data[first // 8] >> (first & 7) & 1])
@@ -229,7 +229,7 @@ def _items(decoder: ReadDecoder, point: Point, data: bytes) -> bytes:
 
 
 def reason_of(error: ModbusError) -> int:
-    """The reason of a reading that an error left without a value."""
+    """The reason code of a reading that an error left without a value."""
     if isinstance(error, ExceptionReply):
         return exception_reason(error.code)
     if isinstance(error, BadReply):
@@ -240,7 +240,7 @@ def reason_of(error: ModbusError) -> int:
 
 
 def read_points(reader: PointReader, *, unit: int | None, as_json: bool, as_csv: bool, period: float | None) -> int:
-    """Read once, or again and again until Ctrl-C; the exit code."""
+    """Read points once, or repeatedly until Ctrl-C, and print them. Returns the exit code."""
     with closing(_PointWriter(unit, as_json=as_json, as_csv=as_csv, repeats=period is not None)) as writer:
         if period is None:
             writer.write(reader.read())
@@ -256,7 +256,7 @@ def read_points(reader: PointReader, *, unit: int | None, as_json: bool, as_csv:
 
 
 class _PointWriter:
-    """Shows records: as JSON lines, CSV, or columns; drawn anew in their place on a terminal."""
+    """Prints the results of points: as JSON lines, CSV, or columns; redrawn in place on a terminal."""
 
     def __init__(self, unit: int | None, *, as_json: bool, as_csv: bool, repeats: bool) -> None:
         if as_json and as_csv:
@@ -267,12 +267,12 @@ class _PointWriter:
         self._page = LivePage() if repeats and not as_json and not as_csv and LivePage.fits() else None
 
     def close(self) -> None:
-        """No more records come."""
+        """End the output."""
         if self._page is not None:
             self._page.close()
 
     def write(self, records: Sequence[PointRecord], now: str = "") -> None:
-        """Show the records of a round."""
+        """Print the results of one round of reading."""
         if self._as_json:
             for record in records:
                 print_json(({"time": now} if now else {}) | ({} if self._unit is None else {"unit": self._unit})
@@ -288,7 +288,7 @@ class _PointWriter:
 
 
 def _fields(record: PointRecord) -> dict[str, Any]:
-    """A record as JSON has it."""
+    """The result of one point as the fields of a JSON object."""
     point, reading = record.point, record.reading
     fields = {
         "point": point.name,
@@ -320,7 +320,7 @@ def _cells(record: PointRecord, raw: str) -> list[str]:
 
 
 def _shown(record: PointRecord) -> list[str]:
-    """Name, value with unit of measure and label, quality where it is not good, address, raw."""
+    """The result of one point as cells: name, value with unit and label, quality unless good, address, raw bytes."""
     point, reading = record.point, record.reading
     value = "—" if reading.value is None else shown_value(record.value)
     label = point.label(reading.value)

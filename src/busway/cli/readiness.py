@@ -1,4 +1,4 @@
-"""What a service manager is told: ready, reading again, stopping, still alive (sd_notify(3)).
+"""Notifications to a service manager: ready, reloading, stopping, still alive (sd_notify(3)).
 
 Knows the datagrams of systemd's protocol and the two variables that ask for them; knows nothing of what runs.
 
@@ -38,23 +38,23 @@ class Manager:
 
     @property
     def is_there(self) -> bool:
-        """Whether there is one."""
+        """Whether a service manager started this program."""
         return bool(self._address)
 
     def ready(self, status: str) -> None:
-        """It runs; also after it has read its files again."""
+        """Notify that the program runs, also after a reload."""
         self._send("READY=1", f"STATUS={status}")
 
     def reloading(self) -> None:
-        """It reads its files again; `ready` says that it is over."""
+        """Notify that the program reads its files again; `ready` ends that."""
         self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self, status: str) -> None:
-        """It is about to end."""
+        """Notify that the program is about to end."""
         self._send("STOPPING=1", f"STATUS={status}")
 
     def alive(self) -> None:
-        """Its event loop turns."""
+        """Notify the watchdog that the event loop runs."""
         self._send("WATCHDOG=1")
 
     def _send(self, *assignments: str) -> None:
@@ -68,7 +68,7 @@ class Manager:
 
 @asynccontextmanager
 async def watched(manager: Manager) -> AsyncIterator[None]:
-    """Tell the manager meanwhile that the event loop turns, if it wants to know."""
+    """Context manager that notifies the watchdog regularly while the event loop runs, if one is configured."""
     if manager.watchdog is None:
         yield
         return
@@ -87,7 +87,7 @@ async def _keep_telling(manager: Manager, seconds: float) -> None:
 
 
 def _address(name: str) -> str:
-    """The socket's address: a path, or behind ``@`` a name that no file system has; empty for anything else."""
+    """The address of the manager's socket: a path, or an abstract name behind ``@``; empty for anything else."""
     if not hasattr(socket, "AF_UNIX"):
         return ""
     if name.startswith("@"):
@@ -96,7 +96,7 @@ def _address(name: str) -> str:
 
 
 def _watchdog(variables: Mapping[str, str]) -> float | None:
-    """Seconds of the watchdog, if it is this very process that is watched."""
+    """Interval of the watchdog in seconds, if this process is the one being watched."""
     microseconds, process = variables.get("WATCHDOG_USEC", ""), variables.get("WATCHDOG_PID", "")
     if not (microseconds.isascii() and microseconds.isdecimal()) or not int(microseconds):
         return None

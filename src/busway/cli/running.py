@@ -1,4 +1,4 @@
-"""What the commands share that run until they are stopped, `serve` and `gateway`: options and messages.
+"""What `serve` and `gateway` share: options, announcements, and reloading at SIGHUP.
 
 Knows options and the service that is built of them; knows neither servers nor gateways.
 
@@ -40,7 +40,7 @@ AUDIT = typer.Option(None, "--audit", metavar="FILE", help="Append denied reques
 
 
 def _place_of_metrics(text: str | None) -> str | None:
-    """Reject an invalid metrics address. Raises `ConfigError`."""
+    """Check the address of ``--metrics``. Raises `ConfigError`."""
     if text is not None:
         from ..observe.http import parse_host_port
 
@@ -67,7 +67,7 @@ READ_ONLY = "read-only"
 
 
 def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressList | None":
-    """Who may connect, by ``--allow`` and ``--deny``; None without them. Raises `ConfigError` that names the option."""
+    """The address list of ``--allow`` and ``--deny``; None without them. Raises `ConfigError` that names the option."""
     from ..access.addresses import AddressList
     from ..options.networks import Networks
 
@@ -77,14 +77,16 @@ def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressLis
 
 
 def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: options of several types
-    """Options of listeners that go before those of a file. Raises `ConfigError` that names the option."""
+    """Options of listeners on the command line, which override those of a file. Raises `ConfigError` that names the
+    option.
+    """
     from ..options.networks import Networks
 
     return {"priority": Networks(priority, key="--priority")} if priority else {}
 
 
 def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules | None]":
-    """What gives the access rules: those of ``--policy``, or else those of the configuration."""
+    """A function that gives the access rules: those of ``--policy``, or else those of the configuration."""
     from ..apps.server.overrides import declared_rules
 
     if policy is None:
@@ -103,12 +105,12 @@ def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules 
 
 
 def is_file(policy: str | None) -> bool:
-    """Whether ``--policy`` names something that can be read again."""
+    """Whether ``--policy`` names a file, which can be read again."""
     return policy not in (None, READ_ONLY)
 
 
 def announce(service: "Service") -> None:
-    """Say what runs now."""
+    """Print what is running: listeners, metrics, and read-only listeners."""
     if service.read_only:
         say(f"read-only, for want of a policy: {', '.join(service.read_only)}; --allow-writes takes writes")
     if service.metrics:
@@ -121,7 +123,7 @@ def announce(service: "Service") -> None:
 async def read_again_on_hangup(
     service: "Service", told: Callable[[bool], None] = lambda is_over: None
 ) -> AsyncIterator[None]:
-    """Read the files again at each SIGHUP, and say what came of it.
+    """Context manager that reloads the configuration at each SIGHUP and prints the result.
 
     Args:
         service: what runs.

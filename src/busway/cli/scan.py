@@ -1,4 +1,4 @@
-"""``busway scan``: which units answer on a line, or behind an address.
+"""``busway scan``: finds the units that answer on a serial line, or behind an address.
 
 The asking is `busway.client.scanning`; ``--baud`` and ``--parity`` try several settings of a line, one after the other.
 """
@@ -70,7 +70,7 @@ def scan(
 
 
 def _units(text: str | None, endpoint: Endpoint) -> list[int]:
-    """The units of ``--units``, ascending. Unit 0 is broadcast on a serial line."""
+    """Parse ``--units`` into ascending unit numbers. Unit 0 is broadcast on a serial line."""
     if text is None:
         return units_to_ask(endpoint, None)
     low, high = (1, LAST_SERIAL_UNIT) if endpoint.framing != "mbap" else (0, 255)
@@ -124,12 +124,12 @@ def _refuse_busy_line(endpoint: Endpoint, listen: float) -> None:
 
 
 def _identity(found: FoundUnit) -> tuple[object, ...]:
-    """What two units have in common that are one device."""
+    """The identification of a unit, equal for two units that are one device."""
     return found.answer, tuple(found.identification.items()), found.server_id
 
 
 def _who(found: FoundUnit) -> str:
-    """Who it is."""
+    """The identification of a found unit as text."""
     said = [_text(value) for value in found.identification.values()]
     if found.server_id:
         said.append(f"server id {found.server_id.hex(' ')}" + _printable(found.server_id))
@@ -137,7 +137,7 @@ def _who(found: FoundUnit) -> str:
 
 
 class _Scan:
-    """All units behind one endpoint with one setting."""
+    """A scan of all units behind one endpoint with one line setting."""
 
     def __init__(
         self, endpoint: Endpoint, units: list[int], longest: float, *, learns: bool, names: bool, as_json: bool
@@ -156,7 +156,7 @@ class _Scan:
         return self._endpoint.url + (f", {self._port}" if self._port is not None else "")
 
     def run(self) -> int:
-        """Ask all units; how many answer."""
+        """Ask all units. Returns how many answered."""
         most = len(self._units) * self._adaptive_timeout.longest
         say(f"asking {len(self._units)} units of {self._where}, {_duration(most)} at most")
         try:
@@ -224,7 +224,7 @@ class _Scan:
 
 
 class _Progress:
-    """Where the scan stands, on one line of a terminal; nothing elsewhere."""
+    """The progress of a scan on one line of a terminal; nothing elsewhere."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -233,7 +233,7 @@ class _Progress:
         self._on = sys.stderr.isatty()
 
     def show(self, unit: int, found: int) -> None:
-        """The next unit is asked."""
+        """Show that the next unit is asked."""
         self._asked += 1
         if self._on:
             words = f"unit {unit}, {self._asked} of {self._count}, {found} found"
@@ -241,7 +241,7 @@ class _Progress:
             self._shown = True
 
     def clear(self) -> None:
-        """Make room for something else."""
+        """Clear the progress line, so that other text can be printed."""
         if self._shown:
             print(f"\r{'':60}\r", end="", file=sys.stderr, flush=True)
             self._shown = False

@@ -1,4 +1,4 @@
-"""``busway serve``: be a device, or several, until Ctrl-C or SIGTERM.
+"""``busway serve``: serves one or several devices, until Ctrl-C or SIGTERM.
 
 1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
 2. Without a file: unit 1 with 1000 items in each table, which also answers to 0 and 255, as the sole device does.
@@ -79,7 +79,7 @@ def serve(
     capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
 ) -> int:
-    """Be a device."""
+    """Serve one or several devices over Modbus."""
     from ..apps.server.overrides import Overrides
     from ..apps.server.service import Service
     from ..server.loops import run
@@ -103,7 +103,7 @@ def serve(
 
 
 def _reader(file: str | None, changes: dict[str, Any]) -> "Callable[[], Configuration]":
-    """What reads the configuration, now and whenever it is read again."""
+    """A function that reads the server's configuration, now and at each reload."""
     from ..apps.server.configuration import load_configuration, parse_configuration
 
     if file is None:

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM for commands that run until they are stopped; SIGHUP for those that read their files again."""
+"""Signals: Ctrl-C and SIGTERM end commands that run until they are stopped; SIGHUP lets them read their files again."""
 
 import asyncio
 import contextlib
@@ -10,7 +10,7 @@ from typing import Any
 
 @contextlib.contextmanager
 def stop_event() -> Iterator[asyncio.Event]:
-    """An event that Ctrl-C and SIGTERM set, inside a coroutine; a second Ctrl-C interrupts as usual."""
+    """Context manager: an event that Ctrl-C and SIGTERM set; a second Ctrl-C interrupts as usual."""
     loop = asyncio.get_running_loop()
     event = asyncio.Event()
     before: dict[int, object] = {}
@@ -31,7 +31,7 @@ def stop_event() -> Iterator[asyncio.Event]:
 
 @contextlib.contextmanager
 def stop_events() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
-    """Two events, inside a coroutine: the first Ctrl-C or SIGTERM sets the one, the next the other.
+    """Context manager: two events; the first Ctrl-C or SIGTERM sets the one, the next sets the other.
 
     A third interrupts as usual.
     """
@@ -58,7 +58,7 @@ def stop_events() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
 
 @contextlib.contextmanager
 def on_hangup(call: Callable[[], None]) -> Iterator[None]:
-    """Call something in the event loop at each SIGHUP, inside a coroutine; nothing where the system has no SIGHUP."""
+    """Context manager that calls a function in the event loop at each SIGHUP, on systems that have it."""
     number = getattr(signal, "SIGHUP", None)
     if number is None or threading.current_thread() is not threading.main_thread():
         yield
@@ -73,7 +73,7 @@ def on_hangup(call: Callable[[], None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def stop_flag() -> Iterator[threading.Event]:
-    """A flag that Ctrl-C and SIGTERM set, for a command without an event loop; a second Ctrl-C interrupts as usual.
+    """Context manager: a flag that Ctrl-C and SIGTERM set, without an event loop; a second Ctrl-C interrupts as usual.
 
     Nothing is interrupted where it stands: what was received is not lost.
     """

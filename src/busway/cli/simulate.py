@@ -1,4 +1,4 @@
-"""``busway simulate``: be devices that behave as a file says, until Ctrl-C or SIGTERM.
+"""``busway simulate``: serves simulated devices whose values change as a file says, until Ctrl-C or SIGTERM.
 
 1. As `serve`: the endpoints go to stdout as they are bound, one per line, everything else to stderr; a listener that
    the network reaches is read-only unless there is a policy, or writes are allowed by name; SIGHUP reads files again.
@@ -203,7 +203,7 @@ def _speed(text: str) -> float:
 
 
 def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], DeclaredServer]":
-    """What gives the simulation first, and what its source says whenever it is read again."""
+    """A function that returns the loaded simulation first, and reads its source again at each reload."""
     from ..apps.simulator.simulation import Simulation
 
     first: list[DeclaredServer] = [simulation]

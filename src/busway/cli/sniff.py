@@ -1,4 +1,4 @@
-"""``busway sniff``: what others say on a line. It listens and never sends.
+"""``busway sniff``: shows the traffic of a serial line. It listens and never sends.
 
 1. One line per frame: time, silence before it, unit, function, fields. What is damaged is shown with the reason, and a
    request without a reply by itself.
@@ -87,7 +87,7 @@ def sniff(
 
 
 class _Sniffing:
-    """One run of the command."""
+    """One run of ``busway sniff``."""
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class _Sniffing:
         self._wall = time.time() - self._began  # added to the clock of the frames it gives the time of day
 
     def run(self, lasting: float | None, stop: "Event") -> int:
-        """Listen until the time is over or a signal ends it; then the statistics."""
+        """Listen until the time is over or a signal comes; then print the statistics."""
         until = float("inf") if lasting is None else self._began + lasting
         try:
             while time.monotonic() < until and not stop.is_set():
@@ -159,7 +159,7 @@ class _Sniffing:
 
 
 def _describe(event: "Heard") -> "Description":
-    """The frame of an event, a reply with its request in hand."""
+    """The description of the frame of an event; that of a reply uses its request."""
     from ..framing.received import Direction
     from ..observe.pairing import Kind
     from ..observe.wording import described

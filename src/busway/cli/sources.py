@@ -1,4 +1,4 @@
-"""What ``busway simulate`` simulates: a file, a ready-made device, or a register map.
+"""The sources of ``busway simulate``: a file, a ready-made device, or a register map.
 
 Knows the options and what they read; serves nothing.
 """
@@ -54,7 +54,7 @@ UNIT = typer.Option(None, "-u", "--unit", metavar="U", help="With --clone or --m
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """What is to be simulated.
+    """The simulation that the arguments choose, and the name of its source.
 
     Attributes:
         name: of the file or device.
@@ -68,7 +68,7 @@ class Chosen:
 def chosen_source(
     file: str | None, device: str | None, map_file: str | None, unit: str | None, changes: dict[str, Any]
 ) -> Chosen:
-    """What the arguments name.
+    """Load the simulation that the arguments of ``busway simulate`` name.
 
     Args:
         file: path of a simulation file.

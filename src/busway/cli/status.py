@@ -1,4 +1,4 @@
-"""``busway status``: ask a running server or gateway how it is, over its control socket.
+"""``busway status``: shows the status of a running server or gateway, over its control socket.
 
 1. Without an argument the running programs of this user are found: one is shown, several are listed.
 2. A status indicator is a word; on a terminal its colour repeats it (S19: steady is *on*, blinking is *flashing*).
@@ -52,7 +52,7 @@ def status(
 
 
 def _ask(where: str | None) -> list[dict[str, Any]]:
-    """What the programs tell: one that is named, or all there are. Raises `LinkDown` where there is none."""
+    """The status of running programs: a named one, or all. Raises `LinkDown` if there is none."""
     from ..apps.control.addresses import control_directories
     from ..apps.control.client import ask, find_one, find_running
 
@@ -68,7 +68,7 @@ def _ask(where: str | None) -> list[dict[str, Any]]:
 
 
 def _tellers(running: "list[Running]") -> Iterator[dict[str, Any]]:
-    """What several programs tell; one that does not answer is said, and does not hide the others."""
+    """The status of each running program; one that does not answer is reported on stderr and skipped."""
     from ..apps.control.client import ask
 
     for one in running:
@@ -94,7 +94,7 @@ def _show(told: list[dict[str, Any]], *, as_json: bool) -> None:
 
 
 def _watch(where: str | None, period: float, *, as_json: bool) -> None:
-    """Show again and again; a failure after the first success is said, and watching goes on."""
+    """Show the status repeatedly; failures after the first success are reported, and watching continues."""
     with stop_flag() as stop:
         told = _ask(where)
         if as_json or not sys.stdout.isatty():

@@ -1,4 +1,4 @@
-"""``busway store``: check, back up and restore a store of the collector, also while it is written."""
+"""``busway store``: checks, backs up and restores a store of the collector, also while it is being written."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Standard input, output and error as a command finds them: closed, full, a pipe whose reader has gone, or plain ASCII.
+"""Standard input, output and error of a command, made safe: closed, full, a closed pipe, or plain ASCII.
 
 Knows streams; knows no command.
 
@@ -16,15 +16,19 @@ from typing import Any, TextIO, cast
 
 
 class OutputLostError(Exception):
-    """Standard output does not take what is written: the disk is full, or it was closed."""
+    """Error: stdout cannot be written, because the disk is full or it was closed."""
 
 
 class ReaderGoneError(Exception):
-    """The reader of stdout has closed it (``busway read … | head -1``). No `OSError`: typer would end with code 1."""
+    """Error: the reader of stdout has closed it (``busway read … | head -1``). No `OSError`: typer would end with code
+    1.
+    """
 
 
 class Guarded:
-    """A text stream for ``print`` and others, whose failures have one name (rules 1 and 2); else it is the stream."""
+    """A text stream that raises one kind of error for each kind of failure (rules 1 and 2); otherwise the stream
+    itself.
+    """
 
     def __init__(self, stream: TextIO, *, is_needed: bool) -> None:
         self._stream = stream
@@ -32,17 +36,17 @@ class Guarded:
         self._failure: OSError | ValueError | None = None
 
     def write(self, text: str) -> int:
-        """As of the stream."""
+        """Write a text to the guarded stream."""
         self._do(self._stream.write, text)
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """As of the stream."""
+        """Write lines to the guarded stream."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """As of the stream."""
+        """Flush the guarded stream."""
         self._do(self._stream.flush)
 
     def __getattr__(self, name: str) -> Any:  # whatever the stream has
@@ -65,7 +69,7 @@ class Guarded:
 
 @contextlib.contextmanager
 def guarded_streams() -> Iterator[None]:
-    """Guard the streams of this process meanwhile."""
+    """Context manager that guards the standard streams of this process."""
     before = sys.stdin, sys.stdout, sys.stderr
     opened: list[TextIO] = []
     sys.stdin = _there(sys.stdin, "r", opened)
@@ -88,7 +92,9 @@ def guarded_streams() -> Iterator[None]:
 
 
 def discard(stream: TextIO) -> None:
-    """Let what is still buffered go to the null device: written at the end of the process, it would fail again."""
+    """Redirect what a stream still buffers to the null device: at the end of the process, writing it would fail
+    again.
+    """
     with contextlib.suppress(OSError, ValueError, AttributeError):
         null = os.open(os.devnull, os.O_WRONLY)
         try:
@@ -98,7 +104,7 @@ def discard(stream: TextIO) -> None:
 
 
 def _there(stream: TextIO | None, mode: str, opened: list[TextIO]) -> TextIO:
-    """The stream, or the null device where there is none, which is added to ``opened``."""
+    """The given stream, or the null device if it is None; that is added to ``opened``."""
     if stream is None:
         stream = cast(TextIO, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - it lasts
         opened.append(stream)

@@ -1,4 +1,4 @@
-"""The unit file with which systemd runs a gateway.
+"""Generates the systemd unit file that runs a gateway.
 
 Knows directives of systemd (systemd.service(5), systemd.exec(5)) and what a gateway needs of the system; opens nothing.
 
@@ -25,7 +25,7 @@ _RUNTIME_DIRECTORY: Final = "busway"
 
 @dataclass(frozen=True, slots=True)
 class ServiceUnit:
-    """What a unit file is made of.
+    """The values for a systemd unit file: command, user and paths.
 
     Attributes:
         command: the program and its arguments, the first an absolute path.
@@ -42,7 +42,7 @@ class ServiceUnit:
     name: str = "gateway"
 
     def text(self) -> str:
-        """The unit file."""
+        """The text of the systemd unit file."""
         return "\n".join(
             (
                 "[Unit]",
@@ -139,12 +139,12 @@ _ALWAYS: Final = (
 
 
 def program() -> list[str]:
-    """How this very program is started: the command where there is one beside the interpreter, or the module."""
+    """The command line that starts this program: ``busway`` if it is installed, or the Python module."""
     command = Path(sys.executable).with_name("busway")
     return [str(command)] if command.exists() else [sys.executable, "-m", "busway"]
 
 
 def quoted(word: str) -> str:
-    """A word of a command line as systemd reads it (systemd.service(5), "Command lines")."""
+    """A word of a command line, quoted for systemd (systemd.service(5), "Command lines")."""
     escaped = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{escaped}"' if not word or set(word) & set(" \t\"'\\;") else escaped

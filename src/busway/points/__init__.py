@@ -1,4 +1,4 @@
-"""Points: the named values of a device, what they say, and how sure it is.
+"""Points: the named values of a device, their decoding, and the quality of their values.
 
 ==============  =======================================================================
 `point`         one point: where it stands, its type, its value: `Point`

@@ -1,4 +1,4 @@
-"""From the number in the registers to the value in the unit of measure, and back.
+"""Conversion between the raw number in the registers and the value in the unit of measure.
 
 Knows numbers; knows no register, type or point.
 
@@ -26,7 +26,7 @@ LARGEST_EXPONENT: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """A range of raw numbers that stands for a range of values.
+    """A linear scale: a range of raw numbers that corresponds to a range of values.
 
     Attributes:
         raw: its two ends as raw numbers.
@@ -41,7 +41,7 @@ class Linear:
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """How raw numbers become values.
+    """How the raw numbers of a point become values: scale, offset, linear range or factor of another point.
 
     Attributes:
         scale, offset: ``value = raw · scale + offset``.
@@ -64,11 +64,11 @@ class Conversion:
 
     @property
     def changes(self) -> bool:
-        """Whether a value is another number than the raw one."""
+        """Whether values differ from their raw numbers."""
         return self.scale != 1.0 or self.offset != 0.0 or self.linear is not None
 
     def factors(self) -> tuple[Fraction, Fraction]:
-        """Scale and offset, exactly as they were written."""
+        """Scale and offset as exact fractions."""
         if self.linear is None:
             return _exact(self.scale), _exact(self.offset)
         low, high = _exact(self.linear.raw[0]), _exact(self.linear.raw[1])
@@ -77,7 +77,7 @@ class Conversion:
         return scale, least - low * scale
 
     def source(self, raw: str, *, whole: bool) -> str:
-        """The expression, in Python, that gives the value for a raw number that has a name there.
+        """A Python expression for the value, given an expression for the raw number.
 
         Args:
             raw: the name.
@@ -101,7 +101,7 @@ class Conversion:
         return text
 
     def raw(self, value: float, *, whole: bool, exponent: int = 0) -> float:
-        """The raw number of a value.
+        """The raw number for a value.
 
         Args:
             value: in the unit of measure.
@@ -135,20 +135,20 @@ def _exact(number: float) -> Fraction:
 
 
 def pattern(number: float, *, bits: int, signed: bool) -> float:
-    """A raw number that may have been written as the pattern of its bits: 0x8000 is -32768 in 16 bits with a sign."""
+    """A raw number that may be written as a bit pattern: 0x8000 is -32768 in 16 bits with a sign."""
     if signed and isinstance(number, int) and 1 << bits - 1 <= number < 1 << bits:
         return number - (1 << bits)
     return number
 
 
 def converter(conversion: Conversion, *, whole: bool) -> Callable[[float], float]:
-    """What computes the values of raw numbers, compiled from `Conversion.source`; as `value_of`, and quicker."""
+    """A compiled function from raw numbers to values, faster than `value_of`."""
     convert: Callable[[float], float] = eval(f"lambda raw: {conversion.source('raw', whole=whole)}")
     return convert
 
 
 def value_of(conversion: Conversion, raw: float, *, whole: bool) -> float:
-    """The value of one raw number, without ``scale_from``, step by step. Decoders compile `Conversion.source`."""
+    """The value of one raw number, without ``scale_from``; decoders use compiled functions instead."""
     if not conversion.changes:
         return raw
     scale, offset = conversion.factors()

@@ -1,4 +1,4 @@
-"""The reply of a read → the values of all points in it, by one compiled function.
+"""Decodes the reply of a read into the values of all points in it, by one compiled function.
 
 Knows points and the bytes of a reply; knows no request and no clock.
 
@@ -46,7 +46,7 @@ _POWERS: Final = tuple(10.0**exponent for exponent in range(LARGEST_EXPONENT + 1
 
 @dataclass(frozen=True, slots=True)
 class DecodedRead:
-    """What a reply says.
+    """The decoded values of one reply, and the reasons of those that are not good.
 
     Attributes:
         values: one for each point, in the order of the points; None where there is none.
@@ -58,7 +58,7 @@ class DecodedRead:
 
 
 class ReadDecoder:
-    """Decodes the replies of one read.
+    """Decodes the replies of one particular read.
 
     Args:
         points: those that the read serves, in the order in which their values are wanted.
@@ -83,7 +83,7 @@ class ReadDecoder:
         self._decode = decode(self.points, start, count)
 
     def decode(self, data: Wire, known: MutableMapping[str, int] | None = None) -> DecodedRead:
-        """The values of a reply.
+        """Decode a reply into the values of its points.
 
         Args:
             data: registers in wire order, or bits as in a reply, the first in the lowest bit.
@@ -101,7 +101,7 @@ class ReadDecoder:
 
 @lru_cache(maxsize=4096)
 def _alone(point: Point) -> ReadDecoder:
-    """The decoder of a read of nothing but this point, compiled once."""
+    """The decoder of a read that contains only this point, compiled once."""
     return ReadDecoder([point], point.table, point.start, point.width)
 
 
@@ -143,8 +143,9 @@ def _bits_decoder(points: Sequence[Point], start: int, count: int) -> _Decode:
 
 @dataclass(frozen=True, slots=True)
 class _Number:
-    """A number that is unpacked: its registers in the read, the most significant first, -1 for one of zeros; whether
-    the bytes of each are swapped; its letter for ``struct``."""
+    """How a number is unpacked: its registers in the read, the most significant first, -1 for zeros; whether the bytes
+    of each are swapped; its ``struct`` letter.
+    """
 
     registers: tuple[int, ...]
     swapped: bool
@@ -152,13 +153,13 @@ class _Number:
 
     @property
     def is_plain(self) -> bool:
-        """Whether its bytes lie as ``struct`` wants them."""
+        """Whether ``struct`` can unpack the number directly."""
         first = self.registers[0]
         return first >= 0 and not self.swapped and self.registers == tuple(range(first, first + len(self.registers)))
 
 
 def _number_of(point: Point, start: int) -> _Number | None:
-    """How a point is unpacked; None where its type has to do it."""
+    """How the number of a point is unpacked; None if its value type has to do it."""
     form, first = point.form, point.start - start
     assert form is not None  # it stands in registers
     name = form.name
@@ -185,7 +186,7 @@ def _registers_decoder(points: Sequence[Point], start: int, count: int) -> _Deco
 
 
 class _Source:
-    """Writes the function that decodes the registers of a read."""
+    """Generates the Python source that decodes the registers of a read."""
 
     def __init__(self, points: Sequence[Point], start: int, count: int) -> None:
         self._points = points
@@ -196,7 +197,7 @@ class _Source:
         self.namespace: dict[str, Any] = {"inf": math.inf, "nan": math.nan}
 
     def text(self) -> str:
-        """The source of ``decode(data, known)``."""
+        """The source code of ``decode(data, known)``."""
         for point in self._points:
             number = _number_of(point, self._start)
             if number is not None and number not in self._numbers:
@@ -271,7 +272,7 @@ class _Source:
         return name
 
     def _tests(self, place: int, point: Point, raw: str) -> list[tuple[str, Reason]]:
-        """What makes a raw number no value: the condition, and the reason."""
+        """The tests that find invalid raw numbers: a condition and the reason for each."""
         tests = [] if point.is_whole else [(f"{raw} != {raw}", Reason.NOT_A_NUMBER)]
         invalid = _invalid_of(point)
         if len(invalid) == 1:
@@ -314,7 +315,7 @@ class _Source:
         return f"flaws = noted(flaws, {place}, {int(reason)})"
 
     def _typed(self, place: int, point: Point) -> None:
-        """A point that its type decodes."""
+        """Generate the code for a point that its value type decodes."""
         first = 2 * (point.start - self._start)
         self.namespace |= {f"read{place}": _reader(point), "noted": _noted}
         self._lines += [
@@ -324,7 +325,7 @@ class _Source:
 
 
 def _noted(flaws: dict[int, int] | None, place: int, reason: int) -> dict[int, int]:
-    """The flaws with one more; the dictionary is made for the first."""
+    """Add a reason to the collected ones; the dictionary is created for the first."""
     if flaws is None:
         return {place: reason}
     flaws[place] = reason
@@ -332,7 +333,7 @@ def _noted(flaws: dict[int, int] | None, place: int, reason: int) -> dict[int, i
 
 
 def _padded(numbers: Sequence[_Number], count: int) -> str:
-    """The format for numbers in their order, which skips what lies between them."""
+    """The ``struct`` format for numbers in their order, with padding for the gaps between them."""
     text, at = ">", 0
     for each in numbers:
         gap = each.registers[0] - at
@@ -361,7 +362,7 @@ def _gatherer(pick: Callable[[Any], Iterable[int]], count: int, *, swaps: bool) 
 
 
 def _invalid_of(point: Point) -> list[float]:
-    """The raw numbers that stand for no value, as the type has them."""
+    """The raw numbers that mean "no value" for a point, in the form of its type."""
     form = point.form
     assert form is not None
     name = form.name
@@ -381,7 +382,7 @@ def _invalid_of(point: Point) -> list[float]:
 
 
 def _reader(point: Point) -> Callable[[Wire], tuple[Any, int]]:
-    """What decodes one point by its type: the value, and why it is not good."""
+    """A function that decodes one point by its value type: the value, and the reason if it is not good."""
     form, conversion = point.form, point.conversion
     assert form is not None
     convert = point.value if conversion.changes else None

@@ -1,4 +1,4 @@
-"""What is made of the values of several reads: totals of counters that roll over, and computed points.
+"""Values derived from several reads: totals of counters that roll over, and computed points.
 
 Knows points and their latest readings; knows no request and no clock.
 
@@ -17,7 +17,7 @@ from .quality import Quality, Reading, Reason
 
 
 class Accumulator:
-    """A counter of bounded range, counted on for ever.
+    """Sums up a counter that rolls over, so that the total keeps growing.
 
     Args:
         rollover: the number at which it begins again from 0.
@@ -53,7 +53,7 @@ class Accumulator:
 
 
 class Derivation:
-    """The points of one device that are more than what a reply says.
+    """The derived points of one device: totals and computed points.
 
     Args:
         points: all of the device; those that need nothing are left alone.
@@ -87,11 +87,11 @@ class Derivation:
         return not self.accumulators and not self._computed
 
     def inputs(self) -> frozenset[str]:
-        """The points that computed ones need."""
+        """The names of the points that computed points depend on."""
         return frozenset(name for _, expression, _ in self._computed for name in expression.names)
 
     def apply(self, latest: Mapping[str, Reading], time: float = 0.0) -> dict[str, Reading]:
-        """Totals and computed values.
+        """Compute totals and computed points from the latest values.
 
         Args:
             latest: the latest reading of each point that was read; each reading of an accumulator is given once.
@@ -133,7 +133,7 @@ class Derivation:
 
 
 def _ordered(expressions: Mapping[str, Expression]) -> list[str]:
-    """The computed points, each after those that it needs; circles were refused where the file was read."""
+    """The computed points, each after those it depends on; circular formulas were refused when the file was read."""
     done: dict[str, None] = {}
 
     def visit(name: str, depth: int) -> None:

@@ -1,4 +1,4 @@
-"""A point: one value of a device that has a name. What others call a tag.
+"""A point: one named value of a device, which others call a tag.
 
 Knows where it stands, its type, how its raw number becomes a value, and what is to be done with it; knows no device,
 no request and no file. `decoder` decodes points.
@@ -24,7 +24,7 @@ _EVERY_READ: Final = ReportRule()
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One value of a device.
+    """One named value of a device: its address, type, conversion and rules.
 
     Attributes:
         name: one of a kind in its device.
@@ -70,45 +70,45 @@ class Point:
 
     @property
     def width(self) -> int:
-        """Registers, or bits of a table of bits, that it takes; 0 for a computed point."""
+        """Number of registers, or bits, that the point occupies; 0 for a computed point."""
         return 0 if self.formula else 1 if self.form is None else self.form.registers
 
     @property
     def end(self) -> int:
-        """The item after its last one."""
+        """The offset after the last item of the point."""
         return self.start + self.width
 
     @property
     def type(self) -> str:
-        """The type by name; ``bit`` for one bit, wherever it stands."""
+        """Name of the point's value type; ``bit`` for one bit."""
         if self.formula:
             return "float64"
         return "bit" if self.form is None or self.form.name.startswith("bit:") else self.form.name
 
     @property
     def order(self) -> str:
-        """Byte and register order in letters; empty for one bit."""
+        """Byte and register order of the point in letters; empty for one bit."""
         return "" if self.form is None or self.type == "bit" else self.form.order
 
     @property
     def address(self) -> Address:
-        """Where it stands."""
+        """Address of the point."""
         name = "" if self.form is None else self.form.name
         bit = int(name[4:]) if name.startswith("bit:") else None
         return Address(self.table, self.start, bit)
 
     @property
     def is_whole(self) -> bool:
-        """Whether its raw number is whole."""
+        """Whether the raw number of the point is an integer."""
         return self.form is not None and self.form.name.startswith(_WHOLE)
 
     @property
     def is_number(self) -> bool:
-        """Whether it holds a number, not one bit, text or several values."""
+        """Whether the point is a number, not a bit, text or several values."""
         return bool(self.formula) or self.is_whole or (self.form is not None and self.form.name.startswith("float"))
 
     def encode(self, value: Any, held: Wire = b"", exponent: int = 0) -> bytes:
-        """The items that hold a value.
+        """Encode a value as the items of the point.
 
         Args:
             value: in the unit of measure, or a name of a number, or for flags the names of the bits that are set.
@@ -127,7 +127,7 @@ class Point:
         return self.form.merge(raw, held or bytes(2 * self.form.registers))
 
     def raw(self, value: Any, exponent: int = 0) -> Any:
-        """What the items hold for a value, as their type has it. Raises `InvalidRequest` if it cannot be."""
+        """The raw value for a value in the unit of measure. Raises `InvalidRequest` if it does not fit."""
         if self.formula:
             raise InvalidRequest(f"{self.name} is computed and holds nothing")
         if isinstance(value, bool) and self.writing is not None and self.writing.on is not None:
@@ -142,13 +142,13 @@ class Point:
         return self.conversion.raw(value, whole=self.is_whole, exponent=exponent)
 
     def value(self, raw: Any) -> Any:
-        """The value in the unit of measure of a raw number; other raw values as they are."""
+        """The value in the unit of measure for a raw number; other raw values unchanged."""
         if not self.is_number or isinstance(raw, bool):
             return raw
         return value_of(self.conversion, raw, whole=self.is_whole)
 
     def _number_of(self, value: Any) -> Any:
-        """The number that a name, or the names of some flags, stand for."""
+        """The number for the name of a value, or for names of flags."""
         conversion = self.conversion
         if conversion.names:
             if isinstance(value, str):
@@ -171,11 +171,11 @@ class Point:
         return value
 
     def choices(self) -> str:
-        """The names of the numbers that there are: ``off (0), auto (1)``."""
+        """The names of the point's values as text: ``off (0), auto (1)``."""
         return ", ".join(f"{name} ({number})" for name, number in self.conversion.names.items())
 
     def label(self, value: Any) -> str:
-        """The name of a number, or the names of the flags that are set in it; empty where there are none."""
+        """The name of a value, or the names of its flags; empty if there are none."""
         conversion = self.conversion
         if isinstance(value, bool) or not isinstance(value, int):
             return ""
@@ -184,7 +184,7 @@ class Point:
         return next((name for name, number in conversion.names.items() if number == value), "")
 
     def renamed(self, name: str) -> "Point":
-        """The same under another name."""
+        """A copy of the point with another name."""
         return replace(self, name=name)
 
     def __hash__(self) -> int:

@@ -1,4 +1,4 @@
-"""What holds for reading a unit, and for writing, reporting and alarms of a point.
+"""Rules of points: limits for reading a unit, and rules for writing, reporting and alarms of a point.
 
 Knows the rules and their ranges; applies only those that need nothing but a value.
 """
@@ -15,7 +15,7 @@ from ..values.refusal import shown
 
 @dataclass(frozen=True, slots=True, order=True)
 class ItemRange:
-    """Items from ``start`` up to but not including ``end``."""
+    """A range of items from ``start`` up to but not including ``end``."""
 
     start: int
     end: int
@@ -29,13 +29,13 @@ class ItemRange:
 
     @property
     def width(self) -> int:
-        """How many items it has."""
+        """Number of items in the range."""
         return self.end - self.start
 
 
 @dataclass(frozen=True, slots=True)
 class ReadRules:
-    """What a device allows.
+    """Limits for reading a device: largest requests, readable and forbidden ranges.
 
     Attributes:
         max_registers: widest read of registers, 1…125.
@@ -61,13 +61,13 @@ class ReadRules:
     pause: float = 0.0
 
     def limit(self, table: Table) -> int:
-        """The widest read of a table."""
+        """The largest number of items in one read of a table."""
         return self.max_bits if table.holds_bits else self.max_registers
 
 
 @dataclass(frozen=True, slots=True)
 class WriteRule:
-    """What may be written to a point, and how.
+    """Whether, how and with which values a point may be written.
 
     Attributes:
         function: 5, 6, 15, 16 or 22; None for the one that fits.
@@ -86,7 +86,7 @@ class WriteRule:
     off: int | None = None
 
     def check(self, value: float) -> None:
-        """Raises `InvalidRequest` if a value may not be written."""
+        """Raise `InvalidRequest` if a value may not be written to the point."""
         low, high = self.minimum, self.maximum
         if (low is not None and not value >= low) or (high is not None and not value <= high):
             raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
@@ -100,7 +100,7 @@ class WriteRule:
 
 @dataclass(frozen=True, slots=True)
 class ReportRule:
-    """When a sample of a point is handed on; a change of its quality always is.
+    """Which samples of a point are passed on, such as only after a change; changes of quality always are.
 
     Attributes:
         when: at every read, at a change, or at a change and after ``period`` at the latest.
@@ -117,7 +117,7 @@ class ReportRule:
     max_silence: float | None = None
 
     def is_change(self, before: object, now: object) -> bool:
-        """Whether a value differs from the one that was handed on before by more than the deadband."""
+        """Whether a value differs by more than the deadband from the last one passed on."""
         if before == now:
             return False
         numbers = isinstance(before, int | float) and isinstance(now, int | float)
@@ -129,7 +129,7 @@ class ReportRule:
         return not abs(now - before) <= limit  # NaN is a change
 
     def is_due(self, before: object, now: object, silence: float) -> bool:
-        """Whether a good value is handed on, ``silence`` seconds after the one before."""
+        """Whether a good value is to be passed on, ``silence`` seconds after the last one."""
         if self.when == "every" or self.is_change(before, now):
             return True
         limits = [each for each in (self.max_silence, self.period if self.when != "change" else None) if each]
@@ -176,7 +176,7 @@ class AlarmRule:
 
 
 def ranged(low: float | None, high: float | None) -> str:
-    """A range in words: ``0…100``, ``at least 0``, ``at most 100``."""
+    """A range of numbers in words: ``0…100``, ``at least 0``, ``at most 100``."""
     if low is None:
         return f"at most {high:g}"
     return f"at least {low:g}" if high is None else f"{low:g}…{high:g}"

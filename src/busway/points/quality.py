@@ -1,4 +1,4 @@
-"""How sure a value is, and the reason where it is not good. Knows nothing else."""
+"""Quality of a value (good, uncertain, bad), and the reason if it is not good."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -13,7 +13,7 @@ _EXCEPTIONS: Final = 256
 
 
 class Quality(IntEnum):
-    """How sure a value is; the larger, the worse."""
+    """Quality of a value; larger is worse."""
 
     GOOD = 0
     UNCERTAIN = 1
@@ -23,12 +23,12 @@ class Quality(IntEnum):
 
     @property
     def label(self) -> str:
-        """``good``, ``uncertain``, ``bad``."""
+        """The quality as a word: ``good``, ``uncertain``, ``bad``."""
         return self.name.lower()
 
 
 class Reason(IntEnum):
-    """Why a sample is not good, or why there are none; `exception_reason` makes those of exception codes.
+    """Reasons why a sample is not good or is missing; `exception_reason` gives those for exception codes.
 
     1 to 15 are uncertain, all from 16 on are bad.
     """
@@ -82,19 +82,19 @@ _TEXTS: Final[dict[int, str]] = {
 
 
 def exception_reason(code: int) -> int:
-    """The reason of a sample whose read was answered with an exception; the code, 0…255, is kept as it came."""
+    """The reason for a sample whose read was answered with an exception code, 0…255."""
     if not 0 <= code <= 255:
         raise InvalidRequest(f"an exception code is 0…255, not {shown(code)}")
     return _EXCEPTIONS + code
 
 
 def exception_code_of(reason: int) -> int | None:
-    """The exception code, 0…255, behind a reason; None where it is another reason."""
+    """The exception code, 0…255, of a reason; None for other reasons."""
     return reason - _EXCEPTIONS if reason >= _EXCEPTIONS else None
 
 
 def quality_of(reason: int) -> Quality:
-    """The quality that follows from a reason."""
+    """The quality that belongs to a reason."""
     if reason == 0:
         return Quality.GOOD
     return Quality.UNCERTAIN if reason < Reason.TIMEOUT else Quality.BAD
@@ -110,7 +110,7 @@ def reason_text(reason: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a read says of one point.
+    """The value of one point from a read, and the reason if it is not good.
 
     Attributes:
         value: in the unit of measure; None where there is none.
@@ -122,5 +122,5 @@ class Reading:
 
     @property
     def quality(self) -> Quality:
-        """How sure it is."""
+        """The quality of the value."""
         return quality_of(self.reason)

@@ -1,4 +1,4 @@
-"""Registers ⇄ numbers, strings and bits, and the notations of addresses.
+"""Conversion between registers and numbers, strings and bits, and the notations of addresses.
 
 ==============  =======================================================================
 `types`         types by name, and the functions that most callers need

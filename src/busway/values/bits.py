@@ -1,4 +1,4 @@
-"""Registers as sixteen bits, and one or some bits of a register.
+"""Codecs for bits: a register as sixteen bits, and single bits or bit fields of a register.
 
 Knows that bit 0 is the least significant (Application Protocol V1.1b3 §4.2 has registers big-endian). Coils and
 discrete inputs are bits already and need nothing from here but `parse_bit`.
@@ -18,7 +18,7 @@ _BITS: Final = tuple(tuple(bool(byte >> bit & 1) for bit in range(8)) for byte i
 
 
 def parse_bit(text: str) -> bool:
-    """A state as people write it: ``on``, ``true``, ``1`` or ``off``, ``false``, ``0``; capitals do not matter.
+    """Parse a state: ``on``, ``true``, ``1`` or ``off``, ``false``, ``0``; capitals do not matter.
 
     Raises:
         InvalidRequest: it is none of these. Nothing was sent.
@@ -30,7 +30,7 @@ def parse_bit(text: str) -> bool:
 
 
 class BitsCodec:
-    """A register as a tuple of sixteen ``bool``, least significant first."""
+    """Codec for a register as a tuple of sixteen ``bool``, least significant first."""
 
     def __init__(self, name: str, order: ByteOrder) -> None:
         self._name = name
@@ -38,12 +38,12 @@ class BitsCodec:
         self.expects = "sixteen of True and False, the least significant bit first"
 
     def decode(self, data: Wire) -> list[Any]:
-        """A tuple for each register of a block."""
+        """Decode registers, each into a tuple of sixteen states."""
         whole = swapped(data, self._swaps)
         return [_BITS[low] + _BITS[high] for high, low in zip(whole[::2], whole[1::2], strict=True)]
 
     def encode(self, values: list[object]) -> bytes:
-        """The registers of some tuples or lists of sixteen states (``bool``, or the integers 0 and 1)."""
+        """Encode tuples or lists of sixteen states (``bool``, or the integers 0 and 1) as registers."""
         registers = bytearray()
         for index, value in enumerate(values):
             if not isinstance(value, tuple | list) or len(value) != 16:
@@ -54,7 +54,7 @@ class BitsCodec:
         return swapped(registers, self._swaps)
 
     def parse(self, text: str) -> tuple[bool, ...]:
-        """The register as a number, ``0b101`` or ``0x5`` or ``5``: bits 0 and 2."""
+        """Parse the sixteen bits of a register from a number: ``0b101``, ``0x5`` and ``5`` are bits 0 and 2."""
         number = whole_number(text)
         if not 0 <= number <= 0xFFFF:
             raise ValueError(text)
@@ -62,7 +62,7 @@ class BitsCodec:
 
 
 class BitCodec:
-    """One bit of a register, for reading."""
+    """Codec for one bit of a register."""
 
     def __init__(self, name: str, bit: int, order: ByteOrder) -> None:
         self._name = name
@@ -71,14 +71,14 @@ class BitCodec:
         self.expects: str = f"one of {', '.join(_STATES)}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """The state of this bit in each register of a block."""
+        """Decode this bit of each register."""
         whole = swapped(data, self._swaps)
         column = whole[1::2] if self._bit < 8 else whole[::2]
         position = self._bit & 7
         return [_BITS[byte][position] for byte in column]
 
     def encode(self, values: list[object]) -> bytes:
-        """Always refused: a register can only be written whole.
+        """Refuse to encode: a register can only be written whole.
 
         Raises:
             InvalidRequest: always; the sentence gives the masks that do it. Nothing was sent.
@@ -92,13 +92,13 @@ class BitCodec:
         )
 
     def parse(self, text: str) -> bool:
-        """A state as people write it."""
+        """Parse a state such as ``on`` or ``0``."""
         if text.lower() not in _STATES:
             raise ValueError(text)
         return _STATES[text.lower()]
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """The register that has this bit set or cleared, its other bits as they were."""
+        """The register with this bit set or cleared, and its other bits unchanged."""
         if value not in (True, False):
             raise unfit([value], 0, self._name, self.expects)
         number = int.from_bytes(swapped(held, self._swaps), "big")
@@ -107,7 +107,7 @@ class BitCodec:
 
 
 class FieldCodec:
-    """Neighbouring bits of a register as a number, for reading: half a register, or a field of a status word."""
+    """Codec for adjacent bits of a register as a number: half a register, or a field of a status word."""
 
     def __init__(self, name: str, low: int, high: int, order: ByteOrder, *, signed: bool) -> None:
         self._name = name
@@ -120,7 +120,7 @@ class FieldCodec:
         self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """The number in these bits of each register of a block."""
+        """Decode the number in these bits of each register."""
         whole = swapped(data, self._swaps)
         low, mask, sign = self._low, self._mask, self._sign
         return [
@@ -128,7 +128,7 @@ class FieldCodec:
         ]  # x ^ sign - sign extends the sign
 
     def encode(self, values: list[object]) -> bytes:
-        """Always refused: a register can only be written whole. `merge` knows the rest of it.
+        """Refuse to encode: a register can only be written whole; see `merge`.
 
         Raises:
             InvalidRequest: always. Nothing was sent.
@@ -136,7 +136,7 @@ class FieldCodec:
         raise InvalidRequest(f"{self._name} cannot be written alone: the register's other bits would be overwritten")
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """The register that holds a number in these bits, its other bits as they were."""
+        """The register with a number in these bits, and its other bits unchanged."""
         if isinstance(value, bool) or not isinstance(value, int) or not self._minimum <= value <= self._maximum:
             raise unfit([value], 0, self._name, self.expects)
         number = int.from_bytes(swapped(held, self._swaps), "big")
@@ -144,7 +144,7 @@ class FieldCodec:
         return swapped(number.to_bytes(2, "big"), self._swaps)
 
     def parse(self, text: str) -> int:
-        """A number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        """Parse a number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
         number = whole_number(text)
         if not self._minimum <= number <= self._maximum:
             raise ValueError(text)

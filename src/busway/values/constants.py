@@ -1,4 +1,4 @@
-"""The types of values as constants, from which a type checker knows what a read returns.
+"""Value types as constants, by which a type checker knows what a read returns.
 
 >>> busway.FLOAT32                                         # doctest: +SKIP
 >>> link.unit(1).read("4x1", busway.FLOAT32)               # a float
@@ -29,7 +29,7 @@ BITS: Final[ValueType[tuple[bool, ...]]] = value_type("bits")
 def string(
     length: int, encoding: Literal["ascii", "latin-1", "utf-8"] = "ascii", padding: Literal["nul", "space"] = "nul"
 ) -> ValueType[str]:
-    """The type of a text of up to ``length`` bytes, two in each register.
+    """The value type of a text of up to ``length`` bytes, two in each register.
 
     Args:
         length: bytes, 1…250.

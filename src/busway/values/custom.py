@@ -1,4 +1,4 @@
-"""Values that a ``struct`` format describes: ``custom:>hHl`` is three numbers in four registers.
+"""Codec for values described by a ``struct`` format: ``custom:>hHl`` is three numbers in four registers.
 
 Knows the letters that are taken; the bytes are those of the registers as they travel.
 """
@@ -16,7 +16,7 @@ _MOST_BYTES: Final = 250
 
 
 def custom_layout(name: str, written: str) -> struct.Struct:
-    """The layout of a format. Raises `InvalidRequest` for one that cannot be."""
+    """The ``struct`` layout for a format. Raises `InvalidRequest` for an unsupported one."""
     match = _FORMAT.fullmatch(written)
     if match is None:
         raise InvalidRequest(
@@ -37,7 +37,7 @@ def custom_layout(name: str, written: str) -> struct.Struct:
 
 
 class CustomCodec:
-    """Codec for ``custom:<struct format>``: registers ⇄ tuples of numbers."""
+    """Codec for ``custom:<struct format>``: registers to tuples of numbers and back."""
 
     def __init__(self, name: str, layout: struct.Struct, order: ByteOrder) -> None:
         self._name = name
@@ -47,11 +47,11 @@ class CustomCodec:
         self.expects: str = f"{self._length} numbers that fit {layout.format}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """The tuples of a block."""
+        """Decode registers into tuples."""
         return list(self._layout.iter_unpack(swapped(data, self._swaps)))
 
     def encode(self, values: list[object]) -> bytes:
-        """The block of some tuples or lists."""
+        """Encode tuples or lists of numbers as registers."""
         parts = []
         for index, value in enumerate(values):
             if not isinstance(value, tuple | list):
@@ -63,7 +63,7 @@ class CustomCodec:
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> tuple[Any, ...]:
-        """Numbers with commas between: ``1, -2, 3.5``."""
+        """Parse numbers separated by commas: ``1, -2, 3.5``."""
         numbers: list[int | float] = []
         for part in text.split(","):
             try:

@@ -1,4 +1,4 @@
-"""Names of types and orders as type checkers know them, so that a wrong one is found before the program runs.
+"""Names of value types and orders for type checkers, so that a wrong name is found before the program runs.
 
 Knows texts only; `types` and `orders` say what they mean, and a test holds the lists together.
 """

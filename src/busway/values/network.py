@@ -1,4 +1,4 @@
-"""Addresses of networks ⇄ bytes in wire order: IPv4, IPv6, EUI-48 (MAC) and EUI-64.
+"""Codecs for network addresses in registers: IPv4, IPv6, EUI-48 (MAC) and EUI-64.
 
 Knows how each is written; the most significant byte travels first unless the order says otherwise.
 """
@@ -23,12 +23,12 @@ NETWORK_TYPES: Final = tuple(_SIZES)
 
 
 def network_size(name: str) -> int:
-    """Bytes of an address."""
+    """Number of bytes of a kind of network address."""
     return _SIZES[name]
 
 
 class NetworkCodec:
-    """Addresses as the texts that people write."""
+    """Codec for network addresses as texts."""
 
     def __init__(self, name: str, order: ByteOrder) -> None:
         self._name = name
@@ -37,12 +37,12 @@ class NetworkCodec:
         self.expects: str = _EXPECTS[name]
 
     def decode(self, data: Wire) -> list[Any]:
-        """The addresses of a block."""
+        """Decode registers into network addresses."""
         whole = swapped(data, self._swaps)
         return [self._written(whole[at : at + self._size]) for at in range(0, len(whole), self._size)]
 
     def encode(self, values: list[object]) -> bytes:
-        """The block of some addresses."""
+        """Encode network addresses as registers."""
         parts = []
         for index, value in enumerate(values):
             try:
@@ -52,7 +52,7 @@ class NetworkCodec:
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> str:
-        """The address as it is written in full."""
+        """Parse a network address, and write it in its standard form."""
         return self._written(self._packed(text))
 
     def _written(self, part: bytes) -> str:

@@ -1,4 +1,4 @@
-"""Integers, floats and binary-coded decimals ⇄ bytes in wire order.
+"""Codecs for integers, floats and binary-coded decimals in registers.
 
 Knows the three number formats and their ranges. Knows nothing of type names beyond quoting its own in errors, and
 nothing of registers: the caller has checked that the length is a multiple of the value's size.
@@ -30,7 +30,7 @@ _FLOAT_REFUSALS: Final = (struct.error, OverflowError, TypeError, ValueError)
 
 
 def whole_number(text: str) -> int:
-    """The integer that a person wrote: decimal, ``0x…`` or ``0b…``, with an optional sign.
+    """Parse an integer: decimal, ``0x…`` or ``0b…``, with an optional sign.
 
     Raises:
         ValueError: it is none, or has more digits than any type here holds.
@@ -44,7 +44,7 @@ def whole_number(text: str) -> int:
 
 
 class _StructLayout:
-    """How ``struct`` reads a block of one format: the order is either its own or follows from a few byte swaps."""
+    """Unpacks registers of one number format by ``struct``, after byte swaps if the order needs them."""
 
     def __init__(self, letter: str, order: ByteOrder) -> None:
         self.letter = letter
@@ -54,20 +54,20 @@ class _StructLayout:
         self.swaps = order.swaps[1:] if order.is_reversed else order.swaps
 
     def unpack(self, data: Wire) -> list[Any]:  # ints or floats, as the letter says
-        """Numbers of a block; ``struct`` keeps the formats it met lately compiled."""
+        """Unpack numbers from registers."""
         count = len(data) // self.size
         if self.swaps:
             data = swapped(data, self.swaps)
         return list(struct.unpack(f"{self.prefix}{count}{self.letter}", data))
 
     def pack(self, values: list[object]) -> bytes:
-        """The block of some numbers; fails as ``struct`` does."""
+        """Pack numbers into registers; fails as ``struct`` does."""
         packed = struct.pack(f"{self.prefix}{len(values)}{self.letter}", *values)
         return swapped(packed, self.swaps) if self.swaps else packed
 
 
 class IntegerCodec:
-    """Two's complement or unsigned integers of 16, 32 or 64 bits."""
+    """Codec for signed or unsigned integers of 16, 32 or 64 bits."""
 
     def __init__(self, name: str, letter: str, order: ByteOrder) -> None:
         bits = order.size * 8
@@ -78,11 +78,11 @@ class IntegerCodec:
         self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """The integers of a block."""
+        """Decode registers into integers."""
         return self._layout.unpack(data)
 
     def encode(self, values: list[object]) -> bytes:
-        """The block of some integers."""
+        """Encode integers as registers."""
         if set(map(type, values)) - {int}:
             self._refuse_strangers(values)
         try:
@@ -91,7 +91,7 @@ class IntegerCodec:
             raise self._misfit(values) from error
 
     def parse(self, text: str) -> int:
-        """A number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        """Parse a number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
         number = whole_number(text)
         if not self._minimum <= number <= self._maximum:
             raise ValueError(text)
@@ -112,7 +112,7 @@ class IntegerCodec:
 
 
 class FloatCodec:
-    """IEEE 754 numbers of 16, 32 or 64 bits, infinities and NaN included."""
+    """Codec for IEEE 754 numbers of 16, 32 or 64 bits, infinities and NaN included."""
 
     def __init__(self, name: str, letter: str, order: ByteOrder) -> None:
         largest = {2: "65504", 4: "3.4028234663852886e+38", 8: "1.7976931348623157e+308"}[order.size]
@@ -121,11 +121,11 @@ class FloatCodec:
         self.expects: str = f"a number -{largest}…{largest}, inf or nan"
 
     def decode(self, data: Wire) -> list[Any]:
-        """The numbers of a block."""
+        """Decode registers into floats."""
         return self._layout.unpack(data)
 
     def encode(self, values: list[object]) -> bytes:
-        """The block of some numbers, each rounded to the nearest that the format has."""
+        """Encode floats as registers, each rounded to the nearest representable number."""
         if set(map(type, values)) - {float, int}:
             self._refuse_strangers(values)
         try:
@@ -134,7 +134,7 @@ class FloatCodec:
             raise self._misfit(values) from error
 
     def parse(self, text: str) -> float:
-        """A number as Python writes it, ``inf`` and ``nan`` included."""
+        """Parse a float as Python writes it, ``inf`` and ``nan`` included."""
         if not text.isascii() or "_" in text:
             raise ValueError(text)
         number = float(text)
@@ -162,7 +162,7 @@ class FloatCodec:
 
 
 class ThreeRegisterCodec:
-    """Two's complement or unsigned integers of 48 bits, for which ``struct`` has no letter."""
+    """Codec for signed or unsigned integers of 48 bits, for which ``struct`` has no format."""
 
     def __init__(self, name: str, order: ByteOrder) -> None:
         self._signed = not name.startswith("u")
@@ -173,12 +173,12 @@ class ThreeRegisterCodec:
         self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """The integers of a block."""
+        """Decode registers into integers."""
         whole = swapped(data, self._swaps)
         return [int.from_bytes(whole[at : at + 6], "big", signed=self._signed) for at in range(0, len(whole), 6)]
 
     def encode(self, values: list[object]) -> bytes:
-        """The block of some integers."""
+        """Encode integers as registers."""
         parts = []
         for index, value in enumerate(values):
             if isinstance(value, bool) or not isinstance(value, SupportsIndex):
@@ -190,7 +190,7 @@ class ThreeRegisterCodec:
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> int:
-        """A number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        """Parse a number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
         number = whole_number(text)
         if not self._minimum <= number <= self._maximum:
             raise ValueError(text)
@@ -198,7 +198,7 @@ class ThreeRegisterCodec:
 
 
 class BcdCodec:
-    """Packed binary-coded decimals, four digits in each register, without a sign."""
+    """Codec for packed binary-coded decimals, four digits in each register, without a sign."""
 
     def __init__(self, name: str, order: ByteOrder) -> None:
         self._digits = order.size * 2
@@ -208,7 +208,7 @@ class BcdCodec:
         self.expects: str = f"a whole number 0…{self._maximum}, in decimal"
 
     def decode(self, data: Wire) -> list[Any]:
-        """The numbers of a block.
+        """Decode registers into numbers.
 
         Raises:
             BadReply: a digit is above 9; ``raw`` holds the block.
@@ -225,7 +225,7 @@ class BcdCodec:
         return [int(text[start : start + digits]) for start in range(0, len(text), digits)]
 
     def encode(self, values: list[object]) -> bytes:
-        """The block of some numbers."""
+        """Encode numbers as registers."""
         parts = []
         for index, value in enumerate(values):
             if isinstance(value, bool) or not isinstance(value, SupportsIndex):
@@ -237,7 +237,7 @@ class BcdCodec:
         return swapped(bytes.fromhex("".join(parts)), self._swaps)
 
     def parse(self, text: str) -> int:
-        """A decimal number; hexadecimal is refused: it is ambiguous whether its digits or its value is meant."""
+        """Parse a decimal number; hexadecimal is refused, since it could mean the digits or the value."""
         number = whole_number(text)
         if not text.lstrip("+").isdecimal() or number > self._maximum:
             raise ValueError(text)

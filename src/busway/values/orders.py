@@ -1,4 +1,4 @@
-"""The order of bytes and registers inside a value of 16, 32, 48 or 64 bits.
+"""Byte orders: the order of bytes and registers inside a value of 16, 32, 48 or 64 bits.
 
 The specification fixes the two bytes of a register (big-endian, Application Protocol V1.1b3 §4.2) and nothing more:
 how a larger number lies in several registers is each maker's choice, and some swap the bytes of a register as well.
@@ -78,7 +78,7 @@ ORDERS: Final[dict[int, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class ByteOrder:
-    """How the bytes of one value of ``size`` bytes lie on the wire; got from `byte_order`.
+    """The order of the bytes of one value of ``size`` bytes on the wire; created by `byte_order`.
 
     Attributes:
         size: bytes of a value: 2, 4, 6 or 8.
@@ -111,19 +111,19 @@ class ByteOrder:
 
     @property
     def is_reversed(self) -> bool:
-        """Whether the first of `swaps` reverses whole values, which reading them as little-endian does as well."""
+        """Whether the first of `swaps` reverses whole values, so that reading them as little-endian does the same."""
         return self.size != 6 and bool(self.mask & (self.size >> 1))
 
     @property
     def registers(self) -> tuple[int, ...]:
-        """For each register of the value, the most significant first, its place on the wire."""
+        """For each register of the value, the most significant first, its position on the wire."""
         if self.size == 6:
             return tuple("ABCDEF".index(self.text[2 * place]) // 2 for place in range(3))
         return tuple(place ^ (self.mask >> 1) for place in range(self.size // 2))
 
 
 def byte_order(text: str, size: int) -> ByteOrder:
-    """The order that a name stands for, for values of a given size.
+    """The byte order with this name, for values of a given size.
 
     Args:
         text: letters (``AB``, ``CDAB``, ``GHEFCDAB``, …) or ``big``, ``little``, ``word-swapped`` (registers
@@ -176,7 +176,7 @@ def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
 
 
 def _exchanged(data: Wire, first: int, other: int) -> bytes:
-    """Two registers of each three exchanged, over the whole block."""
+    """Registers with two of each three exchanged."""
     items = array("H")
     items.frombytes(data)
     items[first::3], items[other::3] = items[other::3], items[first::3]

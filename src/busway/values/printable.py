@@ -7,7 +7,7 @@ rest of the line around.
 
 
 def printable(text: str) -> str:
-    """The text on one line, with ``\\n``, ``\\x1b``, ``\\u202e`` and so on where no visible character stands.
+    """A text on one line, with ``\n``, ``\x1b``, ``\u202e`` and so on in place of invisible characters.
 
     Escaped are all control and format characters, bidirectional ones among them, line and paragraph separators, every
     space but the plain one, private and unassigned characters, and lone surrogates. All else stays as it is, a

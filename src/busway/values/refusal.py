@@ -1,4 +1,4 @@
-"""The error message for a value that does not fit its type.
+"""Error messages for values that do not fit their type.
 
 Knows how to show any value in a few characters; knows nothing about the types that refuse.
 """
@@ -11,7 +11,7 @@ _SHOWN_CHARACTERS: Final = 60
 
 
 def shown(value: object) -> str:
-    """``repr`` of a value, cut to a length that fits a sentence; never fails."""
+    """``repr`` of a value, shortened to fit a sentence; never fails."""
     try:
         text = repr(value)
     except ValueError:  # Python refuses to print integers of some thousand digits

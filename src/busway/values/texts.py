@@ -1,4 +1,4 @@
-"""Character strings ⇄ bytes in wire order.
+"""Codec for character strings in registers.
 
 Knows encodings, padding and the two orders of characters in a register. Two characters lie in a register, the first in
 the high byte unless the order is ``BA``; or one in each, in its low or its high byte.
@@ -19,7 +19,7 @@ from .refusal import shown, unfit
 
 
 class StringCodec:
-    """Texts of up to ``length`` bytes, each in a field of ``registers`` registers."""
+    """Codec for texts of up to ``length`` bytes, each in a field of ``registers`` registers."""
 
     def __init__(
         self,
@@ -43,7 +43,7 @@ class StringCodec:
         self.expects: str = f"text of at most {length} {'byte' if length == 1 else 'bytes'} in {encoding}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """The texts of a block.
+        """Decode registers into texts.
 
         Raises:
             BadReply: the bytes are not text in this encoding; ``raw`` holds the block.
@@ -54,14 +54,14 @@ class StringCodec:
         return [self._text(whole[start : start + self._length], data) for start in range(0, len(whole), self._size)]
 
     def encode(self, values: list[object]) -> bytes:
-        """The block of some texts, each padded to its field."""
+        """Encode texts as registers, each padded to its field."""
         block = b"".join(self._field(values, index) for index in range(len(values)))
         if self._half:
             block = b"".join(b"\0%c" % each if self._half == "low" else b"%c\0" % each for each in block)
         return swapped(block, self._swaps)
 
     def parse(self, text: str) -> str:
-        """The text as it stands."""
+        """Check that a text fits, and return it unchanged."""
         self.encode([text])
         return text
 

@@ -1,4 +1,4 @@
-"""Types by name: what ``"float32"`` in order ``"CDAB"`` does with the bytes of registers.
+"""Value types by name: converts registers to values and back, such as ``"float32"`` in order ``"CDAB"``.
 
 Knows the names, how many registers each takes, and which codec works for it. The codecs (`numbers`, `texts`, `bits`)
 know the formats. Nothing here knows addresses, messages or limits of a request.
@@ -55,19 +55,19 @@ _PADDINGS: Final = ("nul", "space")
 
 
 class Codec(Protocol):
-    """A number format; lengths are checked before it is asked."""
+    """Interface of the codec of a value type; its caller checks lengths."""
 
     expects: str
 
     # Any: which Python type comes follows from a name at run time, and a union would make every caller cast.
     def decode(self, data: Wire) -> list[Any]:
-        """The values of a block."""
+        """Decode registers into values."""
 
     def encode(self, values: list[object]) -> bytes:
-        """The block of some values."""
+        """Encode values as registers."""
 
     def parse(self, text: str) -> Any:
-        """The value that a person wrote; ``ValueError`` if it is none."""
+        """Parse a value from text; ``ValueError`` if it is none."""
 
 
 Value = TypeVar("Value")
@@ -75,7 +75,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class ValueType(Generic[Value]):
-    """A type in an order, ready to convert; got from `value_type`. Two are equal if name and order are.
+    """A value type with its byte order, ready to convert; created by `value_type`. Equal if name and order are.
 
     Attributes:
         name: the name in full, ``float32``.
@@ -90,11 +90,11 @@ class ValueType(Generic[Value]):
 
     @property
     def expects(self) -> str:
-        """What a value has to be, in words: ``a whole number 0…65535``."""
+        """A description of valid values: ``a whole number 0…65535``."""
         return self._codec.expects
 
     def registers_for(self, count: int) -> int:
-        """Registers that ``count`` values take.
+        """Number of registers that ``count`` values occupy.
 
         Args:
             count: number of values, 1 or more.
@@ -107,7 +107,7 @@ class ValueType(Generic[Value]):
         return count * self.registers
 
     def decode(self, data: Wire) -> list[Value]:
-        """The values in some registers.
+        """Decode registers into values.
 
         Args:
             data: bytes in wire order, two for each register, a whole number of values.

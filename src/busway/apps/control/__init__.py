@@ -1,4 +1,4 @@
-"""Control of a running server or gateway from outside: its status, over a socket that only its user can reach.
+"""The control service of a running server or gateway: shows its status over a socket that only its user can reach.
 
 `addresses` says where such sockets are, `control_socket` makes them, `service` answers, `client` asks; `json_status`
 turns a status into JSON.

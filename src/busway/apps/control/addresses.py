@@ -1,4 +1,4 @@
-"""Addresses of control sockets, and the directory where they are found.
+"""Addresses of control sockets, and the directories that contain them.
 
 Knows paths and the environment; opens nothing but that directory.
 
@@ -28,7 +28,7 @@ TOKEN_SUFFIX = ".json"
 
 @dataclass(frozen=True, slots=True)
 class UnixAddress:
-    """A Unix domain socket."""
+    """The address of a control socket in the file system (Unix domain)."""
 
     path: Path
 
@@ -38,7 +38,9 @@ class UnixAddress:
 
 @dataclass(frozen=True, slots=True)
 class LoopbackAddress:
-    """HTTP on this host. ``host`` is an address of loopback; port 0 takes a free one."""
+    """The address of a control service over HTTP on this host. ``host`` is a loopback address; port 0 takes a
+    free one.
+    """
 
     host: str
     port: int
@@ -51,7 +53,7 @@ ControlAddress = UnixAddress | LoopbackAddress
 
 
 def parse_control_address(text: str) -> ControlAddress:
-    """The address in a text: the path of a socket, ``127.0.0.1:0``, or ``http://127.0.0.1:4711``.
+    """Parse the address of a control service: a socket path, ``127.0.0.1:0``, or ``http://127.0.0.1:4711``.
 
     Raises:
         ConfigError: it is not an address, or not one of this host.
@@ -70,7 +72,7 @@ def parse_control_address(text: str) -> ControlAddress:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a numeric address is one of loopback."""
+    """Whether a numeric address is a loopback address."""
     try:
         return ip_address(host).is_loopback
     except ValueError:
@@ -78,7 +80,7 @@ def is_loopback(host: str) -> bool:
 
 
 def control_directory(environment: Mapping[str, str] | None = None) -> Path:
-    """The directory for control sockets of this user; created if it does not exist.
+    """The directory for control sockets of this user; created if missing.
 
     Args:
         environment: used instead of that of the process.
@@ -98,7 +100,7 @@ def control_directory(environment: Mapping[str, str] | None = None) -> Path:
 
 
 def control_directories(environment: Mapping[str, str] | None = None) -> list[Path]:
-    """Directories where programs of this user may be found: a service has another environment than a shell.
+    """All directories that may contain control sockets of this user: a service's environment differs from a shell's.
 
     Directories that do not exist, or are not the user's alone, are left out.
     """
@@ -106,7 +108,7 @@ def control_directories(environment: Mapping[str, str] | None = None) -> list[Pa
 
 
 def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
-    """Possible directories, the preferred one first."""
+    """Possible directories for control sockets, the preferred one first."""
     runtime = (os.environ if environment is None else environment).get("XDG_RUNTIME_DIR", "")
     own = f"busway-{os.getuid()}" if hasattr(os, "getuid") else "busway"
     temporary = Path(tempfile.gettempdir()) / own
@@ -116,7 +118,7 @@ def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
 
 
 def _problem(path: Path) -> str:
-    """What is wrong with a directory; empty if it is the user's alone."""
+    """Why a directory is not private to this user; empty if it is."""
     found = path.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return f"{path} is no directory"

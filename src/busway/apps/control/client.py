@@ -1,4 +1,4 @@
-"""Client of control sockets: asks a running program, and finds the programs that run.
+"""Client of the control service: finds running programs and asks them.
 
 Knows the client's side of HTTP over a Unix domain socket and over loopback; knows no status.
 
@@ -32,7 +32,7 @@ _CONNECT_SECONDS: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A running program and how to ask it."""
+    """A running program with a control service, and its address."""
 
     address: ControlAddress
     token: str = ""
@@ -42,7 +42,7 @@ class Running:
 
 
 def find_running(*directories: Path) -> list[Running]:
-    """The running programs of these directories, by name."""
+    """The running programs whose control sockets are in these directories, sorted by name."""
     found: list[Running] = []
     for directory in directories:
         if HAS_UNIX_SOCKETS:
@@ -53,7 +53,7 @@ def find_running(*directories: Path) -> list[Running]:
 
 
 def find_one(text: str, *directories: Path) -> Running:
-    """The program of a path, a URL, or a name in the directories (a process id). Raises `ConfigError`."""
+    """The running program with this socket path, URL, or name (a process id). Raises `ConfigError`."""
     address = parse_control_address(text)
     if isinstance(address, LoopbackAddress):
         known = [running for directory in directories for running in _with_tokens(directory)]
@@ -70,7 +70,7 @@ def find_one(text: str, *directories: Path) -> Running:
 
 
 def ask(running: Running, resource: str = "/status", *, method: str = "GET", timeout: float = 5.0) -> Any:
-    """The answer of a program: the content of its JSON, or a text.
+    """Request a resource of a running program: the decoded JSON, or a text.
 
     Args:
         running: the program.
@@ -120,7 +120,7 @@ def _error(status: int, content: Any, running: Running) -> ModbusError:
 
 
 class _Connection(http.client.HTTPConnection):
-    """HTTP connection to a Unix domain socket or to loopback."""
+    """HTTP connection to a control service over a Unix domain socket or loopback."""
 
     def __init__(self, address: ControlAddress, timeout: float) -> None:
         if isinstance(address, LoopbackAddress):
@@ -141,7 +141,7 @@ class _Connection(http.client.HTTPConnection):
 
 
 def _with_tokens(directory: Path) -> list[Running]:
-    """The programs on loopback whose tokens are in a directory."""
+    """The running programs on loopback whose access tokens are in a directory."""
     found = []
     for path in sorted(directory.glob(f"*{TOKEN_SUFFIX}")):
         try:

@@ -1,4 +1,4 @@
-"""Makes and removes the socket of a control service.
+"""Creates and removes the socket of a control service.
 
 Knows sockets, files and their modes; knows no request.
 
@@ -30,7 +30,7 @@ _CONNECT_SECONDS = 1.0
 
 @dataclass
 class Bound:
-    """A bound socket and its file.
+    """The bound socket of a control service, with its file.
 
     Attributes:
         address: its address.
@@ -44,12 +44,12 @@ class Bound:
     _identity: tuple[int, int] = field(default=(0, 0))
 
     def remember(self, made: Path) -> None:
-        """Remember the file that belongs to the socket."""
+        """Remember the file that belongs to the socket, to remove it later."""
         found = made.lstat()
         self._made, self._identity = made, (found.st_dev, found.st_ino)
 
     def remove(self) -> None:
-        """Remove its file, if it is still the one that was made."""
+        """Remove the file of the socket, unless another program has replaced it."""
         made, self._made = self._made, None
         if made is None:
             return
@@ -60,7 +60,7 @@ class Bound:
 
 
 def bind_default(directory: Path) -> Bound:
-    """A socket in a directory, under a free name. Raises as `bind_unix` and `bind_loopback`."""
+    """Create a control socket in a directory under a free name. Raises as `bind_unix` and `bind_loopback`."""
     sweep(directory)
     for number in count(1):
         name = str(os.getpid()) if number == 1 else f"{os.getpid()}-{number}"
@@ -73,7 +73,7 @@ def bind_default(directory: Path) -> Bound:
 
 
 def bind_unix(address: UnixAddress) -> Bound:
-    """A Unix domain socket of mode 0600.
+    """Create a Unix domain socket of mode 0600 for a control service.
 
     Raises:
         ConfigError: another file is at the path, or the path is too long.
@@ -98,7 +98,7 @@ def bind_unix(address: UnixAddress) -> Bound:
 
 
 def bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
-    """A socket on loopback, and its token in a file of the directory. Raises `LinkDown`."""
+    """Create a loopback socket for a control service, with its token in a file of the directory. Raises `LinkDown`."""
     bound = bind_tcp(address.host, address.port)
     real = LoopbackAddress(address.host, int(bound_name(bound).rpartition(":")[2]))
     made = Bound(bound, real, secrets.token_urlsafe(32))
@@ -129,7 +129,7 @@ def is_alive(path: Path) -> bool:
 
 
 def sweep(directory: Path) -> None:
-    """Remove the sockets of programs that ended without doing so."""
+    """Remove the socket files of programs that ended without removing them."""
     for path in directory.glob(f"*{SOCKET_SUFFIX}"):
         with contextlib.suppress(OSError):
             if stat.S_ISSOCK(path.lstat().st_mode) and not is_alive(path):
@@ -137,7 +137,7 @@ def sweep(directory: Path) -> None:
 
 
 def same_user(accepted: socket.socket) -> bool:
-    """Whether the peer of a Unix socket is the same user or root. True where the system cannot tell."""
+    """Whether the peer of a Unix socket is the same user or root. True if the system cannot tell."""
     option = getattr(socket, "SO_PEERCRED", None)
     if option is None:
         return True

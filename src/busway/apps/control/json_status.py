@@ -1,4 +1,4 @@
-"""A status as JSON can hold it: dataclasses become objects, enumerations their words.
+"""Converts a status to JSON: dataclasses become objects, enum members their values.
 
 Knows types; knows no status. A field that a dataclass gains appears by itself.
 """
@@ -11,7 +11,7 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """The same in numbers, texts, lists and objects. Infinity and NaN become null, bytes hexadecimal text."""
+    """A status as numbers, texts, lists and objects. Infinity and NaN become null, bytes hexadecimal text."""
     if isinstance(value, Enum):
         return value.value if isinstance(value.value, str) else value.name.lower()
     if value is None or isinstance(value, bool | int | str):

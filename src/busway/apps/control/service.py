@@ -1,4 +1,4 @@
-"""The control service of a running server or gateway.
+"""The control service of a running server or gateway: answers requests for its status, reset and reload.
 
 Knows resources and requests; knows no server: a `Subject` is an object with a status.
 
@@ -41,26 +41,26 @@ OFF: Final = "off"
 
 
 class Subject(Protocol):
-    """The object that is controlled."""
+    """Interface of the server or gateway that a control service shows."""
 
     def status(self) -> Any:
-        """Present state: a dataclass with any fields. Called in the subject's event loop."""
+        """The current status: a dataclass with any fields. Called in the subject's event loop."""
 
 
 @runtime_checkable
 class Resettable(Protocol):
-    """A subject whose counters can be set to zero."""
+    """Interface of a server or gateway whose counters can be reset."""
 
     def reset_counters(self) -> None:
-        """Set them to zero; nothing else changes."""
+        """Set the counters to zero; nothing else changes."""
 
 
 @runtime_checkable
 class Reloadable(Protocol):
-    """A subject that can read its files again."""
+    """Interface of a server or gateway that can read its files again."""
 
     async def reload(self) -> Any:
-        """Read the files again. The result is shown to the client. Raises `ModbusError`; then the old ones hold."""
+        """Read the files again. The result is shown to the client. Raises `ModbusError`; then nothing has changed."""
 
 
 Reload = Callable[[], Any]
@@ -124,7 +124,7 @@ class Control:
             self._resources["POST", "/reload"] = self._reload_files
 
     async def start(self) -> None:
-        """Answer from now on. Called in the subject's event loop.
+        """Start to answer requests. Called in the subject's event loop.
 
         Raises:
             ConfigError: another file is at the path, or the directory is not the user's own.
@@ -145,7 +145,7 @@ class Control:
         self._service.start()
 
     async def stop(self) -> None:
-        """Stop answering and remove the socket. Returns when the threads have ended."""
+        """Stop answering and remove the control socket. Returns when the threads have ended."""
         service, self._service = self._service, None
         bound, self._bound = self._bound, None
         self.address = None
@@ -213,7 +213,9 @@ class Control:
         return _json({"reloaded": plain(self._in_loop(self._reload, RELOAD_SECONDS))})
 
     def _in_loop(self, work: Callable[[], Any], seconds: float = GATHER_SECONDS) -> Any:
-        """The result of ``work`` in the subject's event loop. `HttpError` 503 or 504 if that does not answer."""
+        """Run ``work`` in the subject's event loop and return its result. `HttpError` 503 or 504 if that does not
+        answer.
+        """
         assert self._loop is not None
 
         async def done() -> Any:
@@ -258,7 +260,7 @@ async def open_control(
     reload: Reload | None = None,
     metrics: AnswerMetrics | None = None,
 ) -> AsyncIterator[Control | None]:
-    """A `Control` for commands: None for ``off``, and where the default socket cannot be bound, which is logged.
+    """Context manager of a `Control` for commands: None for ``off``, or if the default socket cannot be bound (logged).
 
     Args:
         subject, name, reload, metrics: as of `Control`.

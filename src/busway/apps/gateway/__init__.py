@@ -1,4 +1,5 @@
-"""The gateway: any listener, any upstream (Messaging on TCP/IP V1.0b §4.4.2, "MODBUS/TCP to serial line gateways").
+"""The gateway: forwards requests from any listener to any upstream (Messaging on TCP/IP V1.0b §4.4.2, "MODBUS/TCP to
+serial line gateways").
 
 Knows servers and links; a gateway is a server whose handler gives each request to a link. From the top down:
 

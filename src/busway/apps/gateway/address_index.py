@@ -1,4 +1,4 @@
-"""Finds the first of many address ranges that a request touches, without looking through all of them.
+"""An index of many address ranges that finds the first one a request touches, without going through all.
 
 Knows ranges in their order; knows no route, table or unit.
 
@@ -30,7 +30,7 @@ class AddressIndex:
             self._first[begin:end] = [index] * (end - begin)
 
     def first_touched(self, address: int, end: int) -> int | None:
-        """The position of the first range that has any of the items ``address`` … ``end - 1``; None without one."""
+        """The index of the first range that contains any of the items ``address`` … ``end - 1``; None without one."""
         edges = self._edges
         at = bisect_right(edges, address) - 1
         found = self._first[at]

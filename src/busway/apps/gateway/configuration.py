@@ -48,7 +48,7 @@ _SERVER_KINDS: Mapping[str, type[Any]] = {
 
 @dataclass(frozen=True, slots=True)
 class GatewayConfiguration:
-    """The checked content of a gateway file.
+    """The checked contents of a gateway file.
 
     Attributes:
         common: the sections that other configurations have too: security, policy, audit log, metrics, control.
@@ -66,36 +66,36 @@ class GatewayConfiguration:
 
     @property
     def name(self) -> str:
-        """The file's name."""
+        """Name of the gateway file."""
         return self.common.name
 
     @property
     def listeners(self) -> tuple[Listener, ...]:
-        """Its listeners, in the order of the plan."""
+        """The listeners of the gateway, in the order of the plan."""
         return tuple(listener.settings for listener in self.plan.listeners)
 
     @property
     def access(self) -> AccessRules | None:
-        """As of `Configuration`."""
+        """The access rules of the file; None without any."""
         return self.common.access
 
     @property
     def audit(self) -> str | None:
-        """As of `Configuration`."""
+        """Path of the audit log; None without one."""
         return self.common.audit
 
     @property
     def control(self) -> str | None:
-        """As of `Configuration`."""
+        """Address of the control socket; None for the default one."""
         return self.common.control
 
     @property
     def warnings(self) -> tuple[ConfigError, ...]:
-        """As of `Configuration`."""
+        """Warnings about the file, each with the line of its key."""
         return self.common.warnings
 
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> Gateway:  # Any: as `Gateway` takes them
-        """The gateway, not started yet.
+        """Create the gateway that the file declares, not started yet.
 
         Args:
             listen: listeners that replace those of the file, one for one.
@@ -145,7 +145,7 @@ class GatewayConfiguration:
 def load_gateway(
     path: str | os.PathLike[str], *, preflight: bool = False, changes: Mapping[str, Any] | None = None
 ) -> GatewayConfiguration:
-    """The gateway that a file declares.
+    """Load the configuration of a gateway from a file.
 
     Args:
         path: the file, in TOML.
@@ -163,7 +163,7 @@ def load_gateway(
 def parse_gateway(
     text: str, name: str, *, preflight: bool = False, changes: Mapping[str, Any] | None = None
 ) -> GatewayConfiguration:
-    """The gateway that a text in TOML declares.
+    """Parse the configuration of a gateway from a TOML text.
 
     Args:
         text: the content of the file.
@@ -184,7 +184,7 @@ def simple_gateway(
     changes: Mapping[str, Any] | None = None,
     client_deadline: float | None = CLIENT_DEADLINE,
 ) -> GatewayConfiguration:
-    """The common case, without a file: every unit of every listener to one upstream.
+    """The configuration of a gateway without a file: every unit of every listener is forwarded to one upstream.
 
     Args:
         listeners: URLs to listen on.
@@ -214,7 +214,7 @@ def _put_together(
     changes: Mapping[str, Any] | None = None,
     client_deadline: float | None = CLIENT_DEADLINE,
 ) -> GatewayConfiguration:
-    """``client_deadline`` is that of listeners without a section."""
+    """Build the configuration from a checked file. ``client_deadline`` is for listeners without a section."""
     name = source.name
     report = ConfigurationReport(source)
     common = put_together(file, name, report, preflight=preflight, changes=changes, link_defaults=UPSTREAM_DEFAULTS)
@@ -259,7 +259,7 @@ def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadli
 
 
 def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
-    """The listeners with unique names: two may have the same URL, if its port is 0."""
+    """The listeners with unique names: two may have the same URL if its port is 0."""
     named: dict[str, PlacedListener] = {}
     for listener in listeners:
         name, number = listener.name, 1
@@ -290,7 +290,7 @@ def _upstream(
 
 
 def _as_served(common: Configuration) -> tuple[list[Listener], dict[str, Any]]:  # Any: as `Server` takes them
-    """The listeners and the options common to their servers, with the preset applied."""
+    """The listeners, and the options common to their servers, with the preset applied."""
     options = common.served()
     tls: TlsParameters | None = options.pop("tls", None)
     places, chosen = with_server_preset(common.listeners, options)

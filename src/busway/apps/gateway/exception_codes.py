@@ -1,4 +1,4 @@
-"""The exception code that a client gets for an error of an upstream.
+"""Chooses the exception code (0A, 0B …) that a client gets for an error of an upstream.
 
 Knows errors and exception codes (Messaging on TCP/IP V1.0b §4.4.2.5, Application Protocol V1.1b3 §7).
 
@@ -16,7 +16,7 @@ NO_ANSWER = int(ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
 
 
 def code_for(error: ModbusError) -> int:
-    """The exception code for the error of a request."""
+    """The exception code that a client gets for the error of its forwarded request."""
     if isinstance(error, ExceptionReply):
         return error.code
     if isinstance(error, Overloaded | InvalidRequest):
@@ -32,5 +32,5 @@ def code_for(error: ModbusError) -> int:
 
 
 def _does_not_answer(error: NoReply) -> bool:
-    """Whether the unit was not asked because it did not answer before."""
+    """Whether a request failed without being sent because its unit did not answer before."""
     return isinstance(error, UnitSuspended) or error.kind == "in doubt"

@@ -1,4 +1,4 @@
-"""The routes and listeners of a gateway file, each with its place in the file, so that errors can name the key.
+"""The routes and listeners of a gateway file, each with its path in the file, so that errors can name the key.
 
 Knows sections and routes; judges nothing. A route without units is for all units that its upstream can have.
 """
@@ -18,7 +18,7 @@ from .settings import UpstreamSettings
 
 @dataclass(frozen=True, slots=True)
 class PlacedRoute:
-    """A route and its place in the file. ``section`` is None for the default route of a file without routes."""
+    """A route with its path in the file. ``section`` is None for the default route of a file without routes."""
 
     route: Route
     place: Place
@@ -26,23 +26,23 @@ class PlacedRoute:
 
     @property
     def title(self) -> str:
-        """Its name in messages."""
+        """The name of the route in messages."""
         return f"{self.place[0]}[{self.place[1]}]" + (f" ({self.route.name})" if self.route.name else "")
 
     @property
     def gap(self) -> float:
-        """Seconds of silence after a reply of its unit."""
+        """Seconds of silence that the route wants after a reply of its unit."""
         return (self.section.request_gap or 0.0) if self.section is not None else 0.0
 
     def key(self, *names: str) -> Place:
-        """The place of the first of these keys that is set, or else of the route."""
+        """The path of the first of these keys that the route sets, or else of the route itself."""
         written = set() if self.section is None else self.section.model_fields_set
         return next(((*self.place, name) for name in names if name in written), self.place)
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedListener:
-    """A listener and the place of its URL in the file. ``is_chosen``: the file sets its deadline."""
+    """A listener with the path of its URL in the file. ``is_chosen``: the file sets its deadline."""
 
     name: str
     endpoint: Endpoint
@@ -52,7 +52,7 @@ class PlacedListener:
 
     @property
     def is_serial(self) -> bool:
-        """Whether its clients are serial masters, which ask units 1…247 only."""
+        """Whether the listener's clients are serial masters, which use units 1…247 only."""
         return self.endpoint.framing != "mbap"
 
 
@@ -106,7 +106,7 @@ def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> 
 
 
 def _default_units(section: RouteSection, upstream: UpstreamSettings | None) -> frozenset[int]:
-    """The units of a route without units: those that its upstream can have."""
+    """The units of a route that names none: those that its upstream can have."""
     if upstream is None:
         return ALL_UNITS
     there = upstream_units(upstream)
@@ -119,12 +119,12 @@ def _default_units(section: RouteSection, upstream: UpstreamSettings | None) -> 
 
 
 def upstream_units(upstream: UpstreamSettings) -> frozenset[int]:
-    """The units that an upstream can have."""
+    """The unit numbers that an upstream can have: 0…255 with MBAP framing, 1…247 on serial lines."""
     return ALL_UNITS if upstream.link.endpoint.framing == "mbap" else SERIAL_UNITS
 
 
 def unit_gaps(routes: Sequence[PlacedRoute], upstream: str) -> dict[int, float]:
-    """The longest gap that routes want for each unit of an upstream, in seconds."""
+    """The longest silence that any route wants after a reply of each unit of an upstream, in seconds."""
     found: dict[int, float] = {}
     for placed in routes:
         if placed.gap and placed.route.upstream == upstream:

@@ -1,4 +1,4 @@
-"""Requests on their way upstream and back: forwarded in batches, shared, withdrawn, and answered one by one.
+"""Forwarding of requests to an upstream: batches of requests, shared reads, deadlines, and the reply to each client.
 
 Knows upstreams, calls and who asked; knows no route and no listener.
 
@@ -38,7 +38,7 @@ _REPLIES: Final = (ReadRegisters.Reply, ReadBits.Reply)
 
 
 class ForwardedRequest(Protocol):
-    """A client's request as it is asked upstream.
+    """A client's request in the form in which it is sent upstream.
 
     Attributes:
         requests: what is sent for it; several if it was split, and then it is asked alone.
@@ -56,11 +56,11 @@ class ForwardedRequest(Protocol):
     def place(self) -> Place | None: ...
 
     def whole(self, replies: Sequence[Message]) -> Message:
-        """The reply to the request as it was before it was split."""
+        """The reply to the client's request, put together if it was split."""
 
 
 class ForwardingClient(Protocol):
-    """Who gets the answers to forwarded requests: a connection with its reads, or a single request.
+    """Interface of the client side of forwarded requests: a connection with its reads, or a single request.
 
     ``tag`` is what it finds a request by; here nothing looks into it.
 
@@ -78,16 +78,16 @@ class ForwardingClient(Protocol):
     def batches(self) -> dict[Any, None]: ...  # Any: see `ForwardedReads`
 
     def answer(self, tags: Sequence[Any], asked: Sequence[Any], data: Sequence[bytes]) -> None:
-        """Answer reads with their data; the answers leave with `send`."""
+        """Answer reads with their data; `send` transmits the replies."""
 
     def reply(self, tag: Any, asked: Any, reply: Message) -> None:
-        """Answer a request with the reply from upstream."""
+        """Answer a forwarded request with the reply from upstream."""
 
     def refuse(self, tag: Any, asked: Any, code: int) -> None:
-        """Answer a request with an exception code."""
+        """Answer a forwarded request with an exception code."""
 
     def send(self) -> None:
-        """Send the answers that are ready, together."""
+        """Transmit all finished replies together."""
 
 
 Waiter = tuple[ForwardingClient, Any, ForwardedRequest]
@@ -97,7 +97,7 @@ _NONE_JOINED: Mapping[int, list[Waiter]] = MappingProxyType({})
 
 
 class Batch(Call):
-    """Requests of one client, and the other clients that share some of them.
+    """Requests of one client that are sent upstream together, and other clients that share some of them.
 
     Attributes:
         asker: the client; None when it has disconnected.
@@ -143,40 +143,40 @@ class Batch(Call):
         self.asked = asked
 
     def done(self) -> bool:
-        """Never: `set_result` is called once."""
+        """Always False; for the link, which would ask a future before it calls `set_result`."""
         return False
 
     def set_result(self, result: None) -> None:
-        """All outcomes are there. The link calls it, as it would complete a future."""
+        """Called by the link when all requests of the batch have their outcomes, as if this were a future."""
         self.forwarder.answer(self)
 
     def owed(self, asker: ForwardingClient) -> Iterator[ForwardedRequest]:
-        """The requests of a client that have not been answered."""
+        """The requests of a client that have not been answered yet."""
         for position in range(len(self.tags)):
             if position not in self.told:
                 yield from (asked for waiter, _, asked in self.waiters(position) if waiter is asker)
 
     def asker_gone(self, asker: ForwardingClient) -> None:
-        """A client has disconnected."""
+        """Drop the requests of a client that has disconnected."""
         self.forwarder.withdraw(self, asker)
 
     def is_sent(self, position: int) -> bool:
-        """Whether a request was sent."""
+        """Whether the request at a position of the batch was sent upstream."""
         return position < self.next or position in self.attempts
 
     @property
     def left(self) -> int:
-        """How many requests have not been answered."""
+        """Number of requests of the batch that have not been answered yet."""
         return len(self.tags) - len(self.told)
 
     def waiters(self, position: int) -> list[Waiter]:
-        """The clients that wait for a request."""
+        """The clients that wait for the request at a position of the batch."""
         own = [] if self.asker is None else [(self.asker, self.tags[position], self.asked[position])]
         return own + self.joined.get(position, [])
 
 
 class ForwardTarget:
-    """A unit of an upstream, as one listener reaches it.
+    """A unit of an upstream, as the requests of one listener reach it.
 
     Args:
         forwarder: of the upstream.
@@ -197,7 +197,7 @@ class ForwardTarget:
         self.deadline: float | None = deadline
 
     def ask(self, asker: ForwardingClient, tags: Sequence[Any], asked: Sequence[ForwardedRequest]) -> None:
-        """Forward requests of one client; each gets its answer, perhaps before this returns."""
+        """Forward requests of one client; each gets its reply, perhaps before this returns."""
         forwarder = self.forwarder
         upstream = forwarder.upstream
         links = upstream.links
@@ -245,7 +245,7 @@ class ForwardTarget:
         tags: Sequence[Any],
         asked: Sequence[ForwardedRequest],
     ) -> None:
-        """Forward requests one by one; refuse them without a link."""
+        """Forward requests one by one; refuse them if the upstream has no link."""
         forwarder = self.forwarder
         for tag, one in zip(tags, asked, strict=True):
             if link is not None:
@@ -256,7 +256,7 @@ class ForwardTarget:
         forwarder.send()
 
     def _not_begun(self, batch: Batch, asker: ForwardingClient, error: ModbusError) -> None:
-        """Refuse requests that the link does not take; of several, some may have room."""
+        """Refuse requests that the link did not accept; of several, it may have room for some."""
         forwarder = self.forwarder
         forwarder.leave(batch)
         forwarder.upstream.counters.broadcasts -= batch.is_write and self.is_broadcast
@@ -290,7 +290,7 @@ class ForwardTarget:
         return [tag for tag, _ in left.values()], [one for _, one in left.values()], twice
 
     def _join(self, batch: Batch, waiter: Waiter) -> None:
-        """Let a client wait for a read in flight."""
+        """Let a client wait for an identical read in flight."""
         asker, _, asked = waiter
         self.forwarder.upstream.counters.shared += 1
         position = _position(batch, asked)
@@ -309,12 +309,12 @@ class ForwardTarget:
 
 
 def _position(batch: Batch, asked: ForwardedRequest) -> int:
-    """Where a read stands in a batch."""
+    """The position of a read in a batch."""
     return batch.keys.index(asked.key)
 
 
 class Forwarder:
-    """All requests to one upstream that have not been answered, and what may be shared of them.
+    """All unanswered requests to one upstream, and the reads that clients share.
 
     Args:
         upstream: where they go.
@@ -340,17 +340,17 @@ class Forwarder:
 
     @property
     def open_requests(self) -> int:
-        """Requests that are not answered yet."""
+        """Number of requests that are not answered yet."""
         return sum(batch.left for batch in self.open)
 
     async def wait_until_answered(self) -> None:
-        """Wait until no request is open."""
+        """Wait until every forwarded request is answered."""
         if self.open:
             self._all_answered = asyncio.Event()
             await self._all_answered.wait()
 
     def recall(self, unit: int, place: Place, seconds: float) -> bytes | None:
-        """The data of a read, if they are remembered and not older than ``seconds``."""
+        """The remembered data of a read, if they are not older than ``seconds``; else None."""
         data = self.cache.recall(unit, place, self.upstream.clock(), for_seconds=seconds)
         self.upstream.counters.recalled += data is not None
         return data
@@ -358,7 +358,7 @@ class Forwarder:
     # What comes back.
 
     def look(self, session: object) -> None:
-        """Bytes came or time has passed: answer what is there of batches that are not complete; send the answers."""
+        """After received bytes or a timeout: answer the requests that have an outcome, also of incomplete batches."""
         if isinstance(session, TcpClientSession):
             for call in session.in_work():
                 if (
@@ -372,13 +372,13 @@ class Forwarder:
             self.send()
 
     def send(self) -> None:
-        """Send the answers: those of one client together."""
+        """Transmit the finished replies, those of one client together."""
         answered, self.answered = self.answered, {}
         for asker in answered:
             asker.send()
 
     def answer(self, batch: Batch) -> None:
-        """Answer what has an outcome."""
+        """Answer all requests of a batch that have an outcome."""
         asker = batch.asker
         data: list[Any] = batch.outcomes  # Any: bytes where the request has asked for them, see `as_bytes`
         if asker is not None and not (batch.told or batch.joined or batch.place):  # as a rule
@@ -402,7 +402,7 @@ class Forwarder:
             self.leave(batch)
 
     def _answer_one(self, batch: Batch, position: int, outcomes: Sequence[Outcome | bytes | None]) -> None:
-        """Answer all clients that wait for a request, of which all outcomes are there."""
+        """Answer all clients that wait for a request whose outcomes are complete."""
         batch.told = {*batch.told, position}
         if batch.shared is not None and batch.shared.get(batch.keys[position]) is batch:
             del batch.shared[batch.keys[position]]  # no other client may join it any more
@@ -427,7 +427,7 @@ class Forwarder:
             self.answered[asker] = None
 
     def refuse(self, waiter: Waiter, code: int) -> None:
-        """Answer a request with an exception code."""
+        """Answer a forwarded request with an exception code."""
         asker, tag, asked = waiter
         asker.refuse(tag, asked, code)
         self.answered[asker] = None
@@ -435,7 +435,7 @@ class Forwarder:
     # Clients that wait no longer.
 
     def give_up_one(self, batch: Batch, waiter: Waiter | None) -> None:
-        """The deadline of a client that shares has passed: for a read that it joined (None: for its own requests)."""
+        """Answer a client whose deadline has passed: for a read that it shares (None: for its own requests)."""
         asker = batch.asker if waiter is None else waiter[0]
         if asker is None:
             return  # it has disconnected
@@ -462,7 +462,9 @@ class Forwarder:
         self.send()
 
     def withdraw(self, batch: Batch, asker: ForwardingClient) -> None:
-        """A client has disconnected: what no other waits for is taken back as far as it can be."""
+        """Drop the requests of a disconnected client; those that no other client waits for are cancelled if
+        possible.
+        """
         counters = self.upstream.counters
         if batch.asker is asker:
             batch.asker = None
@@ -483,7 +485,7 @@ class Forwarder:
         batch.link.give_up(batch)
 
     def leave(self, batch: Batch) -> None:
-        """A batch has ended, or no client waits for it any more."""
+        """Forget a batch that has ended, or that no client waits for any more."""
         del self.open[batch]
         if batch.is_write:
             self.cache.write_ended(batch.unit)

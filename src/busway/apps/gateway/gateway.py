@@ -62,7 +62,7 @@ class _RunningListener:
 
 
 class Gateway:
-    """A gateway; as an asynchronous context manager it starts and stops.
+    """A running gateway; an asynchronous context manager that starts and stops it.
 
     Args:
         plan: its configuration.
@@ -103,7 +103,7 @@ class Gateway:
 
     @property
     def is_running(self) -> bool:
-        """Whether it is started."""
+        """Whether the gateway is started."""
         return bool(self._listeners)
 
     @property
@@ -153,7 +153,7 @@ class Gateway:
         return left
 
     async def change(self, plan: GatewayPlan, *, policy: Policy | None = None) -> list[str]:
-        """Apply another configuration. Returns what changed, in words.
+        """Apply another plan to the running gateway. Returns what changed, in words.
 
         Unchanged listeners and upstreams keep their connections. If a new listener cannot be opened, the error is
         raised and everything is as before, but clients of listeners that were to change have lost their connections.
@@ -233,7 +233,7 @@ class Gateway:
 
     @property
     def functions(self) -> FunctionTable:
-        """The functions that it decodes."""
+        """The table of functions that the gateway decodes."""
         return self._functions
 
     def observe(self, observer: RequestObserver) -> None:
@@ -262,12 +262,12 @@ class Gateway:
                 each.authorizer.replace_policy(policy)
 
     def reload_security(self) -> None:
-        """As `Server.reload_security`, for every listener."""
+        """Read the certificates of all listeners again, for new connections (`Server.reload_security`)."""
         for each in self._running.values():
             each.server.reload_security()
 
     def end_unauthorized(self) -> int:
-        """As `Server.end_unauthorized`, for every listener."""
+        """Abort the connections of hosts that may no longer connect, on every listener; returns their number."""
         return sum(each.server.end_unauthorized() for each in self._running.values())
 
     def is_priority(self, listener: str, host: str) -> bool:
@@ -286,16 +286,16 @@ class Gateway:
 
     @property
     def open_requests(self) -> int:
-        """Number of requests that are not answered yet."""
+        """Number of forwarded requests that are not answered yet."""
         return sum(forwarder.open_requests for forwarder in self._forwarders.values())
 
     @property
     def servers(self) -> list[Server]:
-        """The servers of the listeners."""
+        """The servers of the gateway's listeners."""
         return [each.server for each in self._running.values()]
 
     def status(self) -> GatewayStatus:
-        """A snapshot of its status."""
+        """A snapshot of the gateway's status: listeners, upstreams and counters."""
         return GatewayStatus(
             running=self.is_running,
             uptime=time.monotonic() - self._started if self._started else 0.0,
@@ -309,7 +309,7 @@ class Gateway:
         )
 
     def _numbers(self) -> tuple[list[int], list[list[int]]]:
-        """The values of the own unit's registers."""
+        """The values of the status registers of the gateway's own unit."""
         status = self.status()
         own = [
             int(status.uptime),
@@ -369,7 +369,7 @@ def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
 
 
 def _standard_port(listener: GatewayListener, plan: GatewayPlan) -> bool | None:
-    """Whether a listener listens on 502 too; one of several listeners does."""
+    """Whether a listener also listens on port 502; one of several listeners does."""
     choice: bool | None = plan.server.get("standard_port")
     places = {one.name: parse_endpoint(one.settings.endpoint) for one in plan.listeners}
     plain = {name: place for name, place in places.items() if place.scheme == "tcp"}

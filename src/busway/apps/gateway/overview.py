@@ -1,4 +1,4 @@
-"""The content of a gateway file as rows of text: listeners, upstreams, and the routing table.
+"""The contents of a gateway file as rows of text: listeners, upstreams, and the routing table.
 
 Knows sections and plans; judges nothing.
 """
@@ -35,7 +35,7 @@ def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
 
 
 def routing_rows(configuration: GatewayConfiguration) -> Iterator[RoutingRow]:
-    """The routes in their order, which decides which one takes a request."""
+    """The routes in their order, which decides which of them gets a request, as rows of text."""
     names = [listener.name for listener in configuration.plan.listeners]
     for placed in configuration.routes:
         route = placed.route

@@ -1,4 +1,4 @@
-"""The gateway as a device with a unit of its own: identification, diagnostics, and optionally its status as registers.
+"""The gateway's own unit: a device with its identification, diagnostics, and optionally its status as registers.
 
 Knows numbers of a status; knows no upstream and no listener (T32: unit 255, and 0 for requests that are no broadcast).
 
@@ -70,7 +70,7 @@ Numbers = Callable[[], tuple[Sequence[int], Sequence[Sequence[int]]]]
 
 
 def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
-    """Return the device that answers for the gateway itself.
+    """Create the device that answers for the gateway itself.
 
     Args:
         numbers: returns the values of its registers; called at each read.

@@ -1,4 +1,4 @@
-"""Gaps of a policy: routes that reach the device of a rule under units or addresses that the rule does not name.
+"""Finds gaps of a policy: routes that reach a rule's device by units or addresses that the rule does not name.
 
 Knows routes, and asks the evaluator of rules (`busway.access.rights`) what is permitted; opens nothing. Rules use the
 numbers of the listener. If a second route gives the same device another unit, or its registers other addresses, a rule
@@ -26,7 +26,7 @@ Access = tuple[type[Request], TouchedRange]
 
 
 def policy_gaps(policy: Policy, routes: Sequence[PlacedRoute]) -> Iterator[tuple[Place, str]]:
-    """The rules that some route to their device evades: the place of each in the file, and a message."""
+    """The rules that some route to their device bypasses: the path of each in the file, and a message."""
     devices = _reached_in_several_ways(routes)
     if not devices:
         return
@@ -117,7 +117,7 @@ def _takes(route: Route, kind: type[Request]) -> bool:
 
 
 def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | None:
-    """The part of a range that a route takes."""
+    """The part of an address range that a route forwards."""
     if isinstance(touched.space, Table):
         low, high = max(low, 0), min(high, 0x10000)
     if route.addresses is not None:

@@ -1,4 +1,4 @@
-"""The reads of an upstream that others may use: reads in flight, which are shared, and remembered values.
+"""Shares and remembers reads of an upstream: reads in flight that several clients wait for, and recent values.
 
 Knows reads and writes by unit and range; knows no link, and the time only as ``now``.
 
@@ -34,7 +34,7 @@ BLOCKS_PER_UNIT = 64
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Items that were read in one request, and when it was forwarded."""
+    """Remembered items of one read, and the time when it was forwarded."""
 
     place: Place
     data: bytes
@@ -43,7 +43,7 @@ class _Block:
 
 @dataclass(slots=True)
 class _Unit(Generic[Shared]):
-    """The reads and values of one unit."""
+    """The shared reads and remembered values of one unit."""
 
     open_writes: int = 0
     changes: int = 0
@@ -57,7 +57,7 @@ class _Unit(Generic[Shared]):
 
 
 class ReadCache(Generic[Shared]):
-    """The shared reads and remembered values of one upstream. ``Shared`` is the type that stands for a read in flight.
+    """The shared reads and remembered values of one upstream. ``Shared`` is the type of a read in flight.
 
     Args:
         register_width: bytes of a register.
@@ -82,11 +82,11 @@ class ReadCache(Generic[Shared]):
     # Writes.
 
     def write_begins(self, unit: int) -> None:
-        """A write to ``unit`` is about to be forwarded."""
+        """Note that a write to ``unit`` is about to be forwarded: its remembered values are dropped."""
         self._changed(unit, 1)
 
     def write_ended(self, unit: int) -> None:
-        """A write to ``unit`` has ended, with or without success."""
+        """Note that a write to ``unit`` has ended, successfully or not."""
         self._changed(unit, -1)
 
     def _changed(self, unit: int, more_writes: int) -> None:
@@ -99,7 +99,7 @@ class ReadCache(Generic[Shared]):
                 state.forget()
 
     def _is_quiet(self, unit: int) -> bool:
-        """Whether no open write concerns a unit."""
+        """Whether no write in progress concerns a unit."""
         if not self._open_writes:
             return True
         if unit in ANY_DEVICE:
@@ -110,7 +110,7 @@ class ReadCache(Generic[Shared]):
     # Reads in flight.
 
     def shared(self, unit: int) -> dict[Key, Shared] | None:
-        """The reads in flight of a unit by their key, where new ones are added; None while a write forbids sharing.
+        """The reads in flight of a unit by their key, to which new ones are added; None while a write forbids sharing.
 
         It is always the same object. A write empties it.
         """
@@ -124,7 +124,7 @@ class ReadCache(Generic[Shared]):
     # Values.
 
     def remember(self, unit: int, place: Place, data: bytes, *, since: int, read_at: float) -> None:
-        """Keep the data of a read, unless there was a write since it was forwarded.
+        """Keep the data of a read, unless a write has concerned the unit since the read was forwarded.
 
         Args:
             unit: the unit on the upstream.
@@ -142,7 +142,7 @@ class ReadCache(Generic[Shared]):
             del state.blocks[next(iter(state.blocks))]
 
     def recall(self, unit: int, place: Place, now: float, *, for_seconds: float) -> bytes | None:
-        """The remembered items of a range, also as a part of a larger one; None if there are none that young."""
+        """The remembered items of a range, also as part of a larger one; None if there are no recent ones."""
         state = self._units.get(unit)
         if state is None or not state.blocks:
             return None

@@ -1,4 +1,4 @@
-"""Checks of the routes of a gateway file, before anything runs.
+"""Checks the routes of a gateway file before the gateway runs.
 
 Knows the sections, and what upstreams and listeners can do; opens nothing (Messaging on TCP/IP V1.0b §4.4.2,
 T32).
@@ -36,7 +36,7 @@ _MOST_BITS = 2000
 
 @dataclass(frozen=True, slots=True)
 class WorstCase:
-    """The longest time that an upstream may take for a request, from its turn on.
+    """The longest time that an upstream may need for one request, from its turn in the queue.
 
     Attributes:
         seconds: until the last attempt has failed.
@@ -112,7 +112,7 @@ def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
-    """Refusals of which an earlier route takes a part, so that it would be forwarded.
+    """Errors for refusing routes of which an earlier route forwards a part.
 
     A refusal without units, functions and addresses is meant for what other routes leave.
     """
@@ -134,7 +134,7 @@ def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
-    """The part of a refusal that an earlier route takes: some of its units, functions or addresses; empty if none."""
+    """The part of a refusing route that an earlier route takes: units, functions or addresses; empty if none."""
     refusal = placed.route
     wider = replace(refusal, units=refusal.units & earlier.units or refusal.units)
     is_for_all = not refusal.listeners and bool(earlier.listeners)
@@ -243,7 +243,7 @@ def _impatient_clients(
 def _upstreams_slower_than_the_default(
     routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
 ) -> Faults:
-    """Upstreams that may take longer than the default ``client_deadline`` of the listeners that lead to them."""
+    """Warnings about upstreams that may need longer than the default ``client_deadline`` of their listeners."""
     deadline = next((one.deadline for one in listeners if one.deadline is not None and not one.is_chosen), None)
     if deadline is None:
         return
@@ -268,7 +268,7 @@ def _upstreams_slower_than_the_default(
 
 
 def worst_case(upstream: UpstreamSettings, route: Route, gap: float = 0.0) -> WorstCase:
-    """The longest time of a request of a route, from its turn on. ``gap``: that of its unit, in seconds."""
+    """The longest time of a request of a route, from its turn in the queue. ``gap``: that of its unit, in seconds."""
     parameters = upstream.link.parameters
     timeout = route.timeout or parameters.timeout
     reading = writing = parameters.request_gap
@@ -321,7 +321,7 @@ def _of_listener(routes: Sequence[PlacedRoute], listener: PlacedListener) -> lis
 
 
 def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]) -> Faults:
-    """Upstreams that lead to the gateway itself, and serial ports that are used twice."""
+    """Errors for upstreams that lead back to the gateway itself, and for serial ports used twice."""
     owners: dict[str, str] = {}
     for listener in listeners:
         if listener.endpoint.carrier == "serial":

@@ -1,4 +1,4 @@
-"""Routes and translates the requests of one listener: to an upstream, or to the gateway's own unit.
+"""The responder of one listener of a gateway: routes each request to an upstream or the gateway's own unit.
 
 Knows routes, upstreams and the gateway's own unit; knows no bytes (Messaging on TCP/IP V1.0b §4.4.2, T32).
 
@@ -44,7 +44,7 @@ _NO_PATH: Final = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
 
 @dataclass(slots=True)
 class GatewayListenerCounters:
-    """Counters of requests of a listener that reached no upstream, and of broadcasts.
+    """Counters of a listener's requests that reached no upstream, and of broadcasts.
 
     Attributes:
         no_route: requests without a route.
@@ -73,7 +73,7 @@ def _no_refusal(context: RequestContext, request: AnyRequest, units: Collection[
 
 
 class ListenerRouter:
-    """The responder of one listener: forwards its requests by its routes.
+    """The responder of one listener, which forwards its requests by the routes.
 
     Attributes:
         refusal_of: returns the exception code if the policy denies a broadcast, else 0.
@@ -122,11 +122,11 @@ class ListenerRouter:
         self.generation += 1
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """The unit, if a route or the gateway itself answers for it."""
+        """The served unit for a number that a route or the gateway's own unit answers for; None without any."""
         return self._served.get(unit)
 
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
-        """The plan of a read; None if it is refused, split, remembered, or its reply must be checked."""
+        """The forwarding plan of a read; None if it is refused, split, remembered, or its reply must be checked."""
         request = self.functions.decode_request(pdu)
         if not isinstance(request, ReadRegisters | ReadBits) or request.take is None:
             return None
@@ -146,7 +146,7 @@ class ListenerRouter:
         return ForwardPlan(self._target(forwarder, context.unit, found), context.unit, asked)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Forward a request, answer it for the own unit, or refuse it."""
+        """Forward a request, let the own unit answer it, or refuse it."""
         if isinstance(request, MalformedRequest):
             self.counters.malformed += 1
             return ExceptionResponse(context.function, request.code)
@@ -176,7 +176,7 @@ class ListenerRouter:
         return self._no_route(context, found)
 
     def _forwarder_of(self, route: Route) -> Forwarder | None:
-        """The forwarder of a route; None if it forwards nothing, or its upstream was just removed."""
+        """The forwarder of a route; None if the route refuses, or its upstream was just removed."""
         return self._forwarders.get(route.upstream) if route.action is RouteAction.FORWARD else None
 
     @staticmethod
@@ -255,7 +255,8 @@ class ListenerRouter:
         return Forwarding(context, tuple(asks), reply) if asks else reply
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
-        """Forward a broadcast of a serial listener, which comes once per unit; upstreams that take broadcasts get one.
+        """Forward a broadcast of a serial listener, which arrives once per unit; upstreams that take broadcasts get
+        one.
 
         A server on a network gets one for each unit that a route names, and one to unit 0 if the route names none: most
         of 247 units would have no device, and their timeouts would take minutes.
@@ -280,14 +281,15 @@ class ListenerRouter:
         return SILENCE
 
     def _takers(self) -> list[str]:
-        """The upstreams of this listener that take broadcasts."""
+        """The names of this listener's upstreams that take broadcasts."""
         names = [name for name in self._routes.upstreams if name in self._forwarders]
         return [name for name in names if self._forwarders[name].upstream.takes_broadcasts]
 
     def _way_to_all(
         self, context: RequestContext, upstream: str, request: Request, charged: set[int]
     ) -> Route | int | None:
-        """The route of a broadcast to an upstream, the exception code if it is refused, or None if it is not for it.
+        """The route of a broadcast to an upstream, the exception code that refuses it, or None if the broadcast is not
+        for it.
 
         Every unit of the upstream hears it: so all of them must permit it, under the same address. ``charged`` as of
         `RefusalOf`.
@@ -319,7 +321,7 @@ class ListenerRouter:
 
 
 def _for_all_units(route: Route) -> Route:
-    """The route to all units of an upstream that shifts and splits like a route to one of them."""
+    """The route for a broadcast to all units of an upstream, which shifts and splits like a route to one of them."""
     return Route(
         upstream=route.upstream,
         unit=BROADCAST_UNIT,
@@ -332,5 +334,5 @@ def _for_all_units(route: Route) -> Route:
 
 @lru_cache(maxsize=32)
 def as_bytes(kind: type[ReadRegisters] | type[ReadBits]) -> Any:  # Any: a class of the same kind
-    """A class of the same read whose reply is its data alone: no message is built only to be taken apart (0.4 µs)."""
+    """A request class for the same read whose reply is its data alone: building a message would cost 0.4 µs."""
     return type(kind.__name__, (kind,), {"take": staticmethod(bytes), "__doc__": kind.__doc__})

@@ -1,4 +1,4 @@
-"""Routes: which upstream and which unit gets a request.
+"""Routes: which upstream and which unit a request is forwarded to.
 
 Knows requests by unit, function and range; knows of an upstream its name only.
 
@@ -26,7 +26,7 @@ SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
 
 
 class RouteAction(Enum):
-    """What a route does with a request."""
+    """What a route does with a request: forward or refuse it."""
 
     FORWARD = "forward"
     REFUSE = "refuse"
@@ -35,7 +35,7 @@ class RouteAction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class AddressRange:
-    """Items ``first`` … ``end - 1`` of a table."""
+    """Items ``first`` … ``end - 1`` of a table, which a route applies to."""
 
     table: Table
     first: int
@@ -51,7 +51,7 @@ class AddressRange:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """One route of a routing table.
+    """One route of a gateway: which requests it applies to, and where they are forwarded.
 
     Attributes:
         upstream: name of the upstream; empty where nothing is forwarded.
@@ -112,20 +112,22 @@ class Route:
             raise ConfigError("a route names an upstream, or refuses, or drops", key="upstream")
 
     def upstream_unit(self, unit: int) -> int:
-        """The unit that is asked on the upstream."""
+        """The unit on the upstream for a unit that a client names."""
         return unit + self.unit_offset if self.unit is None else self.unit
 
     @property
     def names_no_units(self) -> bool:
-        """Whether it takes every unit unchanged, so that it does not tell which units exist."""
+        """Whether the route takes every unit unchanged, so that it does not tell which units exist."""
         return self.unit is None and not self.unit_offset and self.units >= SERIAL_UNITS
 
     def covers(self, other: "Route") -> bool:
-        """Whether it takes every request that ``other`` would take: then ``other`` after it is never reached."""
+        """Whether this route takes every request that ``other`` would take, so that ``other`` after it is never
+        reached.
+        """
         return other.units <= self.units and self.covers_beside_units(other)
 
     def covers_beside_units(self, other: "Route") -> bool:
-        """Whether it takes every request that ``other`` would take at units that both have."""
+        """Whether this route takes every request that ``other`` would take, at the units that both have."""
         return (
             (not self.listeners or (bool(other.listeners) and other.listeners <= self.listeners))
             and (not self.functions or (bool(other.functions) and other.functions <= self.functions))
@@ -142,19 +144,19 @@ class Route:
 
     @property
     def title(self) -> str:
-        """Its name in messages."""
+        """The name of the route in messages."""
         return self.name or f"units {units_text(self.units)} to {self.upstream or self.action.value}"
 
 
 @dataclass(frozen=True, slots=True)
 class Straddles:
-    """Result of a search for a route: the request lies across the edge of this route's range."""
+    """Result of a route search: the request lies only partly in this route's address range."""
 
     route: Route
 
 
 class ListenerRoutes:
-    """The routes of one listener, by unit."""
+    """The routes that apply to the requests of one listener, by unit."""
 
     __slots__ = ("_by_unit", "_indexed")
 
@@ -173,14 +175,16 @@ class ListenerRoutes:
                 self._by_unit[unit] = tuple(found)
 
     def find(self, unit: int, request: Request) -> Route | Straddles | None:
-        """The route of a request; None without one."""
+        """The route for a request; None without one."""
         routes = self._by_unit.get(unit, ())
         if len(routes) > _FEW and (touch := _touched_at_once(request)) is not None:
             return self._found_by_address(routes, request, touch)
         return self._looked_through(routes, request)
 
     def _found_by_address(self, routes: tuple[Route, ...], request: Request, touch: Span) -> Route | Straddles | None:
-        """As `_looked_through`, in a time that does not grow with the number of routes."""
+        """The first fitting route, found by an index of addresses in a time that does not grow with the number of
+        routes.
+        """
         key = id(routes), request.code, touch.table
         indexed = self._indexed.get(key)
         if indexed is None:
@@ -195,7 +199,7 @@ class ListenerRoutes:
         return Straddles(route)
 
     def _looked_through(self, routes: tuple[Route, ...], request: Request) -> Route | Straddles | None:
-        """The first of the routes that fits."""
+        """The first fitting route, found by trying one after the other."""
         for route in routes:
             if route.functions and function_of(request) not in route.functions:
                 continue
@@ -218,19 +222,19 @@ class ListenerRoutes:
 
     @property
     def units(self) -> frozenset[int]:
-        """The units that have a route."""
+        """The units that have a route of this listener."""
         return frozenset(self._by_unit)
 
     @property
     def upstreams(self) -> tuple[str, ...]:
-        """The names of the upstreams of its routes, each once, in the order of the routes."""
+        """The names of the upstreams of the listener's routes, each once, in order."""
         return tuple(
             dict.fromkeys(route.upstream for routes in self._by_unit.values() for route in routes if route.upstream)
         )
 
 
 def _indexed(routes: Sequence[Route], function: int, table: Table) -> tuple[list[Route], AddressIndex]:
-    """The routes that take a function, those of other tables left out, and the index of their addresses."""
+    """The routes that take a function, without those of other tables, and an index of their addresses."""
     taking = [
         one
         for one in routes
@@ -249,7 +253,7 @@ def _touched_at_once(request: Request) -> Span | None:
 
 
 def _within(wanted: AddressRange, request: Request) -> bool | None:
-    """Whether a request lies in a range: True for wholly, False for not at all, None for partly."""
+    """Whether a request lies in an address range: True for wholly, False for not at all, None for partly."""
     if isinstance(request, OpaqueRequest):
         return False
     spans = request.spans()
@@ -267,7 +271,7 @@ def _within(wanted: AddressRange, request: Request) -> bool | None:
 
 @dataclass(frozen=True)
 class RoutingTable:
-    """All routes of a gateway.
+    """All routes of a gateway, in order.
 
     Attributes:
         routes: in their order; the first one that fits decides.
@@ -281,7 +285,7 @@ class RoutingTable:
             raise ConfigError(sentence, key=f"route[{position}]")
 
     def faults(self) -> Iterator[tuple[int, str]]:
-        """The routes that are never reached: position, and a message."""
+        """The routes that are never reached: the position of each, and a message."""
         for position in range(len(self.routes)):
             takers, left = taken_before(self.routes, position)
             if not left:
@@ -292,7 +296,7 @@ class RoutingTable:
                 )
 
     def of_listener(self, listener: str) -> ListenerRoutes:
-        """The routes of one listener."""
+        """The routes that apply to the requests of one listener."""
         found = self._of_listener.get(listener)
         if found is None:
             found = ListenerRoutes([one for one in self.routes if not one.listeners or listener in one.listeners])
@@ -301,7 +305,7 @@ class RoutingTable:
 
 
 def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], frozenset[int]]:
-    """The earlier routes that take all requests to some units of a route, and the units that it keeps."""
+    """The earlier routes that take all requests to some units of a route, and the units that are left to it."""
     route = routes[position]
     whole = next((one for one in routes[:position] if one.covers(route)), None)
     if whole is not None:
@@ -320,7 +324,7 @@ def function_of(request: Request) -> int:
 
 
 def units_text(units: frozenset[int]) -> str:
-    """Units as text: ``1-5, 7``."""
+    """Unit numbers as text: ``1-5, 7``."""
     parts: list[str] = []
     ordered = sorted(units)
     start = 0

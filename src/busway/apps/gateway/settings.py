@@ -1,4 +1,4 @@
-"""The configuration of a gateway in memory: listeners, upstreams and routes, checked.
+"""The plan of a gateway in memory: its listeners, upstreams and routes, checked.
 
 Knows what a gateway needs; knows no file, and runs nothing.
 """
@@ -31,7 +31,7 @@ end before its clients give up, and a silent unit does not stall the others."""
 
 @dataclass(frozen=True, slots=True)
 class GatewayListener:
-    """A listener of a gateway.
+    """A listener of a gateway with its options.
 
     Attributes:
         name: its name in routes.
@@ -49,7 +49,7 @@ class GatewayListener:
 
 @dataclass(frozen=True, slots=True)
 class UpstreamSettings:
-    """An upstream of a gateway.
+    """The settings of one upstream: its name, link and options.
 
     Attributes:
         name: its name in routes.
@@ -104,7 +104,7 @@ class UpstreamSettings:
 
 @dataclass(frozen=True)
 class GatewayPlan:
-    """The configuration of a gateway, checked as a whole.
+    """The complete configuration of a gateway in memory, checked as a whole.
 
     Attributes:
         listeners, upstreams: each with a unique name.
@@ -151,7 +151,7 @@ class GatewayPlan:
 def simple_plan(
     listeners: Sequence[str | Endpoint | Listener], upstream: str | Endpoint, **options: Any
 ) -> GatewayPlan:
-    """The common case: every unit of every listener to one upstream.
+    """The plan of a gateway that forwards every unit of every listener to one upstream.
 
     Args:
         listeners: URLs to listen on.

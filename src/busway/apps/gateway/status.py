@@ -1,4 +1,4 @@
-"""The status of a gateway: that of its listeners, its upstreams, and all of them together.
+"""The status of a gateway: of its listeners, its upstreams, and totals.
 
 Knows counters and states; knows no connection.
 """
@@ -18,7 +18,7 @@ _CONNECTED = frozenset({ConnectionState.UP.value, ConnectionState.SUSPECT.value}
 
 @dataclass(frozen=True, slots=True)
 class GatewayListenerStatus:
-    """Status of a listener."""
+    """Status of one listener of a gateway."""
 
     name: str
     server: ServerStatus
@@ -27,7 +27,7 @@ class GatewayListenerStatus:
 
 @dataclass(frozen=True, slots=True)
 class GatewayStatus:
-    """Status of a gateway, also as the sum of its servers.
+    """Status of a gateway, with the totals of its listeners.
 
     Attributes:
         running: whether it is started.
@@ -46,7 +46,7 @@ class GatewayStatus:
 
     @property
     def connections(self) -> tuple[ConnectionStatus, ...]:
-        """The connections of all listeners."""
+        """The client connections of all listeners."""
         return tuple(one for listener in self.gateway_listeners for one in listener.server.connections)
 
     @property
@@ -70,12 +70,12 @@ class GatewayStatus:
 
     @property
     def supported_connections(self) -> int:
-        """Most connections that all listeners accept together."""
+        """Highest number of connections that all listeners together accept."""
         return sum(listener.server.supported_connections for listener in self.gateway_listeners)
 
     @property
     def remote_connections(self) -> int:
-        """Number of clients' connections."""
+        """Number of open connections from clients."""
         return sum(listener.server.remote_connections for listener in self.gateway_listeners)
 
     @property
@@ -85,7 +85,7 @@ class GatewayStatus:
 
 
 def upstream_numbers(upstream: UpstreamStatus) -> list[int]:
-    """The values of an upstream's registers of the own unit (`UPSTREAM_REGISTERS`)."""
+    """The values of an upstream's registers in the own unit (`UPSTREAM_REGISTERS`)."""
     counters = upstream.counters
     return [
         max((STATES.index(one.state) for one in upstream.links), default=0),

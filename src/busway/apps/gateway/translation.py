@@ -1,4 +1,4 @@
-"""A client's request as it is asked upstream, and the reply as the client gets it.
+"""Translates a client's request for its upstream (unit, addresses, size), and the reply back for the client.
 
 Knows requests, replies and routes; knows no upstream. A shifted address is shifted back in the reply, and a request
 that was split gets one reply.
@@ -22,7 +22,7 @@ _READS = (ReadRegisters, ReadBits)  # a union would be made anew at every look: 
 
 
 class Translated:
-    """A client's request as it is asked upstream, and the way back for its reply.
+    """A client's request translated for its upstream, able to translate the reply back.
 
     Args:
         request: the client's request.
@@ -52,17 +52,17 @@ class Translated:
                 self.place = request.reads.table, request.address + route.shift, request.count
 
     def of_data(self, data: bytes) -> Message:
-        """The client's reply with the data of a read."""
+        """The client's reply to a read, built from its data."""
         kind: Any = type(self.requests[0])  # as wide as the device's registers are
         reply: Message = kind.Reply(data)
         return reply
 
     def whole(self, replies: Sequence[Message]) -> Message:
-        """The upstream's reply to the request as it was before it was split."""
+        """The reply to the request, joined from the replies to its parts."""
         return replies[0] if len(replies) == 1 else _joined(self._request, self._route, self.requests, replies)
 
     def client_reply(self, reply: Message) -> Message:
-        """The client's reply, made from the upstream's."""
+        """The client's reply, translated from that of the upstream."""
         if reply is self.requests[0]:  # no unit answers on unit 0 of a serial line: the request stands for its reply
             return echo(self._request)
         shift = self._route.shift
@@ -99,7 +99,7 @@ def _upstream_requests(request: Request, route: Route, width: int) -> tuple[Requ
 
 
 def echo(request: Request) -> Message:
-    """The reply of a device to a write that it has executed."""
+    """The reply that a device gives to an executed write."""
     if request.echoes or isinstance(request, OpaqueRequest):
         return request
     fields = request.values()
@@ -107,7 +107,7 @@ def echo(request: Request) -> Message:
 
 
 def _limit(request: Request, route: Route) -> int | None:
-    """Most items in one request of this kind; None for no limit."""
+    """The most items in one request of this kind over a route; None without a limit."""
     if isinstance(request, ReadRegisters):
         return route.max_registers
     if isinstance(request, ReadBits):
@@ -152,7 +152,7 @@ def _joined(request: Request, route: Route, sent: Sequence[Request], replies: Se
 
 
 def _moved(message: Message, kind: type[Request], shift: int) -> Message:
-    """The message with ``shift`` added to all its addresses."""
+    """A copy of a message with ``shift`` added to all its addresses."""
     names = {touch.address for touch in (kind.reads, kind.writes) if touch is not None}
     values = message.values()
     moved = names & set(values)

@@ -1,4 +1,4 @@
-"""An upstream of a gateway: its connections, its counters and its status.
+"""An upstream of a gateway: its connections, their loss and recovery, its counters and its status.
 
 Knows links; knows no request and no client beyond its name.
 
@@ -65,7 +65,7 @@ class UpstreamCounters:
 
 @dataclass(frozen=True, slots=True)
 class SuspendedUnit:
-    """A unit whose breaker is not closed.
+    """The status of a unit whose circuit breaker is not closed.
 
     Attributes:
         unit: the unit on the upstream.
@@ -80,7 +80,7 @@ class SuspendedUnit:
 
 @dataclass(frozen=True, slots=True)
 class LinkStatus:
-    """One connection of an upstream.
+    """The status of one connection of an upstream.
 
     Attributes:
         state: state of the connection.
@@ -105,7 +105,7 @@ class LinkStatus:
 
 @dataclass(frozen=True, slots=True)
 class UpstreamStatus:
-    """Status of an upstream.
+    """The status of an upstream: its connections, counters and indicators.
 
     Attributes:
         name, endpoint: its name in routes, and its URL.
@@ -122,7 +122,7 @@ class UpstreamStatus:
 
 
 class Upstream:
-    """The connections of one upstream.
+    """One upstream of a gateway: its connections, counters and status.
 
     Args:
         name: its name in routes.
@@ -183,7 +183,7 @@ class Upstream:
                 self._keeper = asyncio.get_running_loop().create_task(self._keep_open(link))
 
     async def _keep_open(self, link: AsyncLinkDriver) -> None:
-        """Open the port now, and again whenever it is lost."""
+        """Open the serial port of a link now, and again whenever it is lost."""
         while True:
             self._port_gone.clear()
             with contextlib.suppress(LinkDown):  # reported by its event
@@ -194,7 +194,7 @@ class Upstream:
                 await asyncio.sleep(link.next_attempt or 0.01)
 
     def _told(self, event: ConnectionEvent, reason: str) -> None:
-        """Log an event of a connection."""
+        """Log that a connection was opened, could not be opened, or was lost; wake the keeper of a lost port."""
         if event is ConnectionEvent.CONNECTED:
             self.news.is_up()
         elif event is ConnectionEvent.FAILED:
@@ -204,13 +204,13 @@ class Upstream:
             self.news.is_down(reason)
 
     def set_unit_gaps(self, unit_gaps: Mapping[int, float]) -> None:
-        """Set the seconds of silence after replies, by unit; on serial lines only."""
+        """Set the seconds of silence after replies of each unit; for serial lines only."""
         for link in self.links:
             if isinstance(link.session, SerialClientSession):
                 link.session.set_unit_gaps(unit_gaps)
 
     async def close(self) -> None:
-        """Close the links. Open requests are answered 0A or 0B."""
+        """Close the links of the upstream. Open requests are answered 0A or 0B."""
         keeper, self._keeper = self._keeper, None
         if keeper is not None:
             keeper.cancel()
@@ -223,7 +223,7 @@ class Upstream:
             await link.close()
 
     def status(self) -> UpstreamStatus:
-        """A snapshot of its status."""
+        """A snapshot of the upstream's status."""
         links = tuple(
             LinkStatus(
                 link.reconnect.state.value,
@@ -257,7 +257,7 @@ class Upstream:
         return link
 
     def refused(self, error: ModbusError) -> int:
-        """The exception code for an error. Counts the request, and logs 0A."""
+        """The exception code for the error of a forwarded request; counts the request, and logs 0A."""
         code = code_for(error)
         counters = self.counters
         if code == ExceptionCode.GATEWAY_PATH_UNAVAILABLE:
@@ -282,13 +282,13 @@ def _indicators(links: Sequence[LinkStatus]) -> StatusIndicators:
 
 
 def _in_doubt(link: AsyncLinkDriver) -> tuple[int, ...]:
-    """The units that owe replies."""
+    """The units of a serial link that owe replies."""
     session = link.session
     return tuple(session.doubts.in_doubt()) if isinstance(session, SerialClientSession) else ()
 
 
 def _suspended(link: AsyncLinkDriver) -> tuple[SuspendedUnit, ...]:
-    """The units whose breaker is not closed."""
+    """The units of a link whose circuit breaker is not closed."""
     session = link.session
     if session.breakers is None:
         return ()

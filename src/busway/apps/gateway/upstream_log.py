@@ -1,4 +1,4 @@
-"""Log lines about an upstream: that it cannot be reached, and how many requests were answered 0A.
+"""Writes log lines about an upstream: when it cannot be reached, and how many requests were answered 0A.
 
 Knows reasons and times; knows no link and no request.
 
@@ -23,7 +23,7 @@ AT_NEED: Final = "tried again when something is asked"
 
 
 class UpstreamLog:
-    """The log lines of one upstream.
+    """Writes the log lines about one upstream.
 
     Args:
         name: its name in routes.
@@ -45,13 +45,13 @@ class UpstreamLog:
         self._told_at = -math.inf
 
     def is_down(self, reason: str) -> None:
-        """Log that it cannot be reached."""
+        """Log that the upstream cannot be reached, unless the reason was logged before."""
         if reason != self._reason:
             self._reason = reason
             _log.warning("%s: %s; %s", self._endpoint, reason, self._then)
 
     def is_up(self) -> None:
-        """Log that it can be reached again."""
+        """Log that the upstream can be reached again."""
         if self._reason:
             self._reason = ""
             _log.warning("%s: open again", self._endpoint)

@@ -1,4 +1,4 @@
-"""Deadlines of the clients that share a read: each has its own, and the read goes on for the others.
+"""Deadlines of clients that wait for a shared read: each has its own, and the read continues for the others.
 
 Knows waiters and times; knows no read. There is one timer, for the nearest deadline; a read of one client has none.
 """
@@ -10,10 +10,10 @@ Waiter = TypeVar("Waiter")
 
 
 class DeadlineTimer(Protocol):
-    """A timer that can be cancelled."""
+    """Interface of a timer that can be cancelled."""
 
     def cancel(self) -> None:
-        """Cancel it: its callback is not called."""
+        """Cancel the timer, so that its callback is not called."""
 
 
 CallAt = Callable[[float, Callable[[], None]], DeadlineTimer]
@@ -39,7 +39,7 @@ class WaiterDeadlines(Generic[Waiter]):
         self._timer: DeadlineTimer | None = None
 
     def add(self, waiter: Waiter, deadline: float) -> None:
-        """Add a waiter and its deadline."""
+        """Add a waiting client and its deadline."""
         self._deadlines.append((deadline, waiter))
         if self._timer is None or deadline < self._nearest(self._deadlines[:-1]):
             self._arm()

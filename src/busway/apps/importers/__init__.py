@@ -1,4 +1,5 @@
-"""Descriptions of devices that other programs have → device files, with a report of what could not be carried over.
+"""Importers: convert device descriptions of other programs into device files, and report what could not be carried
+over.
 
 ===================  =====================================================================
 `imported`           what an importer finds, checked and written as a device file

@@ -1,4 +1,4 @@
-"""Which importer reads a file.
+"""Chooses the importer for a file of another program.
 
 Knows names of formats and how files of each look from outside.
 """
@@ -31,7 +31,7 @@ _ENDINGS: Final = {
 def import_file(
     path: str, *, format: str | None = None, address: int = FIRST_MODEL, counts: Mapping[str, int] | None = None
 ) -> ImportedDevice:
-    """What a file of another program says of a device.
+    """Import the description of a device from a file of another program.
 
     Args:
         path: the file.

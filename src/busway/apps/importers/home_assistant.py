@@ -1,4 +1,4 @@
-"""Home Assistant's ``modbus:`` → points.
+"""Importer for Home Assistant: its ``modbus:`` configuration.
 
 Knows the keys of its sensors, binary sensors and switches. Other entities (climates, covers, fans, lights) are more
 than points and are reported. Addresses count from 0.
@@ -23,7 +23,7 @@ _META: Final = ("unique_id", "device_class", "state_class", "precision", "scan_i
 
 
 def read_home_assistant(text: str, name: str) -> ImportedDevice:
-    """The points of a configuration. Raises `ConfigError` where its YAML is not understood."""
+    """Import the points of a Home Assistant configuration. Raises `ConfigError` for unsupported YAML."""
     document = parse_yaml(text, name)
     data, root = document.data, ()
     found = ImportedDevice()

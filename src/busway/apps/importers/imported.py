@@ -1,4 +1,4 @@
-"""What an importer finds, put together into units, checked, and written as a device file.
+"""The result of an import: points put together into units, checked, and written as a device file.
 
 Knows the schema of device files and reports; knows no format of others.
 
@@ -25,7 +25,7 @@ WRONG_VALUE: Final = (ValueError, TypeError, AttributeError, OverflowError)
 
 @dataclass(frozen=True, slots=True)
 class Omission:
-    """Something that was not carried over.
+    """A part of the imported file that was not carried over, and why.
 
     Attributes:
         where: line of the source, or path in it; empty for all of it.
@@ -43,7 +43,7 @@ class Omission:
 
 @dataclass(frozen=True, slots=True)
 class ImportedPoint:
-    """A point as an importer understood it: the keys of a device file, and where it stood."""
+    """An imported point: its keys in a device file, and its position in the original file."""
 
     keys: dict[str, Any]  # what TOML has
     where: str = ""
@@ -51,7 +51,7 @@ class ImportedPoint:
 
 @dataclass(slots=True)
 class ImportedDevice:
-    """What an importer finds in a file.
+    """The points and omissions that an importer found in a file.
 
     Attributes:
         points: by the number of their unit, each with where it stood.
@@ -66,7 +66,7 @@ class ImportedDevice:
     omissions: list[Omission] = field(default_factory=list)
 
     def add(self, unit: int, keys: Mapping[str, Any], where: str = "") -> None:
-        """A point of a unit. Keys whose value is None are left out."""
+        """Add a point to a unit. Keys whose value is None are left out."""
         kept = {key: value for key, value in keys.items() if value is not None}
         self.points.setdefault(unit, []).append(ImportedPoint(kept, where))
 
@@ -83,7 +83,7 @@ class ImportedDevice:
             self.omit(where, what, f"has a value that cannot be read: {error}")
 
     def sections(self) -> list[SimulatedUnitSection]:
-        """The units, checked; points that cannot be are reported and left out.
+        """The checked units; invalid points are reported and left out.
 
         Raises:
             ConfigError: no point is left.
@@ -110,7 +110,7 @@ class ImportedDevice:
         return self._together(number, kept)
 
     def _together(self, number: int, kept: list[ImportedPoint]) -> SimulatedUnitSection:
-        """The unit; what is wrong with its points together is reported, and the points concerned are left out."""
+        """One unit of points that are valid together; others are reported and left out."""
         groups = self.groups.get(number, [])
         while True:
             data = {"unit": number, "point": [each.keys for each in kept]} | ({"group": groups} if groups else {})
@@ -129,7 +129,7 @@ class ImportedDevice:
             kept = [each for at, each in enumerate(kept) if at not in wrong or "is taken by" in wrong[at]]
 
     def text(self, source: str) -> str:
-        """The device file, with the report in its first lines."""
+        """The text of the device file, with the report in its first lines."""
         units = self.sections()
         remarks = [f"Converted from {source} by busway points convert.", *self.remarks]
         if self.omissions:
@@ -143,7 +143,7 @@ def tables_in(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:  # Any:
 
 
 def _once(name: str, taken: set[str]) -> str:
-    """The name, with a number behind it where it is taken."""
+    """A unique name: with a number behind it if it is taken."""
     if name not in taken:
         return name
     number = 2

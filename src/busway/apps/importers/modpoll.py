@@ -1,4 +1,4 @@
-"""The CSV of modpoll (lines ``device``, ``poll`` and ``ref``) → points.
+"""Importer for modpoll: its CSV of lines ``device``, ``poll`` and ``ref``.
 
 Knows modpoll's columns and types. Its addresses are offsets on the wire. A byte order and a word order are written as
 ``BE_LE``.
@@ -32,7 +32,7 @@ def is_modpoll(text: str) -> bool:
 
 
 def read_modpoll(text: str, name: str) -> ImportedDevice:
-    """The points of a modpoll configuration."""
+    """Import the points of a modpoll configuration."""
     found = ImportedDevice()
     unit, table, order = 1, "", "ABCD"
     rows = csv.reader(io.StringIO(text))

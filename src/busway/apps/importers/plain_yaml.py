@@ -1,4 +1,4 @@
-"""The part of YAML that configurations of Home Assistant use, with the line of each key and item.
+"""A parser for the part of YAML that configurations of Home Assistant use, with the line of each key and item.
 
 Knows mappings and sequences in blocks, and scalars on one line. By hand, because the report needs lines; the rest of
 YAML (anchors, tags, blocks of text, flow collections) is refused with its line rather than half understood.
@@ -21,13 +21,13 @@ _DEEPEST: Final = 40
 
 @dataclass(slots=True)
 class YamlDocument:
-    """What a text holds, and at which line each of it stands."""
+    """The data of a YAML text, and the line of each key and item."""
 
     data: Any  # what YAML has
     lines: dict[Place, int] = field(default_factory=dict)
 
     def line(self, place: Place) -> int:
-        """The line of a place, or of the nearest around it."""
+        """The line of a path in the document, or of the nearest part around it."""
         while place and place not in self.lines:
             place = place[:-1]
         return self.lines.get(place, 1)
@@ -41,12 +41,12 @@ class _Line:
 
 
 def parse_yaml(text: str, name: str) -> YamlDocument:
-    """The content of a text. Raises `ConfigError` with file and line where it has what is not known here."""
+    """Parse a YAML text. Raises `ConfigError` with file and line for syntax that is not supported."""
     return _Reader(text, name).document()
 
 
 class _Reader:
-    """Reads lines, each with its indentation."""
+    """Parser that reads lines with their indentation."""
 
     def __init__(self, text: str, name: str) -> None:
         self._name = name
@@ -61,7 +61,7 @@ class _Reader:
                 self._lines.append(_Line(number, len(content) - len(content.lstrip(" ")), content.strip()))
 
     def document(self) -> YamlDocument:
-        """All of it."""
+        """Parse the whole document."""
         if self._lines:
             self._found.data = self._block(self._lines[0].indent, (), 0)
             if self._at < len(self._lines):
@@ -113,7 +113,7 @@ class _Reader:
         return found
 
     def _below(self, indent: int, place: Place, depth: int, *, key: bool = False) -> Any:
-        """What stands deeper; a sequence may stand as deep as its key. None where nothing does."""
+        """Parse a more indented block; a sequence may be indented like its key. None if there is none."""
         if self._at >= len(self._lines):
             return None
         line = self._lines[self._at]

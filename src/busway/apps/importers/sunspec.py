@@ -1,4 +1,4 @@
-"""SunSpec models in JSON → points and groups.
+"""Importer for SunSpec: models in JSON.
 
 Knows the types of the SunSpec Device Information Model Specification and what each has for "not implemented".
 
@@ -51,7 +51,7 @@ _SAYING_NOTHING: Final = ("mandatory", "static", "standards", "detail", "comment
 def read_sunspec(
     text: str, name: str, *, first: int = FIRST_MODEL, counts: Mapping[str, int] | None = None
 ) -> ImportedDevice:
-    """The points of a model.
+    """Import the points of a SunSpec model.
 
     Args:
         text: the model.
@@ -85,7 +85,7 @@ def read_sunspec(
 
 
 class _Model:
-    """Lays a model out from its first register on."""
+    """Assigns addresses to the points and groups of a model, from its first register on."""
 
     def __init__(self, found: ImportedDevice, name: str, counts: dict[str, int]) -> None:
         self._found = found
@@ -93,7 +93,7 @@ class _Model:
         self._counts = counts
 
     def take(self, group: Mapping[str, Any], first: int) -> None:
-        """The points of the model, and its groups."""
+        """Import the points and the inner groups of a group."""
         points, at = self._points(group, first, ())
         for keys in points:
             self._found.add(1, keys, keys["name"])
@@ -138,7 +138,9 @@ class _Model:
         return section, at + (count or MOST) * (end - at)
 
     def _count_by_length(self, name: str, at: int, size: int, first: int) -> str:
-        """A computed point that says how many places ``L`` has room for."""
+        """Add a computed point for the number of repeated groups, derived from the model length ``L``. Returns its
+        name.
+        """
         counting = f"{name}_count"
         self._found.add(1, {"name": counting, "formula": f"(L - {at - first - 2}) // {size}"}, name)
         return counting
@@ -199,7 +201,7 @@ class _Model:
 
 
 def _symbols(point: Mapping[str, Any], name: str, found: ImportedDevice) -> Iterator[tuple[str, int]]:
-    """Names and numbers; a number that has two names keeps the first."""
+    """Names and numbers of a point's values; a number with two names keeps the first."""
     seen: set[int] = set()
     for each in point.get("symbols", []):
         value = each.get("value")

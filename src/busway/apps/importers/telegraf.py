@@ -1,4 +1,4 @@
-"""Telegraf's ``[[inputs.modbus]]`` (its three styles: register, request, metric) → points.
+"""Importer for Telegraf: its ``[[inputs.modbus]]`` in three styles (register, request, metric).
 
 Knows Telegraf's keys and types. Its addresses count from 0.
 """
@@ -33,7 +33,7 @@ _FIELD_KEYS: Final = {
 
 
 def read_telegraf(text: str, name: str) -> ImportedDevice:
-    """The points of a Telegraf configuration. Raises `FileError` if it is no TOML."""
+    """Import the points of a Telegraf configuration. Raises `FileError` if it is no TOML."""
     source = read_source(text, name)
     found = ImportedDevice()
     inputs = source.data.get("inputs")

@@ -1,4 +1,4 @@
-"""One object that holds every parameter of a system, checked as a whole (clause T33).
+"""The configuration of a whole system from one file: every parameter, checked together (clause T33).
 
 Knows what each section is for and which component takes it; knows no network. It reads its file and no other: what
 the file names (certificates, the audit log) is opened by the component that it belongs to.
@@ -46,7 +46,7 @@ ANY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """Everything that a configuration file says, checked as a whole.
+    """The checked contents of a configuration file, as objects.
 
     Attributes:
         name: the file's name.
@@ -79,7 +79,7 @@ class Configuration:
     def serve(
         self, listen: Iterable[str | Listener] = (), **options: Any
     ) -> "Server":  # Any: as `busway.serve` takes them
-        """A server for the units of the file, not started yet.
+        """Create a server for the units of the file, not started yet.
 
         Args:
             listen: endpoints, or `Listener`s, instead of those of the file.
@@ -97,7 +97,7 @@ class Configuration:
         return serve(*(tuple(listen) or self.listeners), **{"units": units, **self.served(), **options})
 
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Let a running server follow this configuration: but for policy and lists, it needs a new start."""
+        """Do nothing to a running server beyond its policy and lists: other changes take effect at the next start."""
         return []
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
@@ -120,7 +120,7 @@ class Configuration:
         return connect(link.url, shared=shared, **link.options)
 
     def _link_to_open(self, name: str) -> NamedLink:
-        """A named link, once the limit holds of connections that this process may have."""
+        """A named link to open, after the configured limit of connections was set for the process."""
         supported = self.file.client.supported_connections
         if supported is not None:
             from ...client.registry import limit_local_connections
@@ -129,7 +129,7 @@ class Configuration:
         return self.link(name)
 
     def link(self, name: str) -> NamedLink:
-        """What is declared of a link. Raises `ConfigError` that lists the names there are."""
+        """The named link that the file declares. Raises `ConfigError` that lists all of them."""
         link = self.links.get(name)
         if link is None:
             there = f"there are {', '.join(self.links)}" if self.links else "there is none"
@@ -140,7 +140,7 @@ class Configuration:
 def load_configuration(
     path: str | os.PathLike[str], *, preflight: bool = False, changes: Mapping[str, Any] | None = None
 ) -> Configuration:
-    """The configuration of a file: server, listeners, client, security, policy and units.
+    """Load the configuration of a system from a file: server, listeners, client, security, policy and units.
 
     Args:
         path: the file, in TOML. Every device file is one.
@@ -158,7 +158,7 @@ def load_configuration(
 def parse_configuration(
     text: str, name: str, *, preflight: bool = False, changes: Mapping[str, Any] | None = None
 ) -> Configuration:
-    """The configuration that a text declares.
+    """Parse the configuration of a system from a TOML text.
 
     Args:
         text: the content of the file.
@@ -178,7 +178,7 @@ def parse_configuration(
 
 
 def _what_reads_it(error: FileError) -> FileError:
-    """An error with all that is wrong; of a simulation file only that it is one, and what takes it."""
+    """The error for a file with problems; for a simulation or gateway file, only which command takes it."""
     from ...config.files.simulation import is_only_of_simulations
 
     one = next((each for each in error.problems if is_only_of_simulations(each.key or "")), None)
@@ -197,7 +197,7 @@ def put_together(
     changes: Mapping[str, Any] | None = None,
     link_defaults: Mapping[str, Any] = MappingProxyType({}),
 ) -> Configuration:
-    """What a file declares, as far as it is right: of use only after `ConfigurationReport.end`.
+    """Build a configuration from a checked file; to be used only after `ConfigurationReport.end`.
 
     Args:
         file: its sections.
@@ -237,7 +237,7 @@ def _control(file: SystemFile, name: str) -> str | None:
 
 
 class _Makers:
-    """Makes listeners of what stands in a file: each part's own settings go before the general ones."""
+    """Builds listeners from a file: settings of a listener override the general ones."""
 
     def __init__(self, file: SystemFile, name: str, report: ConfigurationReport, changes: Mapping[str, Any]) -> None:
         self._file = file
@@ -249,11 +249,11 @@ class _Makers:
         self._security = {key: value for key, value in file.security.options().items() if key in offered}
 
     def limits(self) -> ListenerParameters | None:
-        """The limits of the listeners that have none of their own."""
+        """Limits for the listeners that have none of their own."""
         return self._limits({}, ("server",))
 
     def tls(self) -> TlsParameters | None:
-        """Certificates of the listeners that have none of their own."""
+        """TLS options for the listeners that have none of their own."""
         if self._security.get("certificate") is None:
             return None
         return build_parameters(TlsParameters, rooted(self._security, self._name))
@@ -268,7 +268,7 @@ class _Makers:
         )
 
     def listener(self, place: Place, endpoint: Endpoint) -> Listener:
-        """The listener whose URL stands at a place; without what was refused."""
+        """Build the listener whose URL is at a path of the file, without refused options."""
         if endpoint.host in ANY_ADDRESS and endpoint.carrier != "serial":
             self._check_options.warn(place, f"{endpoint.url} listens on every interface of this host")
         if endpoint.carrier == "serial":
@@ -287,7 +287,7 @@ class _Makers:
         return self._checked(Listener(endpoint, access=access, tls=tls, limits=limits), place, own)
 
     def _checked(self, listener: Listener, place: Place, own: Mapping[str, Any] | None = None) -> Listener:
-        """The listener, whose URL and certificates the server has judged."""
+        """The listener, after its URL and certificates were checked; problems are reported."""
         options = parse_endpoint(listener.endpoint).options
 
         def place_of(key: str | None) -> Place:

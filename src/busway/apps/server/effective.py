@@ -17,7 +17,7 @@ from .configuration import Configuration
 
 
 def effective(configuration: Configuration) -> Iterator[str]:
-    """Lines of TOML: each section that a component takes, with every value."""
+    """The effective configuration as lines of TOML: each section that a component uses, with every value."""
     yield "[server]"
     given = {name: value for name, value in configuration.served().items() if name != "tls"}
     chosen = Offer.of(*SERVERS).chosen(given)
@@ -58,14 +58,14 @@ def _link(link: NamedLink) -> Iterator[str]:
 def values(
     parameters: Any, *, without: frozenset[str] = frozenset()
 ) -> Iterator[str]:  # Any: classes of no common base
-    """A line for each option of a parameter object."""
+    """A TOML line for each option of a parameter object."""
     for field in fields(parameters):
         if field.name not in without:
             yield line(field.name, getattr(parameters, field.name))
 
 
 def line(name: str, value: object) -> str:
-    """``name = value`` as TOML has it."""
+    """A key and its value as a TOML line."""
     return f"{name} = {_written(value)}"
 
 

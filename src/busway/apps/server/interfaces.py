@@ -1,4 +1,4 @@
-"""What a service runs, and what declares it: a server, a gateway or a simulation.
+"""Interfaces of what a service runs (a server, a gateway or a simulation), and of the configuration that declares it.
 
 Knows what is asked of both; knows no file and no listener.
 """
@@ -15,58 +15,58 @@ from ...session.pipeline import RequestObserver
 
 
 class RunningServer(Protocol):
-    """What runs: a server, or a gateway."""
+    """Interface of a server or gateway that a service runs."""
 
     @property
     def endpoints(self) -> list[str]:
-        """URLs of the listeners as they are bound."""
+        """URLs of the listeners with their bound addresses and ports."""
 
     @property
     def is_running(self) -> bool:
-        """Whether it answers."""
+        """Whether the server is started."""
 
     def status(self) -> Any:  # a dataclass, of its own kind
-        """How it stands now."""
+        """The current status of the server."""
 
     @property
     def functions(self) -> FunctionTable:
-        """The functions that it decodes."""
+        """The table of functions that the server decodes."""
 
     def observe(self, observer: RequestObserver) -> None:
         """Register an observer of requests, before the start."""
 
     def replace_policy(self, policy: Policy) -> None:
-        """Let another policy hold from the next request on."""
+        """Replace the access policy, from the next request on."""
 
     def end_unauthorized(self) -> int:
-        """End connections of hosts that may no longer connect; how many there were."""
+        """Abort connections of hosts that may no longer connect; returns their number."""
 
     def reload_security(self) -> None:
-        """Read certificates anew. Raises `ConfigError`; what cannot be used leaves its listener as it was."""
+        """Read the certificates again. Raises `ConfigError`; a listener whose new ones are unusable keeps the old."""
 
     async def __aenter__(self) -> object:
-        """Start."""
+        """Start the server."""
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> bool | None:
-        """Stop."""
+        """Stop the server."""
 
 
 class DeclaredServer(Protocol):
-    """What a file declares: a `Configuration`, or that of a gateway."""
+    """Interface of a configuration that declares a server, a gateway or a simulation."""
 
     @property
     def file(self) -> SystemFile:
-        """Its sections."""
+        """The sections of the configuration file."""
 
     @property
     def listeners(self) -> tuple[Listener, ...]:
-        """Where it listens."""
+        """The listeners that the configuration declares."""
 
     @property
     def access(self) -> AccessRules | None:
-        """The rules that it has."""
+        """The access rules of the configuration; None without any."""
 
     @property
     def audit(self) -> str | None:
@@ -74,14 +74,16 @@ class DeclaredServer(Protocol):
 
     @property
     def control(self) -> str | None:
-        """Where it is controlled; None for the usual place."""
+        """Address of the control socket; None for the default one."""
 
     @property
     def at_once(self) -> frozenset[str]:
-        """Sections that hold at once when the file is read again."""
+        """Names of the sections that take effect at once when the file is read again."""
 
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> RunningServer:  # of several types
-        """What it declares, not started yet."""
+        """Create the declared server, not started yet."""
 
     async def apply_to(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Apply it to a running server, as far as possible without a restart; what changed. Raises `ModbusError`."""
+        """Apply the configuration to a running server, as far as possible without a restart; returns the changes.
+        Raises `ModbusError`.
+        """

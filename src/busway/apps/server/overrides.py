@@ -18,7 +18,7 @@ def declared_rules(configuration: DeclaredServer) -> AccessRules | None:
 
 @dataclass(frozen=True, slots=True)
 class Overrides:
-    """Command-line overrides of the configuration.
+    """Command-line options that replace parts of a configuration.
 
     Attributes:
         listen: endpoints instead of those of the file.

@@ -1,4 +1,4 @@
-"""What a configuration says, as rows for people: what listens where, who may do what, which links and units there are.
+"""An overview of a configuration as rows of text: listeners, rights, links and units.
 
 Knows a configuration; changes nothing.
 """
@@ -21,7 +21,7 @@ Row = tuple[str, str, str]
 
 
 def overview(configuration: Configuration) -> Iterator[Row]:
-    """The rows, in the order of the file's sections."""
+    """The rows of the overview, in the order of the file's sections."""
     file = configuration.file
     for listener in configuration.listeners:
         yield "listener", str(listener.endpoint), "; ".join(_listener(listener, configuration.limits))
