@@ -47,7 +47,7 @@ def collect(
     as_json: bool = JSON,
     verbose: int = VERBOSE,
 ) -> int:
-    """Poll devices and keep what they say."""
+    """Poll devices and store their values."""
     from ..apps.collector.configuration import load_collector
 
     if words == ["demo"]:

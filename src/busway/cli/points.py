@@ -36,7 +36,7 @@ def points(
     address: str = typer.Option("40002", "--address", metavar="N", help="SunSpec: offset of the model's register ID."),
     count: list[str] = typer.Option([], "--count", metavar="NAME=N", help="SunSpec: places of a group; several times."),
 ) -> int:
-    """Make device files of what other programs have."""
+    """Convert device descriptions of other programs."""
     from ..apps.importers.formats import import_file
 
     if action != "convert":

@@ -142,7 +142,7 @@ def simulate(
     capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
 ) -> int:
-    """Be devices that behave."""
+    """Serve simulated devices that a file describes."""
     wanted = CloneOptions(clone or "", unit, map_file, out, watch, ranges, thorough, force=force, verbose=verbose)
     if clone is not None:
         if file is not None or device is not None:

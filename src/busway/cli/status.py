@@ -43,7 +43,7 @@ def status(
     as_json: bool = typer.Option(False, "--json", help="Print all that is told as one JSON object."),
     watch: str | None = typer.Option(None, "--watch", metavar="TIME", help="Ask again and again: 2s. Ends by Ctrl-C."),
 ) -> int:
-    """Show how a running server or gateway does."""
+    """Show the status of a running server or gateway."""
     if watch is None:
         _show(_ask(where), as_json=as_json)
         return ExitCode.DONE

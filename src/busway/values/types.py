@@ -126,7 +126,7 @@ class ValueType(Generic[Value]):
         return self._codec.decode(data)
 
     def encode(self, values: Iterable[object]) -> bytes:
-        """The registers that hold some values, as bytes in wire order.
+        """Encode values as registers, in wire order.
 
         Args:
             values: values as `decode` gives them; one value goes in as ``[value]``. Number types take every integer
@@ -143,11 +143,11 @@ class ValueType(Generic[Value]):
 
     @property
     def is_part(self) -> bool:
-        """Whether a value is only a part of its register, whose other bits `merge` keeps."""
+        """Whether a value occupies only a part of its register; `merge` keeps the other bits."""
         return isinstance(self._codec, BitCodec | FieldCodec)
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """The registers that hold one value, where the bits that are not its own stay as they were.
+        """The registers with one value written, and the bits that do not belong to it unchanged.
 
         Args:
             value: as for `encode`.
@@ -160,7 +160,7 @@ class ValueType(Generic[Value]):
         return codec.merge(value, held) if isinstance(codec, BitCodec | FieldCodec) else self.encode([value])
 
     def parse(self, text: str) -> Value:
-        """The value that a person wrote.
+        """Parse a value from text.
 
         Args:
             text: integers in decimal, ``0x…`` or ``0b…``; BCD in decimal only; floats as Python writes them, ``inf``
@@ -196,7 +196,7 @@ def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any
 
 
 def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any]:
-    """The type of a name and an order, compiled once.
+    """The value type with a given name and byte order, compiled once.
 
     Args:
         name: a name of the table in this file, capitals do not matter; a `ValueType` keeps its own order where
@@ -215,7 +215,7 @@ def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any
 
 
 def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: int | None = None) -> list[Any]:
-    """The values in some registers; as `ValueType.decode`.
+    """Decode registers into values; as `ValueType.decode`.
 
     Args:
         data: bytes in wire order, two for each register.
@@ -236,7 +236,7 @@ def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: i
 
 
 def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "ABCD") -> bytes:
-    """The registers that hold some values, as bytes in wire order; as `ValueType.encode`.
+    """Encode values as registers, in wire order; as `ValueType.encode`.
 
     Args:
         values: values of the type, in a sequence.
@@ -250,7 +250,7 @@ def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "A
 
 
 def parse_value(text: str, type: str | ValueType[Any]) -> Any:
-    """The value that a person wrote, on a command line or in a file; as `ValueType.parse`.
+    """Parse a value from a command line or a file; as `ValueType.parse`.
 
     Raises:
         InvalidRequest: no such type, or the text is no value of it. Nothing was sent.
@@ -347,7 +347,7 @@ def _custom(name: str, order: ByteOrder) -> ValueType[Any]:
 
 
 def _field(name: str, kind: str, words: list[str], order: ByteOrder) -> ValueType[Any]:
-    """``int8:low``, ``field:4-7``, ``field:4-7:signed``."""
+    """The type for a part of a register: ``int8:low``, ``field:4-7``, ``field:4-7:signed``."""
     if kind != "field":
         if len(words) != 1 or words[0] not in _HALVES:
             raise InvalidRequest(
