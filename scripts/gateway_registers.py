@@ -11,7 +11,7 @@ from busway.apps.gateway.own_unit import FIRST_UPSTREAM, REGISTERS, UPSTREAM_REG
 
 
 def render(entries: Sequence[StatusRegister], start: int, label: str) -> str:
-    """A table of registers; ``label`` stands before the offset in a line's block."""
+    """A table of registers; ``label`` stands before the offset in an upstream's block."""
     lines = ["| offset | notation | type | value | |", "| --- | --- | --- | --- | --- |"]
     for entry in entries:
         kind = "uint32" if entry.registers == 2 else "uint16"
@@ -24,5 +24,5 @@ if __name__ == "__main__":
     file = ROOT / "docs" / "gateway.md"
     page = file.read_text(encoding="utf-8")
     page = replaced(page, "own", render(REGISTERS, 0, ""))
-    page = replaced(page, "lines", render(UPSTREAM_REGISTERS, FIRST_UPSTREAM, f"{FIRST_UPSTREAM} + "))
+    page = replaced(page, "upstreams", render(UPSTREAM_REGISTERS, FIRST_UPSTREAM, f"{FIRST_UPSTREAM} + "))
     update(file, page)

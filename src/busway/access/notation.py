@@ -64,7 +64,7 @@ def parse_files(value: str | int | Iterable[str | int]) -> tuple[Range, ...]:
 
 
 def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Function]:
-    """Parse function codes or names, with sub-functions such as ``8/10``. Raises `ConfigError`."""
+    """Parse function codes or names such as ``3, write single coil``, with sub-functions. Raises `ConfigError`."""
     found: set[Function] = set()
     for each in [value] if isinstance(value, str | int) else value:
         for part in each.split(",") if isinstance(each, str) else [each]:

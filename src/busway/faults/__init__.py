@@ -1,12 +1,14 @@
 """Fault profiles of real devices and clients, for tests, the simulator and the command line.
 
-==========================  ==========================================================================
-`fault`                     what a fault changes, when it is active, and how it is switched
-`profile`, `profiles`       fault profiles of real devices by name, with their options
-`clients`                   fault profiles of clients
-`faulty_conversation`       one connection of a faulty device, without IO: requests in, bytes out
-`responder`, `connections`  the same around the responder and the connections of a real server
-`switchboard`               the faults of a server by name: added, switched, watched
-`clock`                     real and fake clocks for delays
-==========================  ==========================================================================
+=====================  =================================================================================================
+`clients`              Fault profiles of clients: the bytes that a misbehaving client sends before it falls silent
+`clock`                Clocks for delays: that of an event loop, and a fake clock that a test moves by hand
+`connections`          The connection tap of faults: sends delayed and changed replies on a server's connections
+`fault`                Faults: what they change in the requests and replies of a connection, when they are active
+`faulty_conversation`  One connection of a faulty device, without IO
+`profile`              Fault profiles: named ways in which real devices misbehave, each with its options
+`responder`            A responder that wraps another one and applies faults to its replies
+`switchboard`          The faults of a server by name: added, switched and removed from a file
+`profiles`             The table of all fault profiles of devices; the profiles are defined in the files beside this one
+=====================  =================================================================================================
 """

@@ -1,5 +1,24 @@
 """Framings: how a PDU is sent on TCP (``mbap``), and on serial lines (``rtu``, ``rtu_strict``, ``ascii``).
 
+=================  =====================================================================================================
+`ascii`            ASCII framing: between a colon and the end delimiter, two characters for each byte
+`bursts`           Estimates when each byte of a stream was on the line, from the times of the reads
+`crc`              CRC-16 of RTU frames
+`datagram`         Checks whether a datagram is exactly one whole frame
+`echo`             Removes the echo of a two-wire serial line: a station first receives the bytes that it sent itself
+`frame_direction`  Tells whether the next frame on a shared serial line is a request or a reply
+`lengths`          Lengths of frames by function code, precomputed from a function table
+`lost`             Collects the bytes of one disturbance on a serial line
+`lrc`              LRC of ASCII frames
+`mbap`             MBAP framing: the seven-byte header before a PDU on TCP
+`received`         Results of the receivers of serial lines (frames, damaged chunks)
+`rtu`              RTU receiver: finds frames, which have no start and end marks, by length and CRC
+`rtu_search`       Search for the next frame inside damaged RTU bytes: the only work that grows with the noise on a line
+`rtu_strict`       Strict RTU receiver: the state diagram of the specification to the letter
+`timing`           Times on a serial line: characters, t1.5, t3.5 and whole frames
+`word`             Base of options whose values are words, such as `even`
+=================  =====================================================================================================
+
 Receivers take bytes and the time of the read and give what was complete (`busway.framing.received.Receiver`); those
 of serial lines share what masters, servers and observers need (`busway.framing.received.SerialReceiver`).
 """

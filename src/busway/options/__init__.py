@@ -1,1 +1,18 @@
-"""Options: endpoints as URLs, options as text or keywords, and presets of options. Pure."""
+"""Options: endpoints as URLs, options as text or keywords, and presets of options. Pure.
+
+=============  =======================================================================================================
+`client`       Options of a client: the conversation over a link, and its connections
+`declaration`  How an option is declared: one annotated field of a parameter class. Everything else is derived from it
+`endpoints`    Endpoints: URLs that say where a peer or a serial line is, and how it is spoken to
+`gateway`      Options of a gateway: of the whole gateway, of its listeners, and of its upstreams
+`lines`        Options of serial lines: the master's timing, the framing, and circuit breakers of units
+`networks`     Lists of IPv4 and IPv6 addresses and networks, and whether a host is in one
+`offer`        Which options a component accepts, and the parameter objects built from given ones
+`ports`        Options of a serial port: its line settings, and how it is opened
+`presets`      Presets: named sets of options. `strict` meets every "must" of the specifications
+`server`       Options of a server: its units, its sessions, and the limits and timeouts of its connections
+`sockets`      Options of network connections, of clients and servers
+`text`         Converts options given as text (URLs, command line) or keywords into the fields of a parameter class
+`tls`          Options of Modbus/TCP Security: certificates, TLS versions, cipher suites and deadlines (port 802
+=============  =======================================================================================================
+"""

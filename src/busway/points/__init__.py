@@ -1,14 +1,14 @@
 """Points: the named values of a device, their decoding, and the quality of their values.
 
-==============  =======================================================================
-`point`         one point: where it stands, its type, its value: `Point`
-`conversion`    raw number ⇄ value in the unit of measure
-`decoder`       the reply of a read → the values of all its points: `ReadDecoder`
-`derived`       totals of counters, computed points
-`quality`       good, uncertain, bad, and the reasons
-`expression`    expressions over points, in files
-`point_rules`   how units are read; what is written, reported, alarmed
-==============  =======================================================================
+=============  ==================================================================================================
+`conversion`   Conversion between the raw number in the registers and the value in the unit of measure
+`decoder`      Decodes the reply of a read into the values of all points in it, by one compiled function
+`derived`      Values derived from several reads: totals of counters that roll over, and computed points
+`expression`   Expressions over points and time, parsed from text and evaluated without executing Python code
+`point`        A point: one named value of a device, which others call a tag
+`point_rules`  Rules of points: limits for reading a unit, and rules for writing, reporting and alarms of a point
+`quality`      Quality of a value (good, uncertain, bad), and the reason if it is not good
+=============  ==================================================================================================
 """
 
 from .conversion import Conversion, Linear

@@ -41,7 +41,7 @@ class Linear:
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """How the raw numbers of a point become values: scale, offset, linear range or factor of another point.
+    """How the raw numbers of a point become values: scale, offset, linear range, or a power of ten from another point.
 
     Attributes:
         scale, offset: ``value = raw · scale + offset``.

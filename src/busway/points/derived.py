@@ -37,7 +37,7 @@ class Accumulator:
         self.last: float | None = None
 
     def take(self, value: float) -> float:
-        """The total, after a value that the counter shows."""
+        """Add the current reading of the counter. Returns the total."""
         last = self.last
         self.last = value
         if last is None:
@@ -83,7 +83,7 @@ class Derivation:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no point needs it."""
+        """Whether the device has no derived points."""
         return not self.accumulators and not self._computed
 
     def inputs(self) -> frozenset[str]:

@@ -138,7 +138,7 @@ class ReportRule:
 
 @dataclass(frozen=True, slots=True)
 class AlarmRule:
-    """What of a point is an alarm: a value beyond a limit, or one of some states.
+    """An alarm of a point: a limit that its value goes beyond, or states that it takes.
 
     Attributes:
         kind: ``HH``, ``H``, ``L`` or ``LL`` for a limit; ``state`` for states.
@@ -161,14 +161,14 @@ class AlarmRule:
     bits: int = 0
 
     def is_beyond(self, value: float, *, active: bool) -> bool:
-        """Whether a value is an alarm; of an alarm that is active, whether it has not come back yet."""
+        """Whether a value is an alarm; for an active alarm, whether the value has not come back yet."""
         if self.kind == "state":
             return value in self.numbers or bool(self.bits and isinstance(value, int) and value & self.bits)
         back = self.hysteresis if active else 0.0
         return value > self.limit - back if self.kind in ("H", "HH") else value < self.limit + back
 
     def text(self, unit_of_measure: str = "") -> str:
-        """What the alarm means: ``above 80 °C``, ``is fault``."""
+        """The condition of the alarm in words: ``above 80 °C``, ``is fault``."""
         if self.kind == "state":
             return f"is {' or '.join(self.states)}"
         side = "above" if self.kind in ("H", "HH") else "below"

@@ -43,7 +43,7 @@ One = TypeVar("One", bound=Timed)
 
 
 class Overdue(Enum):
-    """The kind of time that is over for a connection: frame timeout, write timeout, idle timeout or pause."""
+    """The kind of time that is over for a connection: a frame, write or idle timeout, or a pause."""
 
     HEADER = "header_timeout"
     FRAME = "frame_timeout"

@@ -1,6 +1,27 @@
 """Protocol sessions of clients and servers: which request is sent when, and which reply belongs to it. Pure: bytes and
 ``now`` in, bytes and events out.
 
+===================  ===================================================================================================
+`adaptive_timeout`   Adaptive timeout of a scan for units: as short as the replies seen so far make safe
+`call`               Calls of the application, and their requests in flight over TCP: single ones and pipelined batches
+`client`             The client's side of a TCP connection: calls in, ADUs out, replies matched to their requests
+`connection_life`    The life cycle of a client's connection, shared by the asyncio and the blocking driver
+`diagnostics`        Diagnostics for functions 08, 11 and 12
+`forwarded_reads`    Reads that a gateway forwards on the fast path: the reads of one TCP segment are forwarded together
+`late_replies`       Late replies of the units of a serial line
+`line_framing`       The framing of a serial session: a receiver, an encoder, and the silence before sending
+`pipeline`           The path of every request through a server: authorizer, responder and observers; and the fast path
+`queue`              The bounded queue of calls of one link, and the order in which they are served
+`reconnect`          When to reconnect: a state table, and a backoff
+`responder`          The interface of responders, which answer the requests of a server: two methods
+`retries`            Calls of a link from submission to outcome: queue, retries, deadlines
+`serial_client`      The master of a serial line: one transaction at a time, with turnaround
+`serial_server`      The server session of a serial line: any number of units on one line, which only answer requests
+`server`             The server's side of one TCP connection: request bytes in, reply bytes out
+`transaction_slots`  The limit of requests that a server works on at once
+`unit_breaker`       Circuit breakers: one per unit of a link
+===================  ===================================================================================================
+
 Where it is decided: whether a read or a write is repeated, and when its outcome is unknown: `retries`. Order and limit
 of waiting requests: `queue`. When to reconnect, and the backoff: `reconnect`; what becomes of open requests then:
 `connection_life`. Units that do not answer: `unit_breaker`. Late replies: `late_replies` on serial lines, `client` on

@@ -23,7 +23,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """How segments travel between the ends: delay and division.
+    """How segments travel from one end to the other: delay, loss, and how they are split or merged.
 
     Args:
         drop: probability, 0…1, that a segment is lost.

@@ -198,7 +198,7 @@ class SimulatedDevice:
             board.remove(name)
 
     def wait_for_write(self, address: str, *, timeout: float = 10.0) -> Any:  # what its type says
-        """Wait until a client writes an item again or for the first time. Returns its value.
+        """Wait until a client writes an item after this call. Returns its new value.
 
         Args:
             address: the item, or the name of a point.

@@ -1,15 +1,19 @@
 """Conversion between registers and numbers, strings and bits, and the notations of addresses.
 
-==============  =======================================================================
-`types`         types by name, and the functions that most callers need
-`numbers`       integers, floats, binary-coded decimals
-`texts`         strings
-`bits`          registers as bits
-`orders`        byte and register orders
-`addresses`     ``4x1``, ``40001``, ``holding:0x10``, ``%MW10``
-`printable`     text of devices and certificates, fit for a terminal and a log
-`refusal`       the sentence with which a value is refused
-==============  =======================================================================
+===========  ========================================================================================================
+`addresses`  Parses addresses as people write them into table and offset
+`bits`       Codecs for bits: a register as sixteen bits, and single bits or bit fields of a register
+`constants`  Value types as constants, by which a type checker knows what a read returns
+`custom`     Codec for values described by a `struct` format: `custom:>hHl` is three numbers in four registers
+`names`      Names of value types and orders for type checkers, so that a wrong name is found before the program runs
+`network`    Codecs for network addresses in registers: IPv4, IPv6, EUI-48 (MAC) and EUI-64
+`numbers`    Codecs for integers, floats and binary-coded decimals in registers
+`orders`     Byte orders: the order of bytes and registers inside a value of 16, 32, 48 or 64 bits
+`printable`  Makes text from devices and certificates safe to print on one line of a terminal, a log or a table
+`refusal`    Error messages for values that do not fit their type
+`texts`      Codec for character strings in registers
+`types`      Value types by name: converts registers to values and back, such as `"float32"` in order `"CDAB"`
+===========  ========================================================================================================
 """
 
 from .addresses import Address, format_address, parse_address

@@ -57,7 +57,7 @@ UPSTREAM_REGISTERS: Final = (
     StatusRegister(1, 1, "in_flight", "requests whose reply is awaited"),
     StatusRegister(2, 1, "queued", "requests that wait for their turn"),
     StatusRegister(3, 1, "suspended", "units that are not asked now, because they do not answer"),
-    StatusRegister(4, 2, "forwarded", "requests handed to the line"),
+    StatusRegister(4, 2, "forwarded", "requests accepted by the link"),
     StatusRegister(6, 2, "answered", "requests answered by a device"),
     StatusRegister(8, 2, "exceptions", "requests that a device refused"),
     StatusRegister(10, 2, "no_answer", "requests answered 0B"),

@@ -1,15 +1,15 @@
 """Importers: convert device descriptions of other programs into device files, and report what could not be carried
 over.
 
-===================  =====================================================================
-`imported`           what an importer finds, checked and written as a device file
-`formats`            which importer reads a file
-`telegraf`           ``inputs.modbus`` of Telegraf, TOML
-`home_assistant`     ``modbus:`` of Home Assistant, YAML
-`modpoll`            the CSV of modpoll
-`sunspec`            SunSpec models, JSON
-`plain_yaml`         the part of YAML that such files need, with the line of each key
-===================  =====================================================================
+================  ==============================================================================================
+`formats`         Chooses the importer for a file of another program
+`home_assistant`  Importer for Home Assistant: its `modbus:` configuration
+`imported`        The result of an import: points put together into units, checked, and written as a device file
+`modpoll`         Importer for modpoll: its CSV of lines `device`, `poll` and `ref`
+`plain_yaml`      A parser for the part of YAML that configurations of Home Assistant use
+`sunspec`         Importer for SunSpec: models in JSON
+`telegraf`        Importer for Telegraf: its `[[inputs.modbus]]` in three styles (register, request, metric)
+================  ==============================================================================================
 
 Register maps in CSV, as manuals have them, are read by `busway.apps.simulator.register_map`.
 """

@@ -1,13 +1,13 @@
 """`busway serve`: a server put together from one file, and its policy, logs and metrics.
 
-=================  ===================================================================================
-`configuration`    `load_configuration`, and the object that holds every parameter (clause T33)
-`effective`        the effective configuration, defaults included, as TOML
-`overview`         what a configuration says, as rows of text: listeners, rights, links and units
-`service`          a server with policy, audit log, metrics and control socket: starts and stops them
-`reload`           reading the files again while the server runs, and applying what changed
-`access_in_force`  the policy and address lists of a running service, which a reload replaces
-`overrides`        what the command line says instead of the file
-`interfaces`       what a service runs (server, gateway, simulation), and the configuration that declares it
-=================  ===================================================================================
+=================  ==========================================================================================
+`access_in_force`  The policy and the address lists that a running service applies, which a reload replaces
+`configuration`    The configuration of a whole system from one file: every parameter, checked together
+`effective`        The effective configuration, defaults included, as TOML
+`interfaces`       Interfaces of what a service runs (a server, a gateway or a simulation)
+`overrides`        Command-line overrides of a configuration
+`overview`         An overview of a configuration as rows of text: listeners, rights, links and units
+`reload`           Reload of a configuration while its server runs
+`service`          A running server and the services around it: policy, audit log, metrics and control socket
+=================  ==========================================================================================
 """

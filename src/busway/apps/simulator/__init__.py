@@ -1,18 +1,20 @@
 """The simulator: devices whose values change by themselves, built from files, and the plant of the demonstration.
 
-==============  =======================================================================
-`build`         device files → devices
-`points`        the named points of a device: values in their unit of measure
-`plant`         a small plant as a function of time
-`simulation`    units that behave as a file says: `Simulation`
-`includes`      a simulation file and those it includes → one declaration
-`builder`       a declaration → devices, points, and what each point follows
-`behaviours`    what makes values change
-`engine`        which points change when, and into what
-`simulated`     a point that behaves, its unit, a change
-`registers`     where a point stands in memory, and how numbers become bytes there
-`writes`        what Modbus writes to points
-`state`         values over a restart
-`faults`        what goes wrong on purpose
-==============  =======================================================================
+================  ===================================================================================================
+`builder`         Builds devices, points and behaviours from the units that a simulation file declares
+`clone`           Clones a device: reads a live device and makes a simulation file that imitates it
+`device_text`     Writes units as the text of a device file, which parses to the same units
+`engine`          The engine of a simulation: which points change at each moment, in which order, and to which values
+`fault_sections`  Adds faults to a simulation from `[[fault]]` sections and command-line words
+`includes`        Loads a simulation file with all files that it includes; every error names its line in its own file
+`plant`           The plant of the demonstration: a tank that consumers empty and a pump fills, a meter
+`points`          Named points of a device for its application, read and written in their unit of measure
+`register_map`    Imports register maps in CSV, as manuals and spreadsheets have them, as the points of a unit
+`registers`       The position of a point in the memory of its device, and the encoding of its values there
+`simulated`       A simulated point, its unit, and a change of its value
+`simulation`      A running simulation: units whose points follow their behaviours
+`state`           Saves the values of a simulation in a JSON file, so that it continues after a restart
+`writes`          Reports Modbus writes to the points of a unit to the simulation
+`behaviours`      Behaviours, which make simulated values change
+================  ===================================================================================================
 """

@@ -126,7 +126,7 @@ class Controls:
 
 @dataclass(frozen=True, slots=True)
 class PlantState:
-    """The state of the plant: level, pump, energy and time.
+    """The state of the plant: time, level of the tank, whether the pump runs, and volume delivered.
 
     Attributes:
         time: seconds of the clock since it began.

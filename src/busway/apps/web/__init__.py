@@ -1,6 +1,6 @@
 """The pages of a simulation and of a collector with their APIs: HTTP, one WebSocket, and the files of the pages.
 
-====================  =======================================================================
+====================  ================================================================================
 `hosting`             starts and stops everything: `ControlPage`
 `access`              checks Host, Origin, token and size of every request
 `connections`         limits number and time of connections
@@ -13,7 +13,9 @@
 `collector_page`      the API and the page of a collector
 `collector_messages`  JSON of its responses
 ``page``              HTML, style and script
-====================  =======================================================================
+`faults`              faults of a simulation as the API shows and changes them
+`page_tokens`         the file with the tokens of a page: made at the first start, for its owner alone
+====================  ================================================================================
 
 1. It needs the extra ``web``, and is imported only when the page is started.
 2. It runs in the event loop of the simulation or collector, so it never reads a state that is half changed.

@@ -30,7 +30,8 @@ from .waves import Constant, Ramp, Sine, Square
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a behaviour needs beside its section: other points, recordings and the seed.
+    """What a behaviour gets beside its section: the point's range and first value, the seed, and readers of other
+    points.
 
     Attributes:
         key: of the point, ``UNIT/NAME``.
