@@ -24,6 +24,7 @@
 `sessions`             The interface of client sessions that link drivers use
 `settings`             The settings of a link: a URL with its options, and keywords, as checked parameter objects
 `tls_connector`        Connections of asyncio and blocking links over TLS (MODBUS/TCP Security, port 802)
+`shared_links`         The users of links by endpoint: who shares a link, how many there are
 =====================  =============================================================================================
 
 Where it is decided: how a large read is split: `operations`. Many reads in one call: `read_many`. Who shares a link:

@@ -67,7 +67,9 @@ class Derivation:
 
     def __init__(self, points: Iterable[Point]) -> None:
         points = list(points)
-        self.accumulators = {each.name: Accumulator(each.rollover) for each in points if each.rollover}
+        self.accumulators: dict[str, Accumulator] = {
+            each.name: Accumulator(each.rollover) for each in points if each.rollover
+        }
         self._latest: dict[str, Any] = {}  # numbers
         computed = {each.name: each for each in points if each.formula}
         expressions = {name: parse_expression(point.formula) for name, point in computed.items()}

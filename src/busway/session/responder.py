@@ -270,7 +270,7 @@ class Forwarding:
         client = context.client
         self.peer: str = client.peer
         self.is_priority: bool = client.is_priority
-        self.asks = asks
+        self.asks: tuple[tuple[ForwardingTarget, ForwardedMessage], ...] = asks
         self.batches: dict[Any, None] = {}  # Any: batches are the gateway's
         self._context = context
         self._left = len(asks)

@@ -36,12 +36,12 @@ class AlarmMachine:
     def __init__(
         self, device: str, point: str, rule: AlarmRule, unit_of_measure: str = "", alarm: RaisedAlarm | None = None
     ) -> None:
-        self.device = device
-        self.point = point
+        self.device: str = device
+        self.point: str = point
         self.rule: AlarmRule = rule
-        self.unit_of_measure = unit_of_measure
+        self.unit_of_measure: str = unit_of_measure
         self.alarm: RaisedAlarm | None = alarm
-        self.reason = 0
+        self.reason: int = 0
         self._beyond_since: float | None = None
 
     @property
