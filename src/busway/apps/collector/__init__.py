@@ -1,4 +1,4 @@
-"""The collector: polls devices and keeps what they say.
+"""The collector: polls devices by a plan and stores their values as samples.
 
 ================  ==========================================================================================
 `cost`            what a read costs on the wire

@@ -1,4 +1,4 @@
-"""The admission test: whether a link can do what its devices are to be asked, told before it starts.
+"""The admission test: computes before the start whether a link can keep the poll periods of its devices.
 
 Pure: knows plans and periods; knows no clock and no socket.
 
@@ -21,7 +21,7 @@ MOST_LOAD: Final = 0.85
 
 @dataclass(frozen=True, slots=True)
 class LinkLoad:
-    """What a link is asked to do.
+    """The computed load of a link: how much of its time the polling of its devices takes.
 
     Attributes:
         link: its name.
@@ -37,12 +37,12 @@ class LinkLoad:
 
     @property
     def fits(self) -> bool:
-        """Whether every class keeps its period."""
+        """Whether every poll class of the link keeps its period."""
         return not self.problems
 
 
 def admit(link: str, devices: Iterable[tuple[str, PlanBook, Mapping[str, float]]], timeout: float) -> LinkLoad:
-    """Judge a link.
+    """Run the admission test for a link.
 
     Args:
         link: its name.
@@ -105,6 +105,6 @@ def _too_fast(
 
 
 def _rounded(value: float) -> str:
-    """Two digits, upwards."""
+    """A number as text, rounded up to two digits."""
     text = f"{value * 1.05:.2g}"
     return text if "e" not in text else f"{float(text):.0f}"

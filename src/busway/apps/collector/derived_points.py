@@ -1,4 +1,4 @@
-"""Points of one device that are more than what a reply says: totals, computed points, members that a count names.
+"""Derived points of one device: totals, computed points, and group members whose number the device tells.
 
 Pure: knows points and their latest readings; knows no request and no clock.
 
@@ -18,7 +18,7 @@ from .samples import NANOSECONDS, CounterState, PointGroup, SampleBatch
 
 
 class DerivedPoints:
-    """What is derived from the reads of one device.
+    """Computes the derived points of one device from its reads.
 
     Args:
         device: its name.
@@ -43,11 +43,11 @@ class DerivedPoints:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the device has no such points."""
+        """Whether the device has no derived points."""
         return not (self._accumulators or self._inputs or self._counted)
 
     def absent(self) -> list[Point]:
-        """The members of groups that are not there, as far as is known."""
+        """The group members that the device does not have, as far as known."""
         return [point for point in self._counted if not self._is_there(point)]
 
     def _is_there(self, point: Point) -> bool:
@@ -58,7 +58,7 @@ class DerivedPoints:
         return True
 
     def take(self, batch: SampleBatch) -> tuple[SampleBatch, bool]:
-        """Note the samples of a read; gives them with totals, and whether other members are there than before."""
+        """Add totals to the samples of a read. Returns them, and whether the number of group members has changed."""
         found = {
             name: Reading(value, reason)
             for name, value, reason in zip(batch.points, batch.values, batch.reason_column(), strict=True)
@@ -100,7 +100,7 @@ class DerivedPoints:
             self._touched |= set(points)
 
     def computed(self, time: int, half_width: int) -> SampleBatch | None:
-        """The samples of computed points at the end of a round; None where it read none of their inputs."""
+        """The samples of computed points at the end of a round; None if it read none of their inputs."""
         touched, self._touched = self._touched, set()
         if self._group is None or not any(inputs & touched for inputs in self._inputs.values()):
             return None

@@ -1,4 +1,4 @@
-"""What was learnt of devices: holes, limits of width, the base of their reads; as values, and as JSON text.
+"""What the collector has learnt about devices: refused ranges, largest reads and read costs; as values and as JSON.
 
 Pure: knows no clock, no socket and no file.
 
@@ -24,7 +24,7 @@ AGREEING: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class LearntHole:
-    """Items that a device refuses to read, or a border that it refuses to read across.
+    """A learnt range of items that a device refuses to read, or a border that no read may cross.
 
     Attributes:
         table: where.
@@ -41,7 +41,7 @@ class LearntHole:
 
     @property
     def is_border(self) -> bool:
-        """Whether it is a border."""
+        """Whether this is a border between two items, not a range."""
         return self.start == self.end
 
     def __str__(self) -> str:
@@ -54,7 +54,7 @@ class LearntHole:
 
 @dataclass(frozen=True, slots=True)
 class LearntLimit:
-    """The widest read that a device answers.
+    """The learnt size of the largest read that a device answers.
 
     Attributes:
         bits: whether it holds for bits; otherwise for registers.
@@ -74,7 +74,7 @@ class LearntLimit:
 
 @dataclass(frozen=True, slots=True)
 class DeviceKnowledge:
-    """What is known of one device.
+    """What was learnt about one device.
 
     Attributes:
         profile, firmware: what kind of device it is; empty for unknown.
@@ -90,15 +90,15 @@ class DeviceKnowledge:
     limits: tuple[LearntLimit, ...] = ()
 
     def limit(self, bits: bool) -> LearntLimit | None:
-        """The limit of reads of bits or of registers."""
+        """The learnt limit of reads of bits, or of registers; None without one."""
         return next((one for one in self.limits if one.bits is bits), None)
 
     def refuses(self, table: Table, start: int, end: int) -> bool:
-        """Whether a read of a range touches a hole."""
+        """Whether a read of a range would touch a learnt hole."""
         return any(one.table is table and one.start < end and start < one.end for one in self.holes)
 
     def knows(self, hole: LearntHole) -> bool:
-        """Whether it has this hole, or one around it."""
+        """Whether a hole, or a larger one around it, was learnt already."""
         return any(
             one.table is hole.table
             and one.start <= hole.start
@@ -108,20 +108,20 @@ class DeviceKnowledge:
         )
 
     def with_hole(self, hole: LearntHole) -> "DeviceKnowledge":
-        """The same and one hole more."""
+        """A copy with one more hole."""
         if self.knows(hole):
             return self
         return replace(self, holes=(*self.holes, hole))
 
     def with_limit(self, limit: LearntLimit) -> "DeviceKnowledge":
-        """The same with a limit in the place of the one it had; a pinned one stays."""
+        """A copy with another limit; a pinned limit stays."""
         known = self.limit(limit.bits)
         if known is not None and (known.pinned or known == limit):
             return self
         return replace(self, limits=(*(one for one in self.limits if one.bits is not limit.bits), limit))
 
     def pinned(self) -> "DeviceKnowledge":
-        """All that is known now, pinned."""
+        """A copy with everything pinned, so that it is not forgotten by itself."""
         return replace(
             self,
             holes=tuple(replace(one, pinned=True) for one in self.holes),
@@ -129,7 +129,7 @@ class DeviceKnowledge:
         )
 
     def forgotten(self, *, pinned: bool = False) -> "DeviceKnowledge":
-        """Only what is pinned; nothing at all where ``pinned`` is forgotten too."""
+        """A copy with only the pinned parts; an empty one if ``pinned`` parts are to be forgotten too."""
         return DeviceKnowledge(
             self.profile,
             self.firmware,
@@ -139,7 +139,7 @@ class DeviceKnowledge:
         )
 
     def lines(self) -> Iterator[str]:
-        """What is known, in sentences."""
+        """What was learnt, as sentences."""
         for hole in self.holes:
             yield f"{hole}{' (pinned)' if hole.pinned else ''}"
         for limit in self.limits:
@@ -149,7 +149,7 @@ class DeviceKnowledge:
 
 
 class Knowledge:
-    """What is known of all devices of a collector, by name."""
+    """What was learnt about all devices of a collector, by name."""
 
     def __init__(self, devices: Mapping[str, DeviceKnowledge] | None = None) -> None:
         self._devices = dict(devices or {})
@@ -158,7 +158,9 @@ class Knowledge:
         return iter(sorted(self._devices.items()))
 
     def of(self, name: str, profile: str = "", firmware: str = "") -> DeviceKnowledge:
-        """What is known of a device of this kind (rules 1 and 2)."""
+        """What is known about a device: learnt from itself, or from others of its profile and firmware (rules 1
+        and 2).
+        """
         known = self._devices.get(name)
         if known is None:
             return self.offered(profile, firmware)
@@ -167,7 +169,7 @@ class Knowledge:
         return known
 
     def set(self, name: str, known: DeviceKnowledge) -> None:
-        """Keep what is known of a device."""
+        """Replace what was learnt about a device."""
         self._devices[name] = known
 
     def pin(self, name: str) -> bool:
@@ -186,7 +188,9 @@ class Knowledge:
         return True
 
     def offered(self, profile: str, firmware: str) -> DeviceKnowledge:
-        """What at least two devices of a kind have learnt alike; nothing where the kind is not known."""
+        """What at least two devices with the same profile and firmware have learnt in common; empty if these are
+        unknown.
+        """
         empty = DeviceKnowledge(profile, firmware)
         if not profile or not firmware:
             return empty
@@ -205,19 +209,19 @@ class Knowledge:
         )
 
     def kinds(self) -> list[tuple[str, str]]:
-        """Profiles and firmware for which something is offered."""
+        """The pairs of profile and firmware for which `offered` has something."""
         found = {(one.profile, one.firmware) for one in self._devices.values()}
         return sorted(kind for kind in found if any((self.offered(*kind).holes, self.offered(*kind).limits)))
 
     def text(self) -> str:
-        """All of it as JSON."""
+        """Everything that was learnt, as JSON."""
         return json.dumps(
             {"version": VERSION, "devices": {name: _device_data(known) for name, known in self}}, indent=1
         )
 
 
 def read_knowledge(text: str, name: str) -> Knowledge:
-    """What `Knowledge.text` wrote.
+    """Parse the JSON that `Knowledge.text` wrote.
 
     Raises:
         ConfigError: the text is something else; names the file.

@@ -1,4 +1,4 @@
-"""Learning what reads of a device cost, and which it refuses.
+"""Learns from the reads of a device what they cost, and which ranges it refuses.
 
 Pure: knows reads and what became of them; knows no clock, no socket and no file.
 
@@ -58,7 +58,7 @@ _REFUSALS: Final = frozenset({ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.
 
 
 class CostLearner:
-    """The cost of reads of one device, learnt from reads that succeeded.
+    """Learns the cost of reads of one device from reads that succeeded.
 
     Args:
         assumed: the cost until enough is known.
@@ -91,12 +91,12 @@ class CostLearner:
 
     @property
     def is_settled(self) -> bool:
-        """Whether the cost counts as known."""
+        """Whether enough reads were seen for the cost to count as known."""
         return self.reads >= SETTLED_AFTER and len(self.widths) >= WIDTHS
 
     @property
     def cost(self) -> ReadCost:
-        """The cost as far as it is known."""
+        """The cost of reads as far as it was learnt."""
         if not self._seen:
             return self._assumed
         if not self._fixed:
@@ -110,7 +110,7 @@ class CostLearner:
         return self._assumed.with_base(max(base, 1e-6))
 
     def _network_cost(self, slope: float) -> ReadCost:
-        """The cost with a learnt price of a register, within what a line can have."""
+        """The cost with a learnt time per register, limited to what a serial line can have."""
         _, narrowest, _ = min(self._seen, key=lambda seen: seen[1])
         least = LEAST_BASE * median(seconds for _, width, seconds in self._seen if width == narrowest)
         base = median(seconds - slope * width for _, width, seconds in self._seen)
@@ -119,7 +119,7 @@ class CostLearner:
         return ReadCost(max(base, least, 1e-6), slope, slope / 16)
 
     def _slope(self) -> float | None:
-        """Seconds of a register, as the median slope between widths of registers; None while there are too few."""
+        """Seconds per register, the median over reads of different widths; None while there are too few."""
         by_width: dict[int, list[float]] = {}
         for table, width, seconds in self._seen:
             if not table.holds_bits:
@@ -132,7 +132,7 @@ class CostLearner:
 
 
 def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead]:
-    """Reads of at least three widths, where the items allow it, that touch nothing that ``reads`` do not touch.
+    """Reads of at least three widths for measuring, if possible, within the ranges that ``reads`` touch.
 
     They are the widest of ``reads``, about half of it, and its narrowest item.
     """
@@ -150,14 +150,14 @@ def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead
 
 
 def read_of(table: Table, items: Sequence[Any], cost: ReadCost) -> PlannedRead:  # Any: the caller's kind of ReadItem
-    """One read that brings some items, which is as wide as they are."""
+    """One read that covers some items and no more."""
     start = min(one.start for one in items)
     width = max(one.start + one.width for one in items) - start
     return PlannedRead(table, start, width, tuple(items), cost.of(table, width))
 
 
 class ReadOutcome(Enum):
-    """What became of a read, as far as it teaches something about the device's map."""
+    """Kinds of results of a read, as far as they tell something about the device's address map."""
 
     SUCCESS = "success"
     REFUSED = "refused"
@@ -166,7 +166,7 @@ class ReadOutcome(Enum):
 
 
 def outcome_of(code: int | None, *, silent: bool = False) -> ReadOutcome:
-    """The outcome of a read that failed with an exception code, or without one."""
+    """The kind of result for a failed read with an exception code, or without one."""
     if code is not None:
         return ReadOutcome.REFUSED if code in _REFUSALS else ReadOutcome.OTHER
     return ReadOutcome.SILENCE if silent else ReadOutcome.OTHER
@@ -174,7 +174,7 @@ def outcome_of(code: int | None, *, silent: bool = False) -> ReadOutcome:
 
 @dataclass(slots=True)
 class _Part:
-    """A read that was refused, and what is known of its halves.
+    """A refused read, and what is known about its two halves.
 
     Attributes:
         read: it.
@@ -197,7 +197,7 @@ class _Purpose(Enum):
 
 @dataclass(slots=True)
 class _Question:
-    """A read that is asked to learn."""
+    """A read that is made only to learn from its result."""
 
     purpose: _Purpose
     read: PlannedRead
@@ -207,14 +207,14 @@ class _Question:
 
 @dataclass(slots=True)
 class _Wait:
-    """Refusals of a read to pass over before its parts are asked again: ``left`` now, and ``next`` time."""
+    """Number of refusals of a read to ignore before its parts are tried again: ``left`` now, and ``next`` time."""
 
     left: int = 0
     next: int = 4
 
 
 class MapLearner:
-    """Which reads one device refuses, and why.
+    """Learns which reads one device refuses, and why, by trying parts of refused reads.
 
     Args:
         knowledge: what is known of the device already; what is learnt is added.
@@ -243,15 +243,15 @@ class MapLearner:
 
     @property
     def is_asking(self) -> bool:
-        """Whether it has a question."""
+        """Whether a read for learning waits to be made."""
         return bool(self._questions)
 
     def question(self) -> PlannedRead | None:
-        """The next read to make at low priority, or None."""
+        """The next read for learning, to be made at low priority, or None."""
         return self._questions[0].read if self._questions else None
 
     def observe(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Note what became of a read that was made for its values.
+        """Note the result of a read that was made for its values.
 
         Args:
             read: it.
@@ -277,7 +277,7 @@ class MapLearner:
                 self._ask_control(read)
 
     def answered(self, outcome: ReadOutcome, code: int = 0) -> bool:
-        """Note what became of the question; says whether something was learnt that changes plans."""
+        """Note the result of a read for learning. Returns whether something was learnt that changes plans."""
         question = self._questions[0]
         self.asked += 1
         self._left -= 1
@@ -312,7 +312,7 @@ class MapLearner:
         self._split(read)
 
     def _give_up(self) -> None:
-        """A refusal that does not happen again when its parts are asked: wait for twice as many before asking anew."""
+        """Note that the parts of a refused read were not refused: ignore twice as many refusals before trying again."""
         self.inconclusive += 1
         assert self._cause is not None
         wait = self._waits.setdefault((self._cause.table, self._cause.start, self._cause.width), _Wait())
@@ -320,7 +320,7 @@ class MapLearner:
         wait.next = min(2 * wait.next, MOST_IGNORED)
 
     def _ask_control(self, read: PlannedRead) -> None:
-        """Ask whether the device answers at all: by its cheapest read, or by the narrowest item of the silent one."""
+        """Test whether the device answers at all, by its cheapest read or the narrowest item of the silent one."""
         control = self._narrowest
         if control is None or control.width >= read.width:
             control = read_of(read.table, [min(read.items, key=lambda one: one.width)], self._cost)
@@ -330,7 +330,7 @@ class MapLearner:
         self._questions.append(_Question(_Purpose.CONTROL, control))
 
     def _split(self, read: PlannedRead) -> None:
-        """Ask for the halves of a refused read, or for its one item alone."""
+        """Try the halves of a refused read, or its only item."""
         bundles = _bundles(read.items)
         if len(bundles) == 1:
             self._questions.append(_Question(_Purpose.ITEM, read_of(read.table, bundles[0], self._cost)))
@@ -379,7 +379,7 @@ class MapLearner:
             self._split(read)
 
     def _both_good(self, part: _Part) -> None:
-        """A read was refused whose halves succeed (rule 5)."""
+        """Handle a refused read whose halves succeed (rule 5)."""
         left, right = part.halves
         across = read_of(part.read.table, [*_bundles(left.items)[-1], *_bundles(right.items)[0]], self._cost)
         if across.width < part.read.width:
@@ -418,7 +418,7 @@ class MapLearner:
         self._ask_width(self._cause)
 
     def _ask_width(self, read: PlannedRead) -> None:
-        """Ask for the run of items whose width is nearest to the middle between a good and a bad width."""
+        """Try a run of items whose width is halfway between an accepted and a refused width."""
         limit = self.knowledge.limit(read.table.holds_bits)
         if limit is None or limit.bad - limit.good < 2 or any(one.purpose is _Purpose.WIDTH for one in self._questions):
             return
@@ -439,7 +439,7 @@ class MapLearner:
 
 
 def _bundles(items: Sequence[Any]) -> list[list[Any]]:
-    """Items that cannot be parted, in order: atomic groups, and items that overlap."""
+    """Items grouped so that no read may separate a group: atomic groups, and overlapping items."""
     found: list[list[Any]] = []
     end = -1
     for one in sorted(items, key=lambda each: (each.start, -each.width)):
@@ -453,7 +453,9 @@ def _bundles(items: Sequence[Any]) -> list[list[Any]]:
 
 
 def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
-    """The runs of items from the first item of a read on, and from the last one back, with their widths."""
+    """The runs of items that start at the first item of a read, and those that end at the last one, with their
+    widths.
+    """
     bundles = _bundles(read.items)
     for at in range(1, len(bundles)):
         for part in (bundles[:at], bundles[at:]):
@@ -462,7 +464,7 @@ def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
 
 
 def with_knowledge(rules: ReadRules, knowledge: DeviceKnowledge) -> ReadRules:
-    """The rules of a device, and what was learnt of it."""
+    """The read rules of a device, tightened by what was learnt about it."""
     forbidden = {table: list(spans) for table, spans in rules.forbidden.items()}
     borders = {table: set(places) for table, places in rules.borders.items()}
     for hole in knowledge.holes:

@@ -1,4 +1,4 @@
-"""The read plan: the cheapest set of reads that fetches all wanted values of a device.
+"""The read plan: computes the cheapest set of reads that fetches all wanted points of a device.
 
 Knows items, what a device allows, and what a read costs; knows no clock, no socket and no value.
 
@@ -41,28 +41,28 @@ __all__ = [
 
 
 class ReadItem(Protocol):
-    """The place of one value; a point is one."""
+    """Interface of something to read with its position, such as a point."""
 
     @property
     def table(self) -> Table:
-        """The table it stands in."""
+        """Table that the item is in."""
 
     @property
     def start(self) -> int:
-        """Its first register or bit, 0-based."""
+        """First register or bit of the item, 0-based."""
 
     @property
     def width(self) -> int:
-        """Registers or bits that it takes, 1 or more."""
+        """Number of registers or bits of the item, 1 or more."""
 
     @property
     def group(self) -> Hashable | None:
-        """The atomic group that it is read with, or None."""
+        """The atomic group that must be read in one request, or None."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlainItem:
-    """An item without anything else.
+    """An item to read that has a position only.
 
     Attributes:
         table: the table it stands in.
@@ -81,7 +81,7 @@ class PlainItem:
 
 @dataclass(frozen=True, slots=True)
 class PlannedRead:
-    """One read.
+    """One read of a plan: its range and the items it fetches.
 
     Attributes:
         table, start, width: what it asks for.
@@ -97,13 +97,13 @@ class PlannedRead:
 
     @property
     def end(self) -> int:
-        """The offset after its last item."""
+        """The offset after the last item of the read."""
         return self.start + self.width
 
 
 @dataclass(frozen=True, slots=True)
 class Unreadable:
-    """An item that no read may bring, and why, as a sentence without its name."""
+    """An item that no allowed read can fetch, and the reason as a sentence."""
 
     item: Any  # the caller's own kind of ReadItem
     reason: str
@@ -111,7 +111,7 @@ class Unreadable:
 
 @dataclass(frozen=True, slots=True)
 class DevicePlan:
-    """The reads of a device.
+    """The read plan of a device.
 
     Attributes:
         reads: in the order of tables and places.
@@ -127,7 +127,7 @@ class DevicePlan:
 def plan_reads(
     wanted: Iterable[ReadItem], rules: ReadRules, cost: ReadCost, *, others: Iterable[ReadItem] = ()
 ) -> DevicePlan:
-    """The cheapest reads for some items.
+    """Compute the cheapest reads for some items.
 
     Args:
         wanted: what is due; in any order.
@@ -151,12 +151,12 @@ def plan_reads(
 
 
 def predicted(reads: Iterable[PlannedRead], cost: ReadCost) -> float:
-    """Seconds that reads take at another cost than that of their plan."""
+    """Seconds that reads will take, by another cost than that of their plan."""
     return sum(cost.of(read.table, read.width) for read in reads)
 
 
 def undeclared(read: PlannedRead, known: Iterable[ReadItem], rules: ReadRules) -> list[ItemRange]:
-    """What a read touches that belongs to no known item and lies in no readable range."""
+    """The parts of a read that belong to no known item and to no readable range."""
     declared = [
         ItemRange(each.start, each.start + each.width) for each in known if each.width and each.table is read.table
     ]
@@ -175,7 +175,9 @@ def undeclared(read: PlannedRead, known: Iterable[ReadItem], rules: ReadRules) -
 
 
 class _Block(NamedTuple):
-    """Items that are read together: one, or an atomic group. A tuple, because a plan makes tens of thousands."""
+    """Items that one read must fetch together: one item, or an atomic group. A tuple, because a plan makes tens of
+    thousands.
+    """
 
     start: int
     end: int
@@ -200,7 +202,7 @@ def _by_table(items: Iterable[ReadItem]) -> dict[Table, list[ReadItem]]:
 
 
 def _blocks(items: list[ReadItem]) -> list[_Block]:
-    """Items with their groups put together, by their starts, wider ones first."""
+    """Items combined into blocks by their groups, sorted by start, wider ones first."""
     blocks: list[_Block] = []
     groups: dict[Hashable, list[ReadItem]] = {}
     for item in items:
@@ -218,7 +220,7 @@ def _blocks(items: list[ReadItem]) -> list[_Block]:
 
 
 def _in_order(blocks: list[_Block]) -> list[_Block]:
-    """By start, wider ones first."""
+    """Blocks sorted by start, wider ones first."""
     blocks.sort(key=_END, reverse=True)
     blocks.sort(key=_START)
     return blocks
@@ -252,7 +254,7 @@ def _plan_table(
 
 
 class _Borders:
-    """Where reads of a table have to stop."""
+    """The places in a table that no read may cross."""
 
     def __init__(self, table: Table, rules: ReadRules) -> None:
         self._label = table.label
@@ -264,7 +266,7 @@ class _Borders:
         self._borders = sorted(rules.borders.get(table, ()))
 
     def place_of(self, block: _Block) -> tuple[_Place | None, str]:
-        """What is read for a block, or None and the reason why nothing may be."""
+        """The range to read for a block; or None and the reason why reading it is not allowed."""
         start, end, items = block
         if self._exact is not None:
             found = self._exact.touched(start, end)
@@ -287,7 +289,7 @@ class _Borders:
         return (start, end), ""
 
     def cut_between(self, left: _Place, right: _Place) -> bool:
-        """Whether no read may bring both of two neighbours."""
+        """Whether no single read may fetch two neighbouring blocks."""
         end, start = left[1], right[0]
         has_hole = start > end
         if self._exact is not None and (
@@ -319,7 +321,7 @@ def _is_gapless(block: _Block) -> bool:
 
 
 class _Ranges:
-    """Ranges that can be asked which of them a place touches; those that overlap count as one."""
+    """Sorted ranges, searched for one that overlaps a given range; overlapping ones count as one."""
 
     def __init__(self, spans: Sequence[ItemRange]) -> None:
         self._spans: list[ItemRange] = []
@@ -331,7 +333,7 @@ class _Ranges:
         self._starts = [span.start for span in self._spans]
 
     def touched(self, start: int, end: int) -> ItemRange | None:
-        """The last of the ranges that shares an item with ``start``…``end``."""
+        """The last of the ranges that overlaps ``start``…``end``."""
         at = bisect_left(self._starts, end) - 1
         if at >= 0 and self._spans[at].end > start:
             return self._spans[at]
@@ -343,7 +345,7 @@ def _ranges(spans: Sequence[ItemRange]) -> _Ranges | None:
 
 
 def _without_inner(places: list[_Place]) -> list[_Place]:
-    """Places by their starts, without those that lie inside another; then their ends are in order too."""
+    """Ranges sorted by start, without those inside another one, so that their ends are sorted too."""
     places.sort(key=_END, reverse=True)
     places.sort(key=_START)
     kept: list[_Place] = []
@@ -356,7 +358,7 @@ def _without_inner(places: list[_Place]) -> list[_Place]:
 
 
 def _cheapest(places: list[_Place], border: _Borders, limit: int, base: float, per_item: float) -> list[_Place]:
-    """The cheapest reads of places in order: each stretch between two cuts is planned by itself."""
+    """The cheapest reads for sorted ranges: each stretch between two borders is planned by itself."""
     chosen: list[_Place] = []
     begin = 0
     for at in range(1, len(places) + 1):
@@ -367,7 +369,7 @@ def _cheapest(places: list[_Place], border: _Borders, limit: int, base: float, p
 
 
 def _shortest_path(places: list[_Place], limit: int, base: float, per_item: float) -> list[_Place]:
-    """The cheapest runs of places, none wider than ``limit`` (rule 5)."""
+    """The cheapest division of sorted ranges into reads, none wider than ``limit`` (rule 5)."""
     if len(places) == 1:
         return places
     origin = places[0][0]  # small numbers keep all digits
@@ -395,13 +397,13 @@ def _shortest_path(places: list[_Place], limit: int, base: float, per_item: floa
 
 
 def _one_each(table: Table, blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """A read for each place, with the items of that place."""
+    """One read for each range, with the items in it."""
     same = groupby(blocks, key=lambda block: (block.start, block.end))
     return [_read(table, start, end, list(each), cost) for (start, end), each in same]
 
 
 def _with_items(table: Table, places: list[_Place], blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """Reads with the items that they bring, each in the first read that covers it."""
+    """Reads for ranges, each item assigned to the first read that covers it."""
     starts = [block[0] for block in blocks]
     taken = bytearray(len(blocks))
     reads: list[PlannedRead] = []

@@ -1,4 +1,4 @@
-"""The read plans of one device, by the classes that are due, and when they are made anew.
+"""Cache of the read plans of one device, by the poll classes that are due, renewed when costs or rules change.
 
 Pure: knows items, rules and what is learnt; knows no clock and no socket.
 
@@ -29,7 +29,7 @@ Classes = frozenset[str]
 
 
 class PlanBook:
-    """The plans of one device.
+    """The cached read plans of one device.
 
     Args:
         items: by class, the points that it polls.
@@ -71,17 +71,17 @@ class PlanBook:
 
     @property
     def cost(self) -> ReadCost:
-        """What reads cost, as far as it is known."""
+        """The cost of reads of the device, as far as known."""
         return self._learner.cost
 
     @property
     def classes(self) -> Classes:
-        """The classes that have points."""
+        """The poll classes that have points."""
         return frozenset(name for name, items in self._items.items() if items)
 
     @property
     def knowledge(self) -> DeviceKnowledge:
-        """What is known of the device, to be kept; with the base once that counts as known."""
+        """What was learnt about the device, to be saved; with the base cost once it is settled."""
         known = self._map.knowledge
         if not self._learner.is_settled:
             return known
@@ -91,15 +91,15 @@ class PlanBook:
 
     @property
     def rules(self) -> ReadRules:
-        """What the device allows, with what was learnt."""
+        """The read rules of the device, tightened by what was learnt."""
         return with_knowledge(self._rules, self._map.knowledge)
 
     def points(self) -> list[Any]:  # the caller's kind of ReadItem
-        """All points, each once."""
+        """All points of the device, each once."""
         return list(self._all)
 
     def plan_for(self, classes: Classes) -> DevicePlan:
-        """The reads for the points of some classes."""
+        """The read plan for the points of some poll classes."""
         plan = self._plans.get(classes)
         if plan is None:
             if len(self._plans) >= MOST_PLANS:
@@ -108,13 +108,13 @@ class PlanBook:
         return plan
 
     def set_class(self, name: str, items: Sequence[ReadItem]) -> None:
-        """Give a class other points; none removes it."""
+        """Replace the points of a poll class; an empty list removes it."""
         self._items[name] = list(items)
         self._plans.clear()
         self.made = 0
 
     def set_absent(self, items: Iterable[ReadItem]) -> None:
-        """Leave out points that the device does not have now."""
+        """Exclude points that the device does not have at present."""
         absent = frozenset(id(one) for one in items)
         if absent != self._absent:
             self._absent = absent
@@ -133,7 +133,7 @@ class PlanBook:
 
     @property
     def cheapest(self) -> PlannedRead | None:
-        """The cheapest read that has succeeded, or else that of the narrowest point; None without points."""
+        """The cheapest read that has succeeded, or else one of the narrowest point; None without points."""
         if self._cheapest is None:
             plan = plan_reads(self._present(self._all), self.rules, self._cost)
             narrowest = min(
@@ -158,11 +158,11 @@ class PlanBook:
             self._look_at_cost()
 
     def failed(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Note a read that failed, with its exception code where there is one."""
+        """Note a failed read, with its exception code if there is one."""
         self._map.observe(read, outcome, code)
 
     def _look_at_cost(self) -> None:
-        """Make plans anew where that is worth it (rule 3)."""
+        """Drop cached plans if the learnt cost has changed enough (rule 3)."""
         settled = self._learner.is_settled
         cost = self._learner.cost
         first, self._is_settled = settled and not self._is_settled, settled
@@ -179,11 +179,11 @@ class PlanBook:
 
     @property
     def may_ask(self) -> bool:
-        """Whether `question` may give a read now."""
+        """Whether `question` may return a read now."""
         return self._probes is None or bool(self._probes) or self._map.is_asking
 
     def question(self) -> PlannedRead | None:
-        """A read to make at low priority, or None."""
+        """The next read for learning, to be made at low priority, or None."""
         asked = self._map.question()
         if asked is not None:
             return asked
@@ -200,7 +200,7 @@ class PlanBook:
         return not (self._rules.exact or self._rules.one_point)
 
     def answered(self, read: PlannedRead, outcome: ReadOutcome, seconds: float, code: int = 0) -> bool:
-        """Note what became of a read that `question` gave; says whether holes or limits were learnt."""
+        """Note the result of a read from `question`. Returns whether holes or limits were learnt."""
         if read is self._probe:
             self._probe = None
             if outcome is ReadOutcome.SUCCESS:
@@ -218,11 +218,11 @@ class PlanBook:
         return learnt
 
     def forget(self, known: DeviceKnowledge) -> None:
-        """Begin anew with what is known by now: what was learnt is forgotten or pinned."""
+        """Start again with the given knowledge, after some was forgotten or pinned."""
         self._map = MapLearner(known, self._cost)
         self._plans.clear()
 
 
 def _once(items: Iterable[ReadItem]) -> list[ReadItem]:
-    """Items, each object once, in their order."""
+    """The items without duplicate objects, in order."""
     return list({id(one): one for one in items}.values())

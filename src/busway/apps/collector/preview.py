@@ -1,4 +1,4 @@
-"""What a collector would do, told before it does it: reads, load of each link, undeclared registers, what is learnt.
+"""Preview of a collector without traffic: its reads, the load of each link, undeclared registers, and what was learnt.
 
 Knows plans; sends nothing.
 """
@@ -15,7 +15,7 @@ from .plan import PlannedRead, undeclared
 
 @dataclass(frozen=True, slots=True)
 class PreviewedRead:
-    """One read that a device would be asked for.
+    """One read that a device would get.
 
     Attributes:
         device, poll_class: whose, and of which class.
@@ -37,7 +37,7 @@ class PreviewedRead:
 
 @dataclass(frozen=True, slots=True)
 class CollectorPreview:
-    """What a collector would do.
+    """The preview of a whole collector.
 
     Attributes:
         reads: by device and class.
@@ -53,7 +53,7 @@ class CollectorPreview:
 
 
 def preview(configuration: CollectorConfiguration, knowledge: Knowledge) -> CollectorPreview:
-    """What a collector would do with what is known of its devices."""
+    """Compute what a collector would do, given what was learnt about its devices."""
     reads: list[PreviewedRead] = []
     unreadable: list[tuple[str, str, str]] = []
     learnt: list[tuple[str, str]] = []

@@ -1,4 +1,4 @@
-"""The clock of samples: one that never runs back, near the wall clock of the system.
+"""The clock for times of samples: follows the system's wall clock, but never runs backwards.
 
 Pure: knows readings of two clocks; reads none itself.
 
@@ -20,7 +20,7 @@ TOLERANCE: Final = NANOSECONDS // 2
 
 
 class SampleClock:
-    """Turns monotonic times into nanoseconds since 1970.
+    """Converts monotonic times into nanoseconds since 1970.
 
     Args:
         monotonic: seconds of the monotonic clock, now.
@@ -35,7 +35,7 @@ class SampleClock:
 
     @property
     def is_right(self) -> bool:
-        """Whether the time is known to be right."""
+        """Whether the time is known to be correct."""
         return self._wall_is_right and self._behind <= TOLERANCE
 
     def adjust(self, monotonic: float, wall: int) -> None:
@@ -56,5 +56,5 @@ class SampleClock:
         return time + self._made_up(monotonic) if self._behind else time
 
     def _made_up(self, monotonic: float) -> int:
-        """By how much the offset has fallen since the last `adjust`, at half speed: 0 or less."""
+        """The part of a fallen offset that was caught up since the last `adjust`, at half speed: 0 or less."""
         return -min(self._behind, max(0, int((monotonic - self._since) * NANOSECONDS)) // 2)

@@ -1,4 +1,4 @@
-"""Samples: what a point was at a time, how sure that is, and why it is not sure.
+"""Samples: the value of a point at a time, its quality, and the reason if it is not good.
 
 Pure: knows no clock, file or socket. The poller makes these, the store keeps them, sinks hand them on.
 
@@ -48,7 +48,7 @@ NANOSECONDS: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What one point was at one time.
+    """The value of one point at one time, with its quality.
 
     Attributes:
         device: name of the device.
@@ -72,7 +72,7 @@ class Sample:
 
     @property
     def quality(self) -> Quality:
-        """How sure the value is."""
+        """The quality of the sample's value."""
         return quality_of(self.reason)
 
 
@@ -96,7 +96,7 @@ class PointGroup:
 
 @dataclass(frozen=True, slots=True)
 class CounterState:
-    """How far an accumulator is: what a total needs to go on after a restart.
+    """State of an accumulator, from which its total continues after a restart.
 
     Attributes:
         point: name of the point.
@@ -111,7 +111,7 @@ class CounterState:
 
 @dataclass(frozen=True, slots=True)
 class SampleBatch:
-    """The samples of one read, in columns.
+    """The samples of one read, stored as columns.
 
     Attributes:
         group: device and points.
@@ -150,7 +150,7 @@ class SampleBatch:
         return len(self.group.points)
 
     def reason_column(self) -> Sequence[int]:
-        """One reason for each point."""
+        """The reason code of each point."""
         return (self.reasons,) * len(self) if isinstance(self.reasons, int) else self.reasons
 
     def __iter__(self) -> Iterator[Sample]:
@@ -167,7 +167,7 @@ def failed_batch(group: PointGroup, time: int, half_width: int, reason: int) -> 
 
 @dataclass(frozen=True, slots=True)
 class StateInterval:
-    """Time in which a device was not read, and why; it stands for the samples of all its points.
+    """A period in which a device was not read, and why; it stands for samples of all its points.
 
     Attributes:
         device: name of the device.
@@ -187,7 +187,7 @@ class StateInterval:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Time in which samples of all devices are missing, and why.
+    """A period in which the samples of all devices are missing, and why.
 
     Attributes:
         begin: first nanosecond, since 1970 UTC.
@@ -214,7 +214,7 @@ def _check_interval(begin: int, end: int | None, reason: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class PointDescription:
-    """What the store and sinks know of a point beside its samples.
+    """Properties of a point that the store and sinks know beside its samples.
 
     Attributes:
         device: name of the device.

@@ -1,4 +1,4 @@
-"""The schedule of one link: which read is next, and when.
+"""The schedule of one link: decides which read is made next, and when.
 
 Pure: every call is handed the time; knows no clock and no socket. A driver asks `LinkSchedule.next`, makes the reads of
 the turn that it gets, and tells `LinkSchedule.done`.
@@ -46,7 +46,7 @@ LEASED: Final = "(leased)"
 
 
 class TurnKind(Enum):
-    """Why something is asked."""
+    """Reasons for a request in the schedule: a write, a polling round, a probe, or a read for learning."""
 
     WRITE = "write"
     ROUND = "round"
@@ -55,7 +55,7 @@ class TurnKind(Enum):
 
 
 class TurnOutcome(Enum):
-    """What became of a turn, as far as the schedule has to know."""
+    """Results of a request, as far as the schedule needs them."""
 
     ANSWERED = "answered"  # also by an exception: the device lives
     SILENT = "silent"
@@ -64,7 +64,7 @@ class TurnOutcome(Enum):
 
 @dataclass(slots=True)
 class PollRound:
-    """One round of a device.
+    """One polling round of a device: the due poll classes and their reads.
 
     Attributes:
         device: its name.
@@ -88,13 +88,13 @@ class PollRound:
 
     @property
     def rank(self) -> int:
-        """Leased points go before classes."""
+        """Order among rounds: leased points go before poll classes."""
         return 0 if LEASED in self.classes else 1
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """What to do next on a link.
+    """The next request to make on a link.
 
     Attributes:
         kind: why.
@@ -113,7 +113,7 @@ class Turn:
 
 @dataclass(slots=True)
 class ScheduledDevice:
-    """A device of a link, and how it fares.
+    """A device in the schedule of a link, with its due times and whether it answers.
 
     Attributes:
         name: its name.
@@ -158,12 +158,12 @@ class ScheduledDevice:
 
     @property
     def shortest(self) -> float:
-        """The shortest period."""
+        """The shortest poll period of the device, in seconds."""
         return min(self.periods.values())
 
 
 class LinkSchedule:
-    """The schedule of one link.
+    """The schedule of all devices on one link.
 
     Args:
         timeout: seconds that a silent read takes.
@@ -200,7 +200,7 @@ class LinkSchedule:
     # Devices and what is asked of them.
 
     def add(self, name: str, book: PlanBook, periods: Mapping[str, float], now: float) -> None:
-        """Poll a device from now on: ``periods`` are seconds by class; classes without points are left out."""
+        """Start to poll a device: ``periods`` are seconds by poll class; classes without points are left out."""
         known = {name: period for name, period in periods.items() if name in book.classes}
         if not known:
             return
@@ -211,7 +211,7 @@ class LinkSchedule:
             self._asking.append(name)
 
     def _first_dues(self, book: PlanBook, periods: Mapping[str, float], now: float) -> dict[str, float]:
-        """Due times on grids: the fastest class behind those of the devices before, slower ones on its due times."""
+        """First due times: the fastest class after those of earlier devices, slower classes on its due times."""
         shortest = min(periods.values())
         first = now + self._placed % shortest
         for name, period in periods.items():
@@ -221,13 +221,13 @@ class LinkSchedule:
         return {name: first + int(step * int(period / shortest + 1e-9)) * shortest for name, period in periods.items()}
 
     def remove(self, name: str) -> None:
-        """Stop polling a device; a read that has begun still ends."""
+        """Stop polling a device; a read in progress still ends."""
         self.devices.pop(name, None)
         self._ready = [each for each in self._ready if each[3].device != name]
         heapq.heapify(self._ready)
 
     def pause(self, name: str, *, paused: bool, now: float) -> None:
-        """Leave a device alone, or poll it again."""
+        """Stop polling a device, or resume it."""
         device = self.devices[name]
         if device.is_paused is paused:
             return
@@ -238,7 +238,7 @@ class LinkSchedule:
             self._resume(device, now, at_once=True)
 
     def write(self, device: str, what: Any) -> bool:  # Any: the caller's own
-        """Queue a write; False where too many wait."""
+        """Queue a write to a device; False if too many wait."""
         if len(self._writes) >= MOST_WRITES:
             self.refused_writes += 1
             return False
@@ -246,13 +246,13 @@ class LinkSchedule:
         return True
 
     def take_writes(self) -> list[Any]:  # Any: the caller's own
-        """Take out all writes that wait: polling ends."""
+        """Remove and return all waiting writes, because polling ends."""
         waiting = [what for _, what in self._writes]
         self._writes.clear()
         return waiting
 
     def lease(self, name: str, items: Sequence[Any], period: float, until: float, now: float) -> None:
-        """Read some points of a device every ``period`` seconds until a time, before the classes."""
+        """Read some points of a device every ``period`` seconds until a time, with priority over the poll classes."""
         device = self.devices[name]
         device.book.set_class(LEASED, items)
         device.periods[LEASED] = period
@@ -264,7 +264,9 @@ class LinkSchedule:
     # What is next.
 
     def next(self, now: float) -> Turn | float:
-        """What to do now, or the time to ask again at the latest; a write or lease may come before it."""
+        """The next request to make now, or the time to ask again at the latest; a new write or lease may come
+        earlier.
+        """
         self._credit_until(now)
         self._release_due(now)
         if self._writes:
@@ -308,7 +310,7 @@ class LinkSchedule:
                 self._release(device, now)
 
     def _release(self, device: ScheduledDevice, now: float) -> None:
-        """Begin a round with the classes that are due, or add them to the one that waits (rules 2 and 3)."""
+        """Begin a round with the due poll classes, or add them to the waiting one (rules 2 and 3)."""
         if LEASED in device.periods and now >= device.leased_until:
             del device.periods[LEASED], device.due[LEASED]
             device.book.set_class(LEASED, ())
@@ -358,7 +360,7 @@ class LinkSchedule:
     # What became of it.
 
     def done(self, turn: Turn, began: float, now: float, outcome: TurnOutcome) -> None:
-        """Note the end of a turn: when it began and ended, and whether the device answered."""
+        """Note the end of a request: when it began and ended, and whether the device answered."""
         self.busy += now - began
         device = self.devices.get(turn.device)
         if device is None:
@@ -397,7 +399,7 @@ class LinkSchedule:
                 self._push_silent(other)
 
     def _resume(self, device: ScheduledDevice, now: float, *, at_once: bool) -> None:
-        """Poll a device that lives, on its grid, and ``at_once`` before; one that is silent is probed first."""
+        """Poll a responding device at its due times, and ``at_once`` before them; a silent one is probed first."""
         if not device.lives:
             device.probe_at = now
             self._push_silent(device)
@@ -449,7 +451,7 @@ class LinkSchedule:
         return None
 
     def _first_contact(self) -> Turn | None:
-        """Ask a device that was never asked before: while nothing is due, or as the share allows."""
+        """A request to a device that was never asked before, if nothing is due or its share of time allows it."""
         for _ in range(len(self._new)):
             device = self.devices.get(self._new.popleft())
             if device is None or device.lives is not None:
@@ -474,7 +476,7 @@ class LinkSchedule:
         return None if read is None else Turn(TurnKind.PROBE, device.name, (read,))
 
     def _question(self, now: float) -> Turn | None:
-        """The next question of learning: one for each device in its shortest period."""
+        """The next read for learning: at most one per device in its shortest period."""
         for _ in range(len(self._asking)):
             device = self.devices.get(self._asking[0])
             if device is None:
@@ -502,7 +504,9 @@ class LinkSchedule:
 
     @property
     def blocking(self) -> float:
-        """Seconds for which others may hold the link before a round begins: the longest read and one timeout."""
+        """Seconds for which other requests may occupy the link before a round begins: the longest read and one
+        timeout.
+        """
         longest = (
             read.seconds
             for device in self.devices.values()
@@ -512,18 +516,18 @@ class LinkSchedule:
 
     @property
     def revival_bound(self) -> float:
-        """Seconds within which a silent device that answers again is polled, while the link is not overloaded."""
+        """Seconds within which a device that answers again is polled, unless the link is overloaded."""
         silent = sum(not device.lives for device in self.devices.values())
         return LONGEST_BACKOFF + (silent + 1) * self.timeout / self._share + self.blocking
 
 
 def lateness_bound(period: float, blocking: float) -> float:
-    """Seconds that a round of a class may wait for others where the admission test passed."""
+    """Seconds that a round may be late because of others, if the admission test has passed."""
     return max(SLACK * period, blocking)
 
 
 def _next_on_grid(due: float, period: float, now: float) -> float:
-    """The first due time after now, and after ``due``, on the grid of ``due``."""
+    """The first due time after now and after ``due``, a whole number of periods after ``due``."""
     following = due + period
     if following > now:
         return following

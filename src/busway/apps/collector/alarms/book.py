@@ -1,4 +1,4 @@
-"""The alarms of all points: which samples concern which limits.
+"""The alarms of all points of a collector, and which samples concern which of them.
 
 Pure: knows devices, points and samples; knows no store and no clock.
 
@@ -31,7 +31,7 @@ class AlarmBook:
     def configure(
         self, devices: Mapping[str, Sequence[Point]], at: int, raised: Mapping[AlarmKey, RaisedAlarm] | None = None
     ) -> list[AlarmEvent]:
-        """Have the alarms that the points say.
+        """Set up the alarms that the points declare, keeping the state of those that continue. Returns their events.
 
         Args:
             devices: the points of each device.
@@ -61,7 +61,9 @@ class AlarmBook:
         return [AlarmEvent(*alarm.key, AlarmEventKind.REMOVED, at, text=alarm.text) for alarm in alarms.values()]
 
     def take(self, batch: SampleBatch, now: float) -> Sequence[AlarmEvent]:
-        """What the samples of a read mean; ``now`` is the monotonic time of their middle, in seconds."""
+        """The alarm events that follow from the samples of a read; ``now`` is the monotonic time of its middle, in
+        seconds.
+        """
         group = batch.group
         if group.device not in self._devices:
             return ()
@@ -86,6 +88,6 @@ class AlarmBook:
         return tuple((place, tuple(by_point[point])) for place, point in enumerate(group.points) if point in by_point)
 
     def acknowledge(self, key: AlarmKey, by: str, at: int) -> AlarmEvent | None:
-        """Acknowledge an alarm; None where there is nothing to acknowledge."""
+        """Acknowledge an alarm; None if it needs no acknowledgement."""
         machine = self.machines.get(key)
         return None if machine is None else machine.acknowledge(by, at)

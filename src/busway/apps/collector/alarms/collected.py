@@ -1,4 +1,4 @@
-"""The alarms of a running collector: what programs and the page use.
+"""The alarms of a running collector, as programs and the page use them.
 
 Knows the book, the committer and asyncio; for the thread of the event loop.
 
@@ -30,7 +30,7 @@ ACKNOWLEDGE_WITHIN: Final = 5.0
 
 
 class _EventReader:
-    """One reader of events."""
+    """One consumer of alarm events, with its queue."""
 
     def __init__(self) -> None:
         self.waiting: deque[AlarmEvent] = deque(maxlen=MOST_WAITING)
@@ -72,29 +72,29 @@ class CollectorAlarms:
     # What programs use.
 
     def active(self) -> list[RaisedAlarm]:
-        """The alarms that are active, or that nobody has acknowledged; the one raised last comes last."""
+        """The alarms that are active or not acknowledged yet, in the order in which they were raised."""
         return list(self._raised.values())
 
     def pending(self) -> list[AlarmKey]:
-        """Device, point and limit of values that are beyond a limit whose delay is not over."""
+        """Device, point and limit of each value that is beyond its limit while the delay is running."""
         return [key for key, machine in self._book.machines.items() if machine.state is AlarmState.PENDING]
 
     def reason(self, key: AlarmKey) -> int:
-        """The reason of the last sample of the point of an alarm: 0 for good."""
+        """The reason code of the last sample of an alarm's point: 0 for good."""
         machine = self._book.machines.get(key)
         return 0 if machine is None else machine.reason
 
     def journal(self, limit: int = 100) -> list[AlarmEvent]:
-        """The newest events, newest first; `RECENT` at most. `busway.Store.alarms` has all."""
+        """The newest alarm events, newest first; `RECENT` at most. `busway.Store.alarms` has all."""
         return list(self._journal)[: -limit - 1 : -1]
 
     def counts(self) -> tuple[int, int]:
-        """How many alarms are active, and how many nobody has acknowledged."""
+        """Number of active alarms, and of alarms that are not acknowledged."""
         states = [alarm.state for alarm in self._raised.values()]
         return sum(each.is_active for each in states), sum(each.is_unacknowledged for each in states)
 
     async def acknowledge(self, device: str, point: str, limit: str, by: str) -> AlarmEvent:
-        """Acknowledge an alarm; it is in the journal then.
+        """Acknowledge an alarm; when this returns, the journal has it.
 
         Args:
             device, point: names.
@@ -137,13 +137,13 @@ class CollectorAlarms:
     # What the collector does.
 
     def begin(self, journal: Sequence[AlarmEvent], devices: Mapping[str, Sequence[Point]]) -> None:
-        """Go on where a journal ends."""
+        """Restore the alarms from a journal at the start."""
         self._raised = alarms_after(journal)
         self._journal.extend(journal)
         self._tell(self._book.configure(devices, self._wall(), self._raised))
 
     def configure(self, devices: Mapping[str, Sequence[Point]]) -> None:
-        """Go on with the limits of a file that was read again."""
+        """Continue with the alarm limits of a file that was read again."""
         there = {(device, point.name) for device, points in devices.items() for point in points}
         self._renamed = {
             (device, point.was): point.name
@@ -155,11 +155,11 @@ class CollectorAlarms:
         self._tell(self._book.configure(devices, self._wall()))
 
     def take(self, batch: SampleBatch) -> Sequence[AlarmEvent]:
-        """What the samples of a read that has just ended mean; the caller has them kept with the samples."""
+        """The alarm events that follow from the samples of a read; the caller stores both together."""
         return self._book.take(batch, self._now() - batch.half_width / NANOSECONDS)
 
     def committed(self, events: Sequence[AlarmEvent]) -> None:
-        """Note events that are in the journal now."""
+        """Note alarm events that are in the journal now."""
         for event in events:
             fold_event(self._raised, self._with_name(event))
             promised = self._promised.get(id(event))
@@ -170,7 +170,7 @@ class CollectorAlarms:
             reader.take(events)
 
     def end(self) -> None:
-        """End all readers."""
+        """End all consumers of alarm events."""
         self._ended = True
         for reader in self._readers:
             reader.arrived.set()

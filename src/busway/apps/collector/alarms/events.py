@@ -1,4 +1,4 @@
-"""What happens to an alarm, and what an alarm is after it.
+"""Events of alarms, and the state of an alarm after each.
 
 Pure. The journal is a list of `AlarmEvent`; the alarms that there are follow from it, so a start after a crash knows
 what was active and acknowledged by reading the journal.
@@ -13,7 +13,7 @@ from ..samples import Value
 
 
 class AlarmEventKind(StrEnum):
-    """What happened."""
+    """Kinds of alarm events: raised, acknowledged, cleared, removed."""
 
     RAISED = "raised"
     ACKNOWLEDGED = "acknowledged"
@@ -23,7 +23,7 @@ class AlarmEventKind(StrEnum):
 
 
 class AlarmState(StrEnum):
-    """How an alarm is."""
+    """States of an alarm."""
 
     NORMAL = "normal"
     PENDING = "pending"
@@ -36,12 +36,12 @@ class AlarmState(StrEnum):
 
     @property
     def is_active(self) -> bool:
-        """Whether the value has not come back."""
+        """Whether the value is still beyond the limit."""
         return self in (AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED)
 
     @property
     def is_unacknowledged(self) -> bool:
-        """Whether a person has to acknowledge it."""
+        """Whether the alarm still has to be acknowledged."""
         return self in (AlarmState.UNACKNOWLEDGED, AlarmState.CLEARED)
 
 
@@ -64,7 +64,7 @@ AlarmKey = tuple[str, str, str]
 
 @dataclass(frozen=True, slots=True)
 class AlarmEvent:
-    """A line of the journal.
+    """One event of an alarm, as a line of the journal.
 
     Attributes:
         device, point: names.
@@ -89,13 +89,13 @@ class AlarmEvent:
 
     @property
     def key(self) -> AlarmKey:
-        """Which alarm it concerns."""
+        """Device, point and limit of the alarm that the event belongs to."""
         return self.device, self.point, self.limit
 
 
 @dataclass(frozen=True, slots=True)
 class RaisedAlarm:
-    """An alarm that is active, or that nobody has acknowledged.
+    """An alarm that is active or not acknowledged yet.
 
     Attributes:
         device, point, limit, text: as in the event that raised it.
@@ -119,12 +119,12 @@ class RaisedAlarm:
 
     @property
     def key(self) -> AlarmKey:
-        """Which alarm it is."""
+        """Device, point and limit of the alarm."""
         return self.device, self.point, self.limit
 
 
 def alarm_after(alarm: RaisedAlarm | None, event: AlarmEvent) -> RaisedAlarm | None:
-    """What an alarm is after an event; None for normal."""
+    """The alarm after an event; None if it is back to normal."""
     before = AlarmState.NORMAL if alarm is None else alarm.state
     state = NEXT_STATE.get((before, event.kind))
     if state is None:
@@ -141,7 +141,7 @@ def alarm_after(alarm: RaisedAlarm | None, event: AlarmEvent) -> RaisedAlarm | N
 
 
 def alarms_after(journal: Iterable[AlarmEvent]) -> dict[AlarmKey, RaisedAlarm]:
-    """The alarms that there are after all events of a journal, in the order in which they were raised."""
+    """The alarms that remain after all events of a journal, in the order in which they were raised."""
     alarms: dict[AlarmKey, RaisedAlarm] = {}
     for event in journal:
         fold_event(alarms, event)
@@ -149,7 +149,7 @@ def alarms_after(journal: Iterable[AlarmEvent]) -> dict[AlarmKey, RaisedAlarm]:
 
 
 def fold_event(alarms: dict[AlarmKey, RaisedAlarm], event: AlarmEvent) -> None:
-    """Change the alarms that there are by one event."""
+    """Update the current alarms by one event."""
     before = alarms.get(event.key)
     after = alarm_after(before, event)
     if after is before:

@@ -1,4 +1,4 @@
-"""One limit of one point: values in, events out.
+"""The state machine of one alarm: takes samples of its point, returns alarm events.
 
 Pure: knows a rule, values and the time as a number.
 
@@ -18,7 +18,7 @@ from .events import AlarmEvent, AlarmEventKind, AlarmState, RaisedAlarm, alarm_a
 
 
 class AlarmMachine:
-    """The alarm of one limit.
+    """The state machine of one alarm of one point.
 
     Args:
         device, point: names.
@@ -46,13 +46,13 @@ class AlarmMachine:
 
     @property
     def state(self) -> AlarmState:
-        """How the alarm is."""
+        """The current state of the alarm."""
         if self.alarm is not None:
             return self.alarm.state
         return AlarmState.NORMAL if self._beyond_since is None else AlarmState.PENDING
 
     def take(self, value: Value | None, reason: int, at: int, now: float) -> AlarmEvent | None:
-        """Take in a sample.
+        """Process a sample of the point. Returns the alarm event that follows, or None.
 
         Args:
             value: what the point is; None for nothing.
@@ -81,7 +81,7 @@ class AlarmMachine:
         return self._tell(AlarmEventKind.RAISED, at, value)
 
     def acknowledge(self, by: str, at: int) -> AlarmEvent | None:
-        """Acknowledge the alarm; None where there is nothing to acknowledge."""
+        """Acknowledge the alarm; None if it needs no acknowledgement."""
         return self._tell(AlarmEventKind.ACKNOWLEDGED, at, by=by) if self.state.is_unacknowledged else None
 
     def _tell(self, kind: AlarmEventKind, at: int, value: Value | None = None, by: str = "") -> AlarmEvent:

@@ -1,4 +1,4 @@
-"""Lines of the audit log for commands and for changes of the configuration, as JSON.
+"""Formats audit lines, as JSON, for commands and for changes of the configuration.
 
 Pure: knows what happened; writes nothing. `busway.access.audit_log` keeps the lines.
 
@@ -44,7 +44,7 @@ _LONGEST_LINE: Final = 300
 
 
 def command_line(result: CommandResult, time: str, repeated: int = 0) -> str:
-    """The line of a command that has ended, or was refused; ``repeated`` is how many like it there were, 0 for one."""
+    """The audit line of a finished or refused command; ``repeated``: number of equal ones it stands for, 0 for one."""
     command = result.command
     more = {"repeated": repeated} if repeated else {}
     return _line(
@@ -69,7 +69,7 @@ def command_line(result: CommandResult, time: str, repeated: int = 0) -> str:
 def configuration_line(
     old: str, new: str, done: Sequence[str], *, is_applied: bool, by: str, origin: str, time: str
 ) -> str:
-    """The line of a changed configuration; ``old`` and ``new`` are the texts of its file."""
+    """The audit line of a changed configuration; ``old`` and ``new`` are the texts of its file."""
     lines = [
         each.rstrip("\n")[:_LONGEST_LINE]
         for each in difflib.unified_diff(old.splitlines(), new.splitlines(), "before", "after", n=0, lineterm="")

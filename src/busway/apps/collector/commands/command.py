@@ -1,4 +1,4 @@
-"""A command: a value for one point, from whom, until when; and what became of it.
+"""Commands: a value to write to a point, who asked for it and until when, and its result.
 
 Pure: knows no device, no file and no clock.
 
@@ -36,7 +36,7 @@ _PRINTABLE: Final = re.compile(r"[^\x00-\x1f\x7f]{1,200}")
 
 
 class CommandState(StrEnum):
-    """What became of a command."""
+    """States of a command: open, done, failed, unknown, expired or refused."""
 
     OPEN = "open"  # recorded, and not finished
     DONE = "done"  # the device has answered, and shows the value where the rule asks for that
@@ -48,7 +48,7 @@ class CommandState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class OldValue:
-    """What a point was known to be before a command.
+    """The last known value of a point before a command.
 
     Attributes:
         value: the value; None where it is not known.
@@ -63,7 +63,7 @@ class OldValue:
 
 @dataclass(frozen=True, slots=True)
 class PointCommand:
-    """A value for a point.
+    """A command to write a value to a point.
 
     Attributes:
         key: names the command; it is sent at most once.
@@ -99,7 +99,7 @@ class PointCommand:
         _check_value(self.value)
 
     def is_same(self, other: "PointCommand") -> bool:
-        """Whether it asks for the same: the same value of the same point. Who asks may differ."""
+        """Whether another command writes the same value to the same point, whoever asked."""
         return (self.device, self.point) == (other.device, other.point) and same_value(self.value, other.value)
 
 
@@ -119,20 +119,20 @@ def _check_value(value: object) -> None:
 
 
 def same_value(one: CommandValue, other: CommandValue) -> bool:
-    """Whether two values are the same; true and 1 are not, 1 and 1.0 are."""
+    """Whether two values are equal; true and 1 are not, 1 and 1.0 are."""
     if isinstance(one, list) and isinstance(other, list):
         return len(one) == len(other) and all(same_value(*pair) for pair in zip(one, other, strict=True))
     return isinstance(one, bool) is isinstance(other, bool) and one == other
 
 
 def new_key(now: float) -> str:
-    """A key that nothing else has: the time, so that keys sort by it, and 96 random bits."""
+    """A unique key for a command: the time, so that keys sort by it, and 96 random bits."""
     return f"{MADE}{int(now * 1000):013d}-{secrets.token_hex(12)}"
 
 
 @dataclass(frozen=True, slots=True)
 class CommandResult:
-    """What became of a command.
+    """The result of a command, or its state while it is not finished.
 
     Attributes:
         command: what was asked for.
@@ -152,7 +152,7 @@ class CommandResult:
 
     @property
     def is_done(self) -> bool:
-        """Whether the value was written, and confirmed where the rule asks for that."""
+        """Whether the value was written, and confirmed if the point's rule requires that."""
         return self.state is CommandState.DONE
 
     def finished(
@@ -163,11 +163,11 @@ class CommandResult:
         read_back: CommandValue | None = None,
         old: OldValue | None = None,
     ) -> "CommandResult":
-        """The same with its end."""
+        """A copy of the result with its final state."""
         return replace(self, state=state, reason=reason, read_back=read_back, old=old or self.old)
 
     def content(self) -> dict[str, Any]:  # JSON
-        """As an answer, or as an entry of a list, in JSON."""
+        """The result as JSON data, for responses and lists."""
         command = self.command
         return {
             "key": command.key,

@@ -41,7 +41,7 @@ _COLUMNS: Final = 'key, at, "by", origin, device, point, value, expires, old, st
 
 
 class CommandJournal:
-    """The journal of one store, from any thread.
+    """The journal of the commands of one store; usable from any thread.
 
     Args:
         folder: of the store, whose lock this process holds.
@@ -70,12 +70,14 @@ class CommandJournal:
             raise ConfigError(f"the journal of commands cannot be used: {error}", file=str(self.path)) from error
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file of the journal."""
         with self._lock:
             self._database.close()
 
     def end_cut_off(self) -> list[CommandResult]:
-        """End as unknown what a process has left open (rule 2); gives the results. Call it once, at the start."""
+        """Mark commands that an earlier process left unfinished as unknown (rule 2); returns them. Call it once, at the
+        start.
+        """
         with self._lock:
             found = [_result(row) for row in self._rows("WHERE state = ?", (CommandState.OPEN.value,))]
             ended = [each.finished(CommandState.UNKNOWN, CUT_OFF) for each in found]
@@ -83,7 +85,7 @@ class CommandJournal:
         return ended
 
     def take(self, result: CommandResult) -> CommandResult | None:
-        """Record a command under its key, durably; if the key is used already, give what is known of it instead.
+        """Record a command under its key, durably; if the key was used before, return the recorded result instead.
 
         Args:
             result: open for a command that will be sent, or finished for one that will not.
@@ -110,17 +112,17 @@ class CommandJournal:
         return None
 
     def finish(self, result: CommandResult) -> None:
-        """Record the result of a command that was taken, durably. Raises `OSError`."""
+        """Record the result of an accepted command, durably. Raises `OSError`."""
         with self._lock:
             self._transaction(lambda: self._set(result))
 
     def find(self, key: str) -> CommandResult | None:
-        """What is recorded under a key; None where nothing is."""
+        """The result recorded under a key; None without one."""
         with self._lock:
             return self._found(key)
 
     def newest(self, limit: int) -> list[CommandResult]:
-        """The results recorded last, the newest first."""
+        """The latest results, the newest first."""
         with self._lock:
             return [_result(row) for row in self._rows("ORDER BY number DESC LIMIT ?", (limit,))]
 
@@ -178,7 +180,7 @@ class CommandJournal:
             self._drop_oldest()
 
     def _drop_oldest(self) -> None:
-        """Drop a tenth of the results, so that this is rare; keys of callers are remembered (rule 3)."""
+        """Delete the oldest tenth of the results; keys of callers are remembered (rule 3)."""
         surplus = self._kept - self._most + self._most // 10
         rows = self._database.execute(
             "SELECT number, key FROM commands WHERE state != ? ORDER BY number LIMIT ?",

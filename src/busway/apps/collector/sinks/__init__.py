@@ -1,4 +1,4 @@
-"""Sinks: other systems that get what a store keeps.
+"""Sinks: other systems that get the samples of a store.
 
 ===================  ================================================================================
 `interface`          what a sink is: `Sink`, `SinkDown`, `SinkRefused`

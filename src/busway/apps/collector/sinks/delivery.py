@@ -1,4 +1,4 @@
-"""The delivery to one sink: reads behind its cursor, sends, moves the cursor; in that order.
+"""Delivery of samples to one sink: reads after its cursor, sends, then moves the cursor.
 
 Knows when to send, to wait, to drop and to set aside; knows no receiver.
 
@@ -37,7 +37,7 @@ _log = logging.getLogger("busway.sinks")
 
 @dataclass(frozen=True, slots=True)
 class DeliveryOptions:
-    """How samples are handed to a sink.
+    """Options of a delivery: which samples the sink gets, and in what batches.
 
     Attributes:
         points: patterns ``device/point`` of what it gets.
@@ -64,7 +64,7 @@ class DeliveryOptions:
 
 @dataclass(frozen=True, slots=True)
 class SinkStatus:
-    """How a delivery does.
+    """The status of a delivery.
 
     Attributes:
         name: of the sink.
@@ -84,7 +84,7 @@ class SinkStatus:
 
 
 class Delivery:
-    """Delivers to one sink until it is cancelled."""
+    """Delivers samples to one sink until it is cancelled."""
 
     def __init__(
         self,
@@ -97,7 +97,7 @@ class Delivery:
         now: Callable[[], int] = time.time_ns,
         pause: Callable[[float], Awaitable[object]] = asyncio.sleep,
     ) -> None:
-        """A delivery that goes on where the sink's cursor is; a new sink begins with what the store has.
+        """Continue at the sink's cursor; a new sink begins with the oldest samples of the store.
 
         Args:
             name: of the sink; its cursor has this name.
@@ -126,11 +126,11 @@ class Delivery:
         self._error = f"failed unexpectedly: {str(error) or type(error).__name__}"
 
     def status(self) -> SinkStatus:
-        """How it does. Safe from any thread."""
+        """The status of this delivery. Safe from any thread."""
         return SinkStatus(self.name, self._cursor, self._sent, self._lost, self._aside, self._error)
 
     async def run(self) -> None:
-        """Deliver what is there and what comes, until cancelled."""
+        """Deliver existing and new samples until cancelled."""
         wait = PAUSE
         try:
             while True:
@@ -149,7 +149,7 @@ class Delivery:
             await self._sink.close()
 
     async def step(self) -> bool:
-        """Deliver one batch; whether there may be more already. Raises `SinkDown`."""
+        """Deliver one batch. Returns whether there may be more already. Raises `SinkDown`."""
         await asyncio.to_thread(self._drop_old)
         found = await asyncio.to_thread(self._reader.read, self._cursor, self.options.most)
         if found is None:
@@ -186,7 +186,7 @@ class Delivery:
                 )
 
     def _wanted(self, samples: Sequence[CommittedSample]) -> list[CommittedSample]:
-        """The samples that this sink gets: of its points, and where its rule says so."""
+        """The samples that this sink gets: of its points, if its report rules permit them."""
         wanted = []
         before = dict[tuple[str, str], CommittedSample]()
         for sample in samples:
@@ -212,7 +212,7 @@ class Delivery:
         return self.options.report.is_due(last.value, sample.value, (sample.time - last.time) / NANOSECONDS)
 
     async def _send(self, samples: Sequence[CommittedSample]) -> None:
-        """Send samples; those that are refused are found and set aside."""
+        """Send samples; those that the sink refuses are found and set aside."""
         try:
             await self._sink.send(samples)
             self._sent += len(samples)

@@ -1,4 +1,4 @@
-"""Samples as JSON: one document for each device and commit, or one for each sample.
+"""Converts samples to JSON: one document for each device and commit, or one for each sample.
 
 Pure. A repetition gives the same document with the same key, because a commit does not change.
 """
@@ -16,7 +16,7 @@ from ..store.committed_samples import CommittedSample
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """What is sent of one device.
+    """The samples of one device in one commit, as JSON data.
 
     Attributes:
         device: its name.
@@ -60,7 +60,7 @@ def _read(moment: int, samples: list[CommittedSample]) -> dict[str, Any]:
 
 
 def sample_document(sample: CommittedSample) -> dict[str, Any]:
-    """One sample for itself."""
+    """One sample as JSON data."""
     return {
         "time": sample.time,
         "half_width": sample.half_width,
@@ -71,5 +71,5 @@ def sample_document(sample: CommittedSample) -> dict[str, Any]:
 
 
 def json_number(value: Any) -> Any:  # whatever a sample can be
-    """A value as JSON has it; what JSON has no number for is a text."""
+    """A value as JSON can represent it; infinities and NaN become texts."""
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value

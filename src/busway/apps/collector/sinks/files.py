@@ -1,4 +1,4 @@
-"""Files as a sink: CSV, JSON lines, Parquet.
+"""Sink that writes files: CSV, JSON lines, Parquet.
 
 Knows formats; knows nothing of cursors.
 
@@ -32,10 +32,10 @@ HEADER: Final = ("time", "device", "point", "value", "quality", "reason", "half_
 
 
 class FileSink:
-    """Writes samples to files."""
+    """Sink that writes samples to files."""
 
     def __init__(self, path: str | os.PathLike[str], kind: Format | None = None) -> None:
-        """Name the file; nothing is opened yet.
+        """Set the path of the files; nothing is opened yet.
 
         Args:
             path: the file, with ``{date}`` for one a day; for Parquet a folder.
@@ -59,7 +59,7 @@ class FileSink:
         """Do nothing: no file stays open."""
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Write a batch, durably. Raises `SinkDown`."""
+        """Write a batch of samples durably. Raises `SinkDown`."""
         try:
             await asyncio.to_thread(self._write, samples)
         except OSError as error:

@@ -1,4 +1,4 @@
-"""InfluxDB line protocol over HTTP as a sink: InfluxDB 1 to 3, VictoriaMetrics, QuestDB.
+"""Sink for InfluxDB line protocol over HTTP: InfluxDB 1 to 3, VictoriaMetrics, QuestDB.
 
 Knows lines and what the answers mean; the protocol is httpx's (``busway[influxdb]``).
 
@@ -23,7 +23,7 @@ _REFUSED: Final = (400, 413, 422)
 
 
 class InfluxSink:
-    """Posts samples as lines."""
+    """Sink that posts samples as lines of InfluxDB line protocol."""
 
     def __init__(
         self,
@@ -34,7 +34,7 @@ class InfluxSink:
         tls: ssl.SSLContext | None = None,
         timeout: float = 10.0,
     ) -> None:
-        """Name the server; nothing is sent yet.
+        """Set the server; nothing is sent yet.
 
         Args:
             url: where lines are posted, with its query: ``http://host:8086/api/v2/write?org=o&bucket=b`` or
@@ -58,20 +58,20 @@ class InfluxSink:
         self._client: Any = None  # httpx is loaded when it is used
 
     async def open(self) -> None:
-        """Make the client; it connects with the first batch."""
+        """Create the HTTP client; it connects with the first batch."""
         verify: Any = True if self._tls is None else self._tls
         self._client = import_module("httpx").AsyncClient(
             headers=self._headers, verify=verify, timeout=self._timeout, trust_env=False
         )
 
     async def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from the server."""
         client, self._client = self._client, None
         if client is not None:
             await client.aclose()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Post samples. Raises `SinkDown`, `SinkRefused`."""
+        """Post samples to the server. Raises `SinkDown`, `SinkRefused`."""
         httpx = import_module("httpx")
         body = "\n".join(line_of(sample, self._measurement) for sample in samples).encode()
         try:

@@ -1,4 +1,4 @@
-"""What a sink is. Knows samples and errors; knows no store and no receiver."""
+"""The interface of sinks. Knows samples and errors; knows no store and no receiver."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -8,24 +8,24 @@ from ..store.committed_samples import CommittedSample
 
 
 class SinkDown(ModbusError):
-    """The receiver cannot be reached, or cannot take anything now. The same samples are sent again later."""
+    """Error: the receiver cannot be reached or accepts nothing now. The same samples are sent again later."""
 
 
 class SinkRefused(ModbusError):
-    """The receiver refuses these samples and would refuse them again. They are set aside; others are sent."""
+    """Error: the receiver refuses these samples for good. They are set aside; others are sent."""
 
 
 class Sink(Protocol):
-    """Sends samples to one receiver.
+    """Interface of a sink, which sends samples to one receiver.
 
     Each call is for one task. Samples may come again after a failure, with the same device, point, time and commit.
     """
 
     async def open(self) -> None:
-        """Connect. Raises `SinkDown`."""
+        """Connect to the receiver. Raises `SinkDown`."""
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Send samples; when it returns, the receiver has taken them.
+        """Send samples; when it returns, the receiver has accepted them.
 
         Raises:
             SinkDown: some may have arrived. `close` and `open` follow before it is called again.
@@ -33,4 +33,4 @@ class Sink(Protocol):
         """
 
     async def close(self) -> None:
-        """Disconnect; raises nothing."""
+        """Disconnect from the receiver; raises nothing."""

@@ -1,4 +1,4 @@
-"""MQTT 5 as a sink, with discovery by Home Assistant.
+"""Sink for MQTT 5, with discovery by Home Assistant.
 
 Knows topics and payloads; the protocol is aiomqtt's (``busway[mqtt]``).
 
@@ -29,7 +29,7 @@ IN_FLIGHT: Final = 64
 
 
 class MqttSink:
-    """Publishes samples to a broker."""
+    """Sink that publishes samples to an MQTT broker."""
 
     def __init__(
         self,
@@ -46,7 +46,7 @@ class MqttSink:
         client_id: str | None = None,
         timeout: float = 10.0,
     ) -> None:
-        """Name the broker; nothing is sent yet.
+        """Set the broker; nothing is sent yet.
 
         Args:
             host, port: the broker.
@@ -78,7 +78,7 @@ class MqttSink:
         self._announced: set[tuple[str, str]] = set()
 
     async def open(self) -> None:
-        """Connect, and say that this collector is online. Raises `SinkDown`."""
+        """Connect to the broker, and publish that this collector is online. Raises `SinkDown`."""
         mqtt = import_module("aiomqtt")
         will = mqtt.Will(self._status_topic, b"offline", qos=1, retain=True)
         client = mqtt.Client(**self._address, will=will, protocol=mqtt.ProtocolVersion.V5)
@@ -92,7 +92,7 @@ class MqttSink:
         self._announced.clear()
 
     async def close(self) -> None:
-        """Disconnect; the broker is told, so the last will does not come: offline is said here."""
+        """Publish that this collector is offline, and disconnect, so that the last will is not sent."""
         client, self._client = self._client, None
         if client is None:
             return
@@ -180,7 +180,7 @@ class MqttSink:
 
 
 def topic_level(name: str) -> str:
-    """A name as one level of a topic: what separates levels or is a wildcard becomes ``_``."""
+    """A name as one level of an MQTT topic: separators and wildcards become ``_``."""
     return re.sub(r"[/+#\x00]", "_", name)
 
 

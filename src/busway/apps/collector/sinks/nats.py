@@ -1,4 +1,4 @@
-"""NATS JetStream as a sink.
+"""Sink for NATS JetStream.
 
 Knows subjects and messages; the protocol is nats-py's (``busway[nats]``).
 
@@ -27,7 +27,7 @@ IN_FLIGHT: Final = 64
 
 
 class NatsSink:
-    """Publishes samples to a stream."""
+    """Sink that publishes samples to a JetStream stream."""
 
     def __init__(
         self,
@@ -41,7 +41,7 @@ class NatsSink:
         tls: ssl.SSLContext | None = None,
         timeout: float = 5.0,
     ) -> None:
-        """Name the server; nothing is sent yet.
+        """Set the server; nothing is sent yet.
 
         Args:
             url: ``nats://host:4222``.
@@ -66,7 +66,7 @@ class NatsSink:
         self._cause = ""
 
     async def open(self) -> None:
-        """Connect, and make the stream where that is asked for. Raises `SinkDown`."""
+        """Connect to the server, and create the stream if that was configured. Raises `SinkDown`."""
         nats = import_module("nats")
         self._cause = ""
         try:
@@ -88,7 +88,7 @@ class NatsSink:
             raise SinkDown(f"the server cannot be used: {self._cause or error or type(error).__name__}") from error
 
     async def _note(self, error: Exception) -> None:
-        """Keep why a connection failed: what `connect` raises does not say it."""
+        """Remember why a connection failed: the error of `connect` does not tell it."""
         self._cause = str(error) or type(error).__name__
 
     async def _make_stream(self, stream: str) -> None:
@@ -99,7 +99,7 @@ class NatsSink:
             await self._jetstream.add_stream(name=stream, subjects=[self._subject.replace("{device}", "*")])
 
     async def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from the server."""
         client, self._client, self._jetstream = self._client, None, None
         if client is not None:
             with contextlib.suppress(Exception):  # it may be gone already
@@ -126,5 +126,5 @@ class NatsSink:
 
 
 def subject_token(name: str) -> str:
-    """A name as one token of a subject: what separates tokens or is a wildcard becomes ``_``."""
+    """A name as one token of a NATS subject: separators and wildcards become ``_``."""
     return re.sub(r"[.*>\s]", "_", name)

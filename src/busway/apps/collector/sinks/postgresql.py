@@ -1,4 +1,4 @@
-"""PostgreSQL and TimescaleDB as a sink: COPY into a temporary table, then one upsert.
+"""Sink for PostgreSQL and TimescaleDB: COPY into a temporary table, then one upsert.
 
 Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 
@@ -32,7 +32,7 @@ _NAME: Final = re.compile(r"[a-z_][a-z0-9_]{0,62}(\.[a-z_][a-z0-9_]{0,62})?")
 
 
 class PostgresqlSink:
-    """Writes samples to a table."""
+    """Sink that writes samples to a PostgreSQL table."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class PostgresqlSink:
         timescale: bool = False,
         timeout: float = 30.0,
     ) -> None:
-        """Name the database; nothing is sent yet.
+        """Set the database; nothing is sent yet.
 
         Args:
             url: ``postgresql://user@host:5432/database``, without a password.
@@ -68,7 +68,7 @@ class PostgresqlSink:
         self._connection: Any = None  # asyncpg is loaded when it is used
 
     async def open(self) -> None:
-        """Connect, and make the table where it is not there. Raises `SinkDown`."""
+        """Connect to the database, and create the table if it is missing. Raises `SinkDown`."""
         pg = import_module("asyncpg")
         try:
             self._connection = await pg.connect(self._url, **self._options)
@@ -85,7 +85,7 @@ class PostgresqlSink:
             raise SinkDown(f"the database cannot be used: {error or type(error).__name__}") from error
 
     async def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from the database."""
         connection, self._connection = self._connection, None
         if connection is not None:
             try:
@@ -94,7 +94,7 @@ class PostgresqlSink:
                 connection.terminate()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Write samples in one transaction. Raises `SinkDown`, `SinkRefused`."""
+        """Write samples to the table in one transaction. Raises `SinkDown`, `SinkRefused`."""
         pg = import_module("asyncpg")
         columns = ", ".join(_COLUMNS)
         changed = ", ".join(f"{name} = excluded.{name}" for name in _COLUMNS[3:])

@@ -1,4 +1,4 @@
-"""All sinks of a store, in a thread with an event loop of its own: no sink delays polling.
+"""Runs all sinks of a store in a thread with an event loop of its own, so that no sink delays polling.
 
 Knows threads and tasks; knows nothing of what a delivery does.
 """
@@ -18,10 +18,10 @@ _log = logging.getLogger("busway.sinks")
 
 
 class SinkThread:
-    """Delivers to sinks from the start until `close`."""
+    """The thread that delivers to all sinks, until `close`."""
 
     def __init__(self, writer: StoreWriter, sinks: Mapping[str, tuple[Sink, DeliveryOptions]]) -> None:
-        """Start the thread.
+        """Start the thread and the deliveries.
 
         Args:
             writer: the open store; cursors are in its manifest.
@@ -43,11 +43,11 @@ class SinkThread:
         self._thread.start()
 
     def statuses(self) -> Sequence[SinkStatus]:
-        """How each sink does. Safe from any thread."""
+        """The status of each sink. Safe from any thread."""
         return [delivery.status() for delivery in self._deliveries]
 
     def close(self, timeout: float = 10.0) -> None:
-        """End all deliveries, within ``timeout`` seconds; what was not sent is sent after the next start."""
+        """End all deliveries within ``timeout`` seconds; unsent samples are sent after the next start."""
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._cancel)
         self._thread.join(timeout)
@@ -73,7 +73,7 @@ class SinkThread:
 
     @staticmethod
     async def _guarded(delivery: Delivery) -> None:
-        """Deliver; after a defect, which is logged, begin again: one sink that breaks ends no other."""
+        """Run one delivery; after an unexpected error, which is logged, start it again, so that no sink ends others."""
         while True:
             try:
                 await delivery.run()

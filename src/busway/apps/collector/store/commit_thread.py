@@ -1,4 +1,4 @@
-"""The committer: a thread that makes samples of an event loop part of the store, several times a second.
+"""The committer: a thread that writes samples from an event loop to the store, several times a second.
 
 Knows when to commit, and what to do while that fails; knows nothing of segments.
 
@@ -44,7 +44,7 @@ _log = logging.getLogger("busway.store")
 
 @dataclass(frozen=True, slots=True)
 class StoreStatus:
-    """How the committer does.
+    """The status of the committer.
 
     Attributes:
         commits, samples: how many are in the store since the start.
@@ -66,7 +66,9 @@ class StoreStatus:
 
 
 class Committer:
-    """Commits for an event loop. `add` and `add_interval` return at once, and may be called from any thread."""
+    """Writes samples to the store in a thread. `add` and `add_interval` return at once, and may be called from any
+    thread.
+    """
 
     def __init__(
         self,
@@ -77,7 +79,7 @@ class Committer:
         most_waiting: int = MOST_WAITING,
         retry: float = RETRY,
     ) -> None:
-        """Start the threads.
+        """Start the threads of the committer.
 
         Args:
             writer: an open store; closed by `close`.
@@ -118,7 +120,7 @@ class Committer:
         self._subscribers.append(told)
 
     def add(self, batch: SampleBatch, alarms: Sequence[AlarmEvent] = ()) -> None:
-        """Take the samples of one read, and events of alarms that one commit has to keep with them."""
+        """Queue the samples of one read, and alarm events that the same commit must contain."""
         with self._changed:
             self._batches.append(batch)
             self._note_alarms(alarms)
@@ -129,25 +131,25 @@ class Committer:
                 self._changed.notify_all()
 
     def add_interval(self, interval: StateInterval | Gap) -> None:
-        """Take an interval that begins (its end is None) or ends."""
+        """Queue an interval that begins (its end is None) or ends."""
         with self._changed:
             self._intervals.append(interval)
             self._changed.notify_all()
 
     def add_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
-        """Take events of alarms that no sample caused."""
+        """Queue alarm events that no sample caused."""
         with self._changed:
             self._note_alarms(alarms)
             self._changed.notify_all()
 
     def describe(self, descriptions: Iterable[PointDescription]) -> None:
-        """Note what is known of points, behind all samples and events of alarms that were added so far."""
+        """Queue descriptions of points, effective after all samples and alarm events added so far."""
         with self._changed:
             self._descriptions.append((self._taken + len(self._batches), list(descriptions)))
             self._changed.notify_all()
 
     def status(self) -> StoreStatus:
-        """How it does."""
+        """The current status of the committer."""
         with self._changed:
             return StoreStatus(
                 self._commits,
@@ -160,7 +162,7 @@ class Committer:
             )
 
     def flush(self, timeout: float = 10.0) -> bool:
-        """Wait until all that was added is committed; False where ``timeout`` seconds did not do."""
+        """Wait until everything added so far is committed; False if ``timeout`` seconds were not enough."""
         until = time.monotonic() + timeout
         with self._changed:
             while self._is_due() or self._committing:
@@ -171,7 +173,7 @@ class Committer:
         return True
 
     def close(self, timeout: float = 10.0) -> None:
-        """Commit what waits, as far as ``timeout`` seconds allow, and close the store."""
+        """Commit everything queued within ``timeout`` seconds, and close the store."""
         self.flush(timeout)
         with self._changed:
             self._ending = True
@@ -192,7 +194,7 @@ class Committer:
                 self._ended.wait(self._retry)
 
     def _wait_for_work(self) -> bool:
-        """Wait until a commit is due; False when the end has come."""
+        """Wait until a commit is due; False when the committer is to end."""
         with self._changed:
             idle_until = time.monotonic() + ALIVE
             while not self._ending and not self._is_due():
@@ -210,23 +212,23 @@ class Committer:
             return not self._ending
 
     def _is_due(self) -> bool:
-        """Whether anything waits. The lock is held."""
+        """Whether anything waits to be committed. The lock is held."""
         return bool(self._batches or self._intervals or self._descriptions or self._alarms)
 
     def _note_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
-        """Take events with the number of the descriptions whose names they have. The lock is held."""
+        """Queue alarm events with the number of the point descriptions that apply to them. The lock is held."""
         known = self._described + len(self._descriptions)
         self._alarms.extend((known, event) for event in alarms)
 
     def _next_alarms(self) -> list[tuple[int, AlarmEvent]]:
-        """The events up to the next change of names. The lock is held."""
+        """The queued alarm events before the next change of point names. The lock is held."""
         taken = []
         while self._alarms and self._alarms[0][0] <= self._described:
             taken.append(self._alarms.popleft())
         return taken
 
     def _describe_what_is_due(self) -> None:
-        """Note what is known of points from the next sample on."""
+        """Write the point descriptions that apply from the next sample on."""
         while self._descriptions and self._descriptions[0][0] <= self._taken:
             self.writer.describe_points(self._descriptions[0][1])
             with self._changed:
@@ -234,7 +236,7 @@ class Committer:
                 self._described += 1
 
     def _next_batches(self) -> list[SampleBatch]:
-        """The samples up to the next change of names. The lock is held."""
+        """The queued samples before the next change of point names. The lock is held."""
         count = len(self._batches)
         if self._descriptions:
             count = min(count, max(0, self._descriptions[0][0] - self._taken))
@@ -242,7 +244,7 @@ class Committer:
         return [self._batches.popleft() for _ in range(count)]
 
     def _commit_once(self) -> bool:
-        """Commit what waits; False where the store could not be written, and all of it waits again."""
+        """Commit queued data; False if the store could not be written, and all of it is queued again."""
         batches: list[SampleBatch] = []
         intervals: list[StateInterval | Gap] = []
         alarms: list[tuple[int, AlarmEvent]] = []
@@ -324,7 +326,7 @@ class Committer:
             self._drop_oldest()
 
     def _drop_oldest(self) -> None:
-        """Drop samples beyond the bound. The lock is held."""
+        """Drop the oldest samples above the limit of the queue. The lock is held."""
         while self._waiting > self._most and self._batches:
             batch = self._batches.popleft()
             self._taken += 1

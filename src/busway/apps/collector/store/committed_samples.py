@@ -1,4 +1,4 @@
-"""Samples in the order of their commits, behind a commit number: what sinks read.
+"""Reads samples in the order of their commits, from a commit number on; sinks use it.
 
 Knows how each kind of part is read in that order; knows no sink.
 
@@ -29,7 +29,7 @@ _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason"
 
 @dataclass(frozen=True, slots=True)
 class CommittedSample:
-    """A sample on its way to a sink.
+    """A committed sample, as sinks get it.
 
     Attributes:
         commit: number of its commit; with device, point and time the same at every repetition.
@@ -52,13 +52,13 @@ class CommittedSample:
 
     @property
     def quality(self) -> Quality:
-        """How sure the value is."""
+        """The quality of the sample's value."""
         return quality_of(self.reason)
 
 
 @dataclass(frozen=True, slots=True)
 class CommittedAlarm:
-    """An event of an alarm on its way to a sink.
+    """A committed alarm event, as sinks get it.
 
     Attributes:
         commit, place: number of its commit and place in it; the same at every repetition.
@@ -72,7 +72,7 @@ class CommittedAlarm:
 
 @dataclass(frozen=True, slots=True)
 class CommitRange:
-    """Samples of some commits.
+    """The samples of consecutive commits.
 
     Attributes:
         last: the last commit that they are complete up to.
@@ -86,7 +86,7 @@ class CommitRange:
 
 
 class CommitReader:
-    """Reads what was committed behind a number. For one thread at a time."""
+    """Reads what was committed after a commit number. For one thread at a time."""
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:
         self._folder = folder
@@ -97,7 +97,7 @@ class CommitReader:
         self._sealed: tuple[str, Any] | None = None
 
     def read(self, after: int, most: int) -> CommitRange | None:
-        """The samples of the next commits; None where there are none.
+        """The samples of the next commits after a number; None if there are none.
 
         Args:
             after: number of the commit that was read last; 0 for none.
@@ -111,7 +111,7 @@ class CommitReader:
         return self._read(after, most)
 
     def count(self, after: int, last: int) -> int:
-        """How many samples there are behind a commit, up to another."""
+        """Number of samples in the commits after one number, up to another."""
         found = 0
         for part in self._parts(after):
             if (part.first_commit or 0) > last:
@@ -127,7 +127,7 @@ class CommitReader:
         return found
 
     def last_before(self, moment: int, after: int) -> int:
-        """The last commit made before a time, as far as that is known; ``after`` where there is none behind it."""
+        """The last commit before a time, as far as known; ``after`` if there is none after that."""
         last = after
         for part in self._parts(after):
             if part.kind == "sealed":
@@ -140,7 +140,7 @@ class CommitReader:
         return last
 
     def _parts(self, after: int) -> list[StorePart]:
-        """The parts that have commits behind a number, in their order; late parts stand beside their segment."""
+        """The parts that have commits after a number, in order; parts of late rows come with their segment."""
         found = []
         for part in self._manifest.parts():
             known = open_part_facts(self._folder, part) if part.kind == "open" and self._exists(part) else part
@@ -170,7 +170,7 @@ class CommitReader:
         return [CommittedAlarm(row.commit_number, row.place, each) for row, each in zip(rows, events, strict=True)]
 
     def _of_intervals_alone(self, after: int) -> CommitRange | None:
-        """Intervals and alarms whose segment had no samples, and so left no part when it was sealed."""
+        """Intervals and alarms of segments without samples, which left no part when they were sealed."""
         intervals = [row for row in self._manifest.intervals() if row.commit_number > after]
         alarms = self._manifest.alarms(after)
         numbers = [row.commit_number for row in intervals] + [row.commit_number for row in alarms]
@@ -215,7 +215,7 @@ class CommitReader:
         return last, rows
 
     def _table(self, part: StorePart) -> Any:
-        """A sealed part in memory; the last one is kept, because a sink that is behind reads it piece by piece."""
+        """A sealed part in memory; the last one is cached, because a sink that is behind reads it piece by piece."""
         if self._sealed is None or self._sealed[0] != part.file:
             path = self._folder / SEGMENTS / part.file
             self._sealed = (part.file, arrow("parquet").read_table(path, columns=_COLUMNS))

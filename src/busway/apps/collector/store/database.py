@@ -1,4 +1,4 @@
-"""Connections to the SQLite files of a store.
+"""Opens connections to the SQLite files of a store.
 
 Knows SQLite; knows no table.
 """

@@ -1,4 +1,4 @@
-"""The folder of a store: how its files are called, who may write it, and how a folder is made durable.
+"""The folder of a store: names of its files, the lock of its writer, and making changes durable.
 
 Knows names, descriptors and process ids; knows nothing of samples.
 """
@@ -22,7 +22,7 @@ class StoreLock:
     """The right to write a store: held by one process, released by the system however that process ends."""
 
     def __init__(self, folder: Path) -> None:
-        """Take the lock.
+        """Take the lock of a store for writing.
 
         Raises:
             ConfigError: another process holds it, and which; or the file cannot be opened.
@@ -45,13 +45,13 @@ class StoreLock:
         os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
 
     def release(self) -> None:
-        """Let others write the store."""
+        """Release the lock, so that another process can write the store."""
         os.ftruncate(self._handle, 0)
         os.close(self._handle)
 
 
 def holder_of(folder: Path) -> int | None:
-    """The process that writes a store now; None if there is none."""
+    """Number of the process that writes a store now; None if there is none."""
     try:
         handle = os.open(folder / LOCK, os.O_RDWR | os.O_CLOEXEC)
     except OSError:
@@ -67,7 +67,7 @@ def holder_of(folder: Path) -> int | None:
 
 
 def make_folder(path: Path) -> None:
-    """Make the folder of a store, with rights for its owner alone where it is new. Raises `ConfigError`."""
+    """Create the folder of a store; a new one is private to its owner. Raises `ConfigError`."""
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         (path / SEGMENTS).mkdir(mode=0o700, exist_ok=True)
@@ -83,12 +83,12 @@ def check_store(path: Path) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Make the names in a folder durable."""
+    """Make the file names in a folder durable on disk."""
     _sync(path, os.O_RDONLY | os.O_DIRECTORY)
 
 
 def sync_file(path: Path) -> None:
-    """Make the content of a file durable; nothing happens where it is not there."""
+    """Make the contents of a file durable on disk; a missing file is ignored."""
     with contextlib.suppress(FileNotFoundError):
         _sync(path, os.O_RDONLY)
 
@@ -102,13 +102,13 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def unlink_part(path: Path) -> None:
-    """Remove a file of a part, with what SQLite keeps beside it; what is not there is fine."""
+    """Delete a file of a part and SQLite's files beside it; missing ones are ignored."""
     for name in (path, path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")):
         name.unlink(missing_ok=True)
 
 
 def size_of(path: Path) -> int:
-    """Bytes of a part on disk, with its write-ahead log."""
+    """Size of a part on disk in bytes, with its write-ahead log."""
     total = 0
     for name in (path, path.with_name(path.name + "-wal")):
         with contextlib.suppress(FileNotFoundError):

@@ -1,4 +1,4 @@
-"""The journal of alarms in a store, and the accumulators: what the open segment and the manifest have of them.
+"""Alarm events and accumulators in a store, read from the open segment and the manifest together.
 
 Knows where both stand. A segment has its own events; when it ends they move into the manifest, in the transaction that
 lists it as finished, so that they outlive its samples.
@@ -21,7 +21,7 @@ MOST_EVENTS: Final = 100_000
 
 
 def alarm_rows(folder: Path, manifest: Manifest, after: int = 0) -> list[AlarmRow]:
-    """The events behind a commit, in the order of their commits."""
+    """The alarm events after a commit, in the order of their commits."""
     rows: dict[tuple[int, int], AlarmRow] = {}
     for part in manifest.parts():
         if part.kind == "open":
@@ -46,7 +46,7 @@ def _of_segment(path: Path, after: int) -> list[AlarmRow]:
 
 
 def alarm_events(rows: Iterable[AlarmRow], manifest: Manifest) -> list[AlarmEvent]:
-    """Events with the names that their points have now."""
+    """Alarm events with the current names of their points."""
     points = {point.id: point for point in manifest.points()}
     return [
         AlarmEvent(
@@ -66,7 +66,9 @@ def alarm_events(rows: Iterable[AlarmRow], manifest: Manifest) -> list[AlarmEven
 
 
 def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) -> int:
-    """Drop events from before a time, and the oldest beyond a number; how many. Those of active alarms are kept."""
+    """Delete alarm events before a time, and the oldest above a number; returns how many. Those of active
+    alarms stay.
+    """
     rows = manifest.alarms()
     excess = max(0, len(rows) - most)
     old = [row for place, row in enumerate(rows) if row.at < before or place < excess]
@@ -80,7 +82,7 @@ def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) 
 
 
 def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:
-    """The accumulators of each device as they were committed last, before the open segment was begun."""
+    """The last committed accumulators of each device, before the open segment was begun."""
     points = {point.id: point for point in manifest.points()}
     found: dict[str, list[CounterState]] = {}
     for row in manifest.counters():

@@ -1,4 +1,4 @@
-"""The manifest: one small SQLite file that says what is in a store.
+"""The manifest: one small SQLite file that lists the parts, points and sinks of a store.
 
 Knows parts, points, intervals of sealed parts, cursors and files that are to be unlinked. It alone says which files
 count: a reader reads it first, a writer changes it last.
@@ -70,7 +70,7 @@ INSERT_ALARM: Final = "INSERT OR REPLACE INTO alarms VALUES (?, ?, ?, ?, ?, ?, ?
 
 @dataclass(frozen=True, slots=True)
 class StorePart:
-    """A file with samples.
+    """One file with samples, as the manifest lists it.
 
     Attributes:
         id: number of the part.
@@ -147,7 +147,7 @@ class MaintenanceRow:
 
 @dataclass(frozen=True, slots=True)
 class StoredPoint:
-    """A point as the store knows it; the id stays when the name changes."""
+    """A point as the store knows it; its id stays when the name changes."""
 
     id: int
     device: str
@@ -157,7 +157,7 @@ class StoredPoint:
 
     @property
     def name(self) -> str:
-        """``device/point``."""
+        """Name of the point: ``device/point``."""
         return f"{self.device}/{self.point}"
 
 
@@ -169,7 +169,7 @@ class Manifest:
     """
 
     def __init__(self, folder: Path, *, writes: bool = False) -> None:
-        """Open it; with ``writes`` it is made where it is not there.
+        """Open the manifest; with ``writes`` it is created if missing.
 
         Raises:
             ConfigError: there is no store, it is of a later format, or the file is damaged; names the folder.
@@ -200,13 +200,13 @@ class Manifest:
             raise ConfigError(f"the store has format {found}, and this busway knows {FORMAT}", file=str(self.path))
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file of the manifest."""
         with self._lock:
             self._database.close()
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """A transaction; durable when the block has ended, undone where it raises."""
+        """Context manager of a transaction: durable when the block ends, undone if it raises."""
         with self._lock:
             self._database.execute("BEGIN IMMEDIATE")
             try:
@@ -223,12 +223,12 @@ class Manifest:
     # Facts
 
     def fact(self, name: str) -> int | None:
-        """A number that the store remembers under a name."""
+        """The number that is stored under a name; None if there is none."""
         rows = self._all("SELECT value FROM facts WHERE name = ?", name)
         return None if not rows else rows[0][0]
 
     def set_fact(self, name: str, value: int | None) -> None:
-        """Remember a number, or forget it."""
+        """Store a number under a name, or delete it."""
         with self.transaction() as database:
             if value is None:
                 database.execute("DELETE FROM facts WHERE name = ?", (name,))
@@ -236,7 +236,7 @@ class Manifest:
                 database.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (name, value))
 
     def reserve_numbers(self) -> tuple[int, int]:
-        """Reserve commit numbers: the first, and the one behind the last."""
+        """Reserve a range of commit numbers: returns the first, and the one after the last."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'reserved'").fetchone()
             first = 1 if row is None else row[0]
@@ -246,11 +246,11 @@ class Manifest:
     # Parts
 
     def parts(self) -> list[StorePart]:
-        """All parts, in the order in which they were begun."""
+        """All parts of the store, in the order in which they were begun."""
         return [StorePart(*row) for row in self._all("SELECT * FROM parts ORDER BY id")]
 
     def add_segment(self) -> StorePart:
-        """List a new segment; its file does not exist yet."""
+        """Add a new segment to the list; its file does not exist yet."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'segment'").fetchone()
             number = 1 if row is None else row[0] + 1
@@ -263,7 +263,7 @@ class Manifest:
     def close_segment(
         self, part: StorePart, alarms: Iterable[AlarmRow] = (), counters: Iterable[CounterRow] = ()
     ) -> None:
-        """List what is known of a segment that is finished, and take over its alarms and accumulators."""
+        """Record the contents of a finished segment, and copy its alarms and accumulators."""
         with self.transaction() as database:
             database.executemany(INSERT_ALARM, [astuple(row) for row in alarms])
             database.executemany(
@@ -284,7 +284,7 @@ class Manifest:
             )
 
     def replace_part(self, old: StorePart, new: Sequence[StorePart], intervals: Iterable[IntervalRow]) -> None:
-        """List sealed parts instead of a closed one, whose file is to be unlinked then."""
+        """List sealed parts instead of a finished segment, whose file is to be deleted then."""
         with self.transaction() as database:
             database.execute("DELETE FROM parts WHERE id = ?", (old.id,))
             for part in new:
@@ -300,7 +300,7 @@ class Manifest:
             database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (old.file,))
 
     def drop_parts(self, parts: Iterable[StorePart], before: int) -> None:
-        """Take parts off the list, and intervals that ended before a time; their files are to be unlinked then.
+        """Remove parts from the list, and intervals that ended before a time; their files are to be deleted then.
 
         Samples that a sink does not have are lost for it, and counted: all of a part that it has not finished.
         """
@@ -315,27 +315,27 @@ class Manifest:
             database.execute('DELETE FROM intervals WHERE "end" < ?', (before,))
 
     def files_to_unlink(self) -> list[str]:
-        """Names of files that no longer count."""
+        """Names of files that are no longer part of the store and have to be deleted."""
         return [row[0] for row in self._all("SELECT file FROM unlinks")]
 
     def unlinked(self, file: str) -> None:
-        """Note that a file is gone."""
+        """Note that a file was deleted."""
         with self.transaction() as database:
             database.execute("DELETE FROM unlinks WHERE file = ?", (file,))
 
     def intervals(self) -> list[IntervalRow]:
-        """Intervals of parts that are sealed."""
+        """The intervals of sealed parts."""
         return [IntervalRow(*row) for row in self._all("SELECT * FROM intervals ORDER BY commit_number")]
 
     # Alarms, accumulators, maintenance
 
     def alarms(self, after: int = 0) -> list[AlarmRow]:
-        """Events of alarms behind a commit, of segments that are finished, in the order of their commits."""
+        """The alarm events after a commit, of finished segments, in the order of their commits."""
         rows = self._all("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", after)
         return [AlarmRow(*row) for row in rows]
 
     def forget_alarms(self, rows: Iterable[AlarmRow]) -> None:
-        """Take events off the journal."""
+        """Delete alarm events."""
         with self.transaction() as database:
             database.executemany(
                 "DELETE FROM alarms WHERE commit_number = ? AND place = ?",
@@ -343,7 +343,7 @@ class Manifest:
             )
 
     def counters(self) -> list[CounterRow]:
-        """The accumulators of segments that are finished."""
+        """The accumulators of finished segments."""
         return [CounterRow(*row) for row in self._all("SELECT * FROM counters")]
 
     def maintenance(self) -> list[MaintenanceRow]:
@@ -363,12 +363,12 @@ class Manifest:
     # Points
 
     def points(self) -> list[StoredPoint]:
-        """All points, also those that are no longer read."""
+        """All points of the store, also those that are no longer read."""
         rows = self._all("SELECT id, device, point, unit_of_measure, is_state FROM points ORDER BY id")
         return [StoredPoint(number, device, point, unit, bool(state)) for number, device, point, unit, state in rows]
 
     def count_points(self) -> int:
-        """How many points there are."""
+        """Number of points of the store."""
         found: int = self._all("SELECT count(*) FROM points")[0][0]
         return found
 
@@ -424,17 +424,17 @@ class Manifest:
     # Cursors
 
     def cursors(self) -> dict[str, tuple[int, int]]:
-        """How far each sink is: the last commit that it has, and samples that were dropped for it."""
+        """The cursor of each sink: its last commit, and the number of samples dropped for it."""
         return {sink: (number, lost) for sink, number, lost in self._all("SELECT * FROM cursors")}
 
     def set_cursor(self, sink: str, number: int, lost: int) -> None:
-        """Note how far a sink is."""
+        """Store the cursor of a sink."""
         with self.transaction() as database:
             database.execute("INSERT OR REPLACE INTO cursors VALUES (?, ?, ?)", (sink, number, lost))
 
 
 def _give_new_names(database: sqlite3.Connection, described: Sequence[PointDescription], last_commit: int) -> None:
-    """Rename points to what they are called now, but where another point has that name and keeps it."""
+    """Rename points to their current names, unless another point has that name and keeps it."""
     rows = database.execute("SELECT device, point, id FROM points").fetchall()
     ids: dict[tuple[str, str], int] = {(device, point): number for device, point, number in rows}
     carried = set(database.execute("SELECT point, was FROM carried_names"))

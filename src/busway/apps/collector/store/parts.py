@@ -1,4 +1,4 @@
-"""Rows and sums of one part, whatever its format: SQLite for what is new, Parquet for what is sealed.
+"""Reads rows and sums from one part of a store, whatever its format: SQLite if it is new, Parquet if sealed.
 
 Knows how to ask each format; knows nothing of how parts overlap.
 
@@ -26,7 +26,7 @@ Row = tuple[int, int, Any, int, int, int]
 
 @dataclass(slots=True)
 class Sums:
-    """What is known of one point in one bucket; the same for a part of its rows, so that parts can be added up.
+    """Aggregates of one point in one bucket: count, total, minimum, maximum, reason; sums of partial rows can be added.
 
     Attributes:
         count: numbers that were not bad.
@@ -44,7 +44,7 @@ class Sums:
     reason: int
 
     def add(self, other: "Sums") -> None:
-        """Take in the sums of other rows."""
+        """Add the aggregates of other rows."""
         self.count += other.count
         self.total += other.total
         self.samples += other.samples
@@ -81,7 +81,7 @@ def open_part_facts(folder: Path, part: StorePart) -> StorePart:
 
 
 def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
-    """The intervals of a part that is not sealed."""
+    """The intervals in a part that is not sealed yet."""
     try:
         with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
             return intervals_of(database)
@@ -104,7 +104,7 @@ def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int
 def part_sums(
     folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int, bucket: int
 ) -> SumsByBucket:
-    """The sums of a part from ``low`` up to ``high`` in buckets of ``bucket`` nanoseconds."""
+    """The aggregates of a part from ``low`` up to ``high`` in buckets of ``bucket`` nanoseconds."""
     if part.kind == "sealed":
         return _sealed_sums(
             _sealed(folder, part, ids, low, high, ["time", "point", "real", "integer", "large", "reason"]), bucket
@@ -116,7 +116,7 @@ def part_sums(
 
 
 def _sealed(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int, columns: list[str]) -> Any:
-    """Columns of a Parquet file; row groups without a wanted point or time are not read."""
+    """Columns of a Parquet file; row groups without a wanted point or time are skipped."""
     pa = arrow()
 
     def moment(nanoseconds: int) -> Any:
@@ -129,7 +129,7 @@ def _sealed(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, 
 
 
 def rows_of_table(table: Any) -> list[Row]:
-    """The rows of a sealed part as a segment would give them."""
+    """The rows of a sealed part in the form of those of a segment."""
     if not table.num_rows:
         return []
     columns = {name: table[name] for name in _COLUMNS if name != "time"}
@@ -179,7 +179,7 @@ def _sealed_sums(table: Any, bucket: int) -> SumsByBucket:
 
 
 def sums_of_rows(rows: Sequence[Row], bucket: int) -> SumsByBucket:
-    """The sums of rows, where parts overlap and have to be merged first."""
+    """The aggregates of rows, for parts that overlap and have to be merged first."""
     found: SumsByBucket = {}
     for time, point, value, reason, _, _ in rows:
         usable = reason < Reason.TIMEOUT and type(value) in (int, float)

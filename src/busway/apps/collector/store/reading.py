@@ -1,4 +1,4 @@
-"""`Store`: what a store holds, new and sealed parts as one, while it is written or not.
+"""`Store`: reads the samples of a store, from new and sealed parts alike, also while it is being written.
 
 Knows how parts overlap; knows no format.
 
@@ -49,7 +49,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class TimePiece:
-    """A stretch of time from ``low`` up to ``high``, and the parts that have rows in it."""
+    """A period of time from ``low`` up to ``high``, and the parts that have rows in it."""
 
     low: int
     high: int
@@ -57,13 +57,13 @@ class TimePiece:
 
 
 class Store:
-    """A store of the collector, for reading. It may be written meanwhile.
+    """A store of the collector, opened for reading, also while it is being written.
 
     >>> frame = busway.Store("data").read("meter-7/*", since="1h")          # doctest: +SKIP
     """
 
     def __init__(self, folder: str | PathLike[str]) -> None:
-        """Name a store; nothing is read yet.
+        """Name the folder of a store; nothing is read yet.
 
         Raises:
             ConfigError: there is no store in the folder.
@@ -124,7 +124,7 @@ class Store:
     def pieces(
         self, points: str | Sequence[str] = "*", *, since: Moment | None = None, until: Moment | None = None
     ) -> Iterator[SampleTable]:
-        """The samples that `read` gives, in tables that memory holds, one after the other in the order of time."""
+        """The samples that `read` returns, in several tables of limited size, in the order of time."""
         now = time.time_ns()
         low = 0 if since is None else moment(since, now)
         high = EVER if until is None else moment(until, now)
@@ -191,7 +191,7 @@ class Store:
         return None if points in ("*", "*/*") else [point.id for point in chosen]
 
     def _parts(self) -> list[StorePart]:
-        """The parts of the store, with what they hold at this moment."""
+        """The parts of the store with their current contents."""
         return self._tried(lambda: [part for part in map(self._facts, self._listed()) if part.low is not None])
 
     def _listed(self) -> list[StorePart]:
@@ -203,7 +203,7 @@ class Store:
         return self._unless_unmade(part, lambda: open_part_facts(self.folder, part), part)
 
     def _unless_unmade(self, part: StorePart, ask: Callable[[], Result], otherwise: Result) -> Result:
-        """What ``ask`` gives; ``otherwise`` for a segment that is listed, and whose file is not made yet."""
+        """The result of ``ask``; ``otherwise`` for a listed segment whose file does not exist yet."""
         try:
             return ask()
         except FileNotFoundError:
@@ -212,7 +212,7 @@ class Store:
             raise
 
     def _tried(self, ask: Callable[[], Result]) -> Result:
-        """What ``ask`` gives, asked again where a part was sealed or dropped meanwhile."""
+        """The result of ``ask``, repeated if a part was sealed or dropped meanwhile."""
         for _ in range(_TRIES):
             try:
                 return ask()
@@ -221,13 +221,15 @@ class Store:
         return ask()
 
     def _rows_in_piece(self, chosen: list[StoredPoint]) -> int:
-        """Rows of parts in one piece, so that about `_PIECE` of them are of the chosen points."""
+        """Number of rows per piece, such that about `_PIECE` of them belong to the chosen points."""
         return _PIECE * max(1, self._from_manifest(Manifest.count_points)) // max(1, len(chosen))
 
     def _walk(
         self, stretch: tuple[int, int, int], ask: Callable[[TimePiece], Result]
     ) -> Iterator[tuple[TimePiece, Result]]:
-        """Ask for each piece of a stretch (begin, end, rows in a piece); where a part has gone, by those there now."""
+        """Apply ``ask`` to each piece of a period (begin, end, rows in a piece); if a part has vanished, to those that
+        replaced it.
+        """
         reached, high, most = stretch
         tries = 0
         while True:
@@ -266,7 +268,7 @@ class Store:
         return rows + self._from_manifest(Manifest.intervals)  # last: sealing moves them there
 
     def _intervals(self, devices: set[str], low: int, high: int) -> list[IntervalRow]:
-        """Intervals of these devices and of all, that touch a stretch of time, each once."""
+        """The intervals of these devices, and of all devices, that overlap a period, each once."""
         rows = self._tried(self._all_intervals)
         latest = {(row.device, row.begin, row.reason): row for row in sorted(rows, key=lambda row: row.commit_number)}
         return sorted(
@@ -282,7 +284,7 @@ class Store:
 
 
 def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Iterator[TimePiece]:
-    """Cut a stretch of time where parts begin and end, and further where they have more than ``most`` rows."""
+    """Divide a period where parts begin and end, and further if they have more than ``most`` rows."""
     spans = [(max(part.low or 0, low), min((part.high or 0) + 1, high), part) for part in parts if part.low is not None]
     spans = [each for each in spans if each[0] < each[1]]
     cuts = sorted({cut for begin, end, _ in spans for cut in (begin, end)})
@@ -298,12 +300,12 @@ def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Ite
 
 
 def _share(part: StorePart, begin: int, end: int) -> float:
-    """About how many rows of a part are in a stretch of time."""
+    """Estimated number of rows of a part within a period."""
     return (part.rows or 0) * (end - begin) / ((part.high or 0) + 1 - (part.low or 0))
 
 
 def _marks(intervals: list[IntervalRow], points: list[StoredPoint], low: int) -> list[Row]:
-    """A row without a value for each point at the begin of each interval that concerns it."""
+    """For each interval a row without a value at its begin, for each point that it concerns."""
     found = [
         (max(row.begin, low), point.id, None, row.reason, 0, row.commit_number)
         for row in intervals
@@ -354,7 +356,7 @@ def _add_up(sums: SumsByBucket, found: SumsByBucket) -> None:
 def _add_gaps(
     sums: SumsByBucket, intervals: list[IntervalRow], points: list[StoredPoint], stretch: tuple[int, int], bucket: int
 ) -> None:
-    """Give buckets that an interval touches its reason where there are no samples."""
+    """Add the reason of an interval to the buckets that it overlaps and that have no samples."""
     low, high = stretch
     for row in intervals:
         end = high if row.end is None else min(row.end, high)

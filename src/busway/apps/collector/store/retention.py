@@ -1,4 +1,4 @@
-"""Retention: which parts are dropped because they are too old, or because the store is too large.
+"""Retention: chooses the parts to delete because they are too old, or because the store is too large.
 
 Pure. Knows parts; the writer drops them.
 """
@@ -12,7 +12,7 @@ from .manifest import StorePart
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """How long and how much is kept.
+    """Limits of age and size of a store.
 
     Attributes:
         age: seconds; None for ever.
@@ -30,7 +30,7 @@ class Retention:
 
 
 def parts_to_drop(parts: Sequence[StorePart], retention: Retention, now: int) -> list[StorePart]:
-    """The finished parts that retention does not keep, oldest first. The open one is never among them.
+    """The finished parts beyond the limits of retention, oldest first; never the open one.
 
     Args:
         parts: all parts.

@@ -44,7 +44,7 @@ def can_seal() -> bool:
 
 
 def arrow(module: str = "") -> Any:  # pyarrow has no types of its own
-    """pyarrow, or one of its modules. Raises `MissingExtra`."""
+    """Import pyarrow or one of its modules. Raises `MissingExtra`."""
     require("pyarrow", "a sealed part of the store")
     return import_module(f"pyarrow{'.' * bool(module)}{module}")
 

@@ -64,7 +64,7 @@ KeyedAlarm = tuple[int, AlarmEvent]
 
 
 class Segment:
-    """A segment that is written. Not safe for several threads; every method may raise `sqlite3.Error`."""
+    """A segment that is being written. Not safe for several threads; every method may raise `sqlite3.Error`."""
 
     def __init__(self, path: Path, *, every_commit_durable: bool) -> None:
         self.path = path
@@ -85,7 +85,7 @@ class Segment:
         intervals: Sequence[StateInterval | Gap],
         alarms: Sequence[KeyedAlarm] = (),
     ) -> None:
-        """Write all of a commit but its end; `commit` or `rollback` follows."""
+        """Write a commit except for its end; `commit` or `rollback` follows."""
         database = self._database
         database.execute("BEGIN IMMEDIATE")
         for ids, batch in batches:
@@ -101,7 +101,7 @@ class Segment:
             database.executemany(INSERT_ALARM, [astuple(row) for row in _alarm_rows(alarms, number)])
 
     def commit(self) -> None:
-        """End the transaction, then move the log into the file where it has grown.
+        """End the transaction, then move the write-ahead log into the file if it has grown.
 
         What was committed is committed, also where the log cannot be moved (a full disk): that is tried again.
         """
@@ -111,12 +111,12 @@ class Segment:
                 self._database.execute("PRAGMA wal_checkpoint(PASSIVE)")
 
     def rollback(self) -> None:
-        """Undo what was begun."""
+        """Undo the transaction that was begun."""
         with contextlib.suppress(sqlite3.Error):
             self._database.execute("ROLLBACK")
 
     def log_size(self) -> int:
-        """Bytes of the write-ahead log."""
+        """Size of the write-ahead log in bytes."""
         try:
             return self._log.stat().st_size
         except FileNotFoundError:
@@ -124,24 +124,24 @@ class Segment:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the log grows because a reader holds what is in it."""
+        """Whether the write-ahead log keeps growing because a reader uses it."""
         return self.log_size() > LOG_STUCK
 
     def size(self) -> int:
-        """Bytes on disk."""
+        """Size of the segment on disk in bytes."""
         return size_of(self.path)
 
     def sync(self) -> None:
-        """Make all commits so far durable."""
+        """Make all commits so far durable on disk."""
         sync_file(self._log)
         sync_file(self.path)
 
     def limit_pages(self, pages: int) -> None:
-        """Let the file have so many pages at most, as on a full disk."""
+        """Limit the number of pages of the file, to simulate a full disk."""
         self._database.execute(f"PRAGMA max_page_count={pages}")
 
     def close(self) -> None:
-        """Close the file; a log that no reader holds is moved into it and removed."""
+        """Close the file; a write-ahead log that no reader uses is merged into it and removed."""
         with contextlib.suppress(sqlite3.Error):
             self._database.close()
 
@@ -193,7 +193,7 @@ def stored_value(value: object) -> object:
 
 
 def sample_value(stored: int | float | str | bytes | None, reason: int, is_state: bool) -> Value | None:
-    """The value that a row holds."""
+    """The value of a sample that a row holds."""
     if stored is None:
         return None if quality_of(reason) is Quality.BAD else float("nan")
     if isinstance(stored, bytes):
@@ -242,7 +242,7 @@ def _stored_number(value: float) -> object:
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
-    """A connection to a segment that writes nothing. Raises `FileNotFoundError` where the file is gone."""
+    """Open a segment for reading only. Raises `FileNotFoundError` if the file is gone."""
     if not path.exists():
         raise FileNotFoundError(os.fspath(path))
     try:
@@ -254,7 +254,7 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
 
 
 def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StorePart:
-    """The part with what its commits say."""
+    """The description of a segment for the manifest, from its commits."""
     low, high, first, last, alive, rows = database.execute(
         "SELECT min(low), max(high), min(number), max(number), max(at), coalesce(sum(samples), 0) FROM commits"
     ).fetchone()
@@ -262,12 +262,12 @@ def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StoreP
 
 
 def is_unmade(error: sqlite3.OperationalError) -> bool:
-    """Whether a segment was listed and its file made, but not yet its tables: it holds nothing."""
+    """Whether an error means that a segment is listed but its tables do not exist yet, so that it is empty."""
     return "no such table" in str(error)
 
 
 def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
-    """The events of alarms of a segment behind a commit, in the order of their commits."""
+    """The alarm events of a segment after a commit, in the order of their commits."""
     try:
         rows = database.execute("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", (after,))
     except sqlite3.OperationalError as error:
@@ -278,7 +278,7 @@ def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
 
 
 def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
-    """The accumulators of a segment, each as it was last."""
+    """The latest state of each accumulator in a segment."""
     try:
         rows = database.execute("SELECT point, total, last, commit_number FROM counters")
     except sqlite3.OperationalError as error:

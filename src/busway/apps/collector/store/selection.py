@@ -1,4 +1,4 @@
-"""What is asked of a store: which points, and which time.
+"""Selects what is read from a store: parses points, times and periods of a query.
 
 Pure but for the clock of "an hour ago", which comes as an argument.
 """
@@ -24,7 +24,7 @@ EVER: Final = 2**63 - 1
 
 
 def moment(given: Moment, now: int) -> int:
-    """Nanoseconds since 1970 UTC of a time that was given.
+    """Nanoseconds since 1970 UTC for a time given by a user.
 
     Raises:
         InvalidRequest: it is no time. Text without an offset is UTC.
@@ -45,7 +45,7 @@ def moment(given: Moment, now: int) -> int:
 
 
 def span(given: str | float) -> int:
-    """Nanoseconds of a length of time: ``10s``, ``5m``, or seconds. Raises `InvalidRequest`."""
+    """Nanoseconds for a duration such as ``10s`` or ``5m``, or a number of seconds. Raises `InvalidRequest`."""
     match = _SPAN.fullmatch(given.strip()) if isinstance(given, str) else None
     if isinstance(given, str):
         length = 0.0 if match is None else float(match[1]) * _SECONDS[match[2]]

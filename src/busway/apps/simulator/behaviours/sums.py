@@ -107,7 +107,7 @@ class SteadyLag:
         return self._target + way * math.exp(min(self._since - time, 0.0) / self._time_constant)
 
     def resume(self, time: float, value: float) -> None:
-        """Continue the approach from a value at a time."""
+        """Continue approaching the target from a value at a time."""
         self._since = time
         self._start = value
 
@@ -147,7 +147,7 @@ class Lag:
         self._seen = self._target(time)
 
     def resume(self, time: float, value: float) -> None:
-        """Continue the approach from a value at a time."""
+        """Continue approaching the target from a value at a time."""
         self._time = time
         self._value = value
 
