@@ -21,7 +21,7 @@ def collected(tmp_path_factory):
 
 
 def row(page, key):
-    return page.locator("#value-rows tr", has=page.get_by_role("button", name=key, exact=True))
+    return page.locator("#value-rows [role=row]", has=page.get_by_role("button", name=key, exact=True))
 
 
 @pytest.mark.parametrize("width", ["desktop", "phone"])
@@ -50,7 +50,7 @@ def test_filters_by_text_and_quality_leave_the_points_that_fit(new_page, collect
     expect(page.locator("#count")).to_have_text("1 of 3 points")
     page.get_by_label("Search points").fill("")
     page.get_by_label("Quality").select_option("bad")
-    expect(page.locator("#value-rows tr")).to_have_count(1)
+    expect(page.locator("#value-rows [role=row]")).to_have_count(1)
     expect(row(page, "pump/gone")).to_be_visible()
 
 
@@ -70,6 +70,8 @@ def test_the_keyboard_opens_and_closes_a_history_and_changes_views(new_page, col
     expect(page.locator("#history")).to_be_hidden()
     expect(button).to_be_focused()
     page.locator("#tab-values").focus()
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#tab-alarms")).to_be_focused()
     page.keyboard.press("ArrowRight")
     expect(page.locator("#tab-devices")).to_be_focused()
     expect(page.locator("#devices")).to_be_visible()

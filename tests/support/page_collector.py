@@ -35,6 +35,7 @@ url = "{url}"
 name = "pump"
 link = "hall"
 unit = 1
+poll_class = "all"
 profile = "pump.toml"
 [[sink]]
 name = "lines"
@@ -47,6 +48,7 @@ class WatchedCollector:
 
     def __init__(self, page: CollectorPage, collector: busway.Collector, device: busway.Device) -> None:
         self.page, self.collector, self.device = page, collector, device
+        self.loop = asyncio.get_running_loop()
 
     def ask(self, path: str, token: str = "", **wanted: Any) -> tuple[int, Any]:
         """Status and content of an answer."""
@@ -61,11 +63,11 @@ class WatchedCollector:
 
 
 @contextlib.asynccontextmanager
-async def _running(folder: Path, at: str, more: str) -> AsyncIterator[WatchedCollector]:
+async def _running(folder: Path, at: str, more: str, profile: str) -> AsyncIterator[WatchedCollector]:
     device = busway.Device(holding_registers=100)
     device.holding_registers[0:2] = [15, 7]
     async with busway.serve("tcp://127.0.0.1:0", units={1: device}) as server:
-        (folder / "pump.toml").write_text(PUMP)
+        (folder / "pump.toml").write_text(profile)
         file = folder / "plant.toml"
         file.write_text(PLANT.replace("{url}", server.endpoints[0]) + more)
         async with busway.collect(file) as collector, CollectorPage(collector, at) as page:
@@ -73,15 +75,17 @@ async def _running(folder: Path, at: str, more: str) -> AsyncIterator[WatchedCol
 
 
 @contextlib.contextmanager
-def watched_collector(folder: Path, at: str = "127.0.0.1:0", more: str = "") -> Iterator[WatchedCollector]:
-    """Run one while the block lasts. ``more`` is added to its file."""
+def watched_collector(
+    folder: Path, at: str = "127.0.0.1:0", more: str = "", profile: str = PUMP
+) -> Iterator[WatchedCollector]:
+    """Run one while the block lasts. ``more`` is added to its file; ``profile`` is that of its pump."""
     ready: list[WatchedCollector | BaseException] = []
     begun, loop = threading.Event(), asyncio.new_event_loop()
     end = asyncio.Event()
 
     async def run() -> None:
         try:
-            async with _running(folder, at, more) as running:
+            async with _running(folder, at, more, profile) as running:
                 ready.append(running)
                 begun.set()
                 await end.wait()

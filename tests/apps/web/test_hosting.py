@@ -9,12 +9,13 @@ import pytest
 from page_plant import watched, watching
 
 import busway
+from busway.apps.web.collector_page import _SCRIPTS
 from busway.apps.web.hosting import ControlPage
 from busway.errors import ConfigError, LinkDown
 from busway.observe.trace import TRACE
 
 PAGE = files("busway.apps.web") / "page"
-COLLECTORS = {"collector.html", "collector.js", "history.js"}
+COLLECTORS = {"collector.html", *(f"{name}.js" for name in _SCRIPTS)}
 """What belongs to the page of the collector; test_collector_page.py looks at it."""
 
 

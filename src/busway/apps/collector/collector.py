@@ -15,7 +15,7 @@ import logging
 import os
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Container, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -295,6 +295,10 @@ class Collector:
         """
         self._poller_of(device).lease(device, list(points), period, seconds)
 
+    def registers_of(self, device: str, points: Container[str]) -> dict[str, bytes]:
+        """The registers of points of a device as they were read last, by name of the point. Raises `ConfigError`."""
+        return self._poller_of(device).devices[device].registers_of(points)
+
     def store_status(self) -> StoreStatus:
         """How the store does."""
         assert self._committer is not None
@@ -327,6 +331,10 @@ class Collector:
             name: (running.poller.schedule.busy / elapsed, running.poller.schedule.probing / elapsed)
             for name, running in self._links.items()
         }
+
+    def latencies(self, parts: Sequence[float]) -> Mapping[str, list[float]]:
+        """By link, the seconds within which these parts (0…1) of its last transactions were answered."""
+        return {name: running.poller.latencies(parts) for name, running in self._links.items()}
 
     def _poller_of(self, device: str) -> LinkPoller:
         for running in self._links.values():

@@ -10,7 +10,8 @@ Knows the schedule, a link of asyncio and the decoders of points; knows no store
 """
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Awaitable, Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Protocol
 
@@ -31,6 +32,8 @@ from .schedule import LinkSchedule, Turn, TurnKind, TurnOutcome
 
 MOST_DECODERS: Final = 512
 """Compiled reads of one device that are kept."""
+KEPT_LATENCIES: Final = 1000
+"""Transactions of a link whose length is kept, for percentiles."""
 MOST_SHARED_DECODERS: Final = 4096
 """Decoders that all devices share."""
 
@@ -52,14 +55,20 @@ class PollLink(Protocol):
         """A reply or an error for each request."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True, eq=False)
 class _CompiledRead:
-    """A planned read, ready to be made: its request, the decoder of its reply, and whose samples it brings."""
+    """A planned read, ready to be made: its request, the decoder of its reply, and whose samples it brings.
+
+    Attributes:
+        data, at: its last reply, and the nanosecond when that was taken, for those who ask for raw values.
+    """
 
     read: PlannedRead
     request: Any  # a request of the table's class
     decoder: ReadDecoder
     group: PointGroup
+    data: bytes = b""
+    at: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +127,18 @@ class PolledDevice:
     suspended: StateInterval | None = None
     _compiled: dict[int, _CompiledRead] = field(default_factory=dict)
 
+    def registers_of(self, points: Container[str]) -> dict[str, bytes]:
+        """The registers of points as they were read last, two bytes each; none for bits and for computed points."""
+        found: dict[str, bytes] = {}
+        for each in sorted(self._compiled.values(), key=lambda one: one.at):
+            if not each.data or each.read.table in (Table.COILS, Table.DISCRETE_INPUTS):
+                continue
+            for item in each.read.items:
+                if item.name in points:
+                    begin = 2 * (item.start - each.read.start)
+                    found[item.name] = bytes(each.data[begin : begin + 2 * item.width])
+        return found
+
     def compiled(self, read: PlannedRead) -> _CompiledRead:
         """A read of it, compiled at its first use."""
         found = self._compiled.get(id(read))
@@ -170,6 +191,12 @@ class LinkPoller:
         self._now = now
         self._wake: asyncio.Event | None = None
         self._has_ended = False
+        self._latencies: deque[float] = deque(maxlen=KEPT_LATENCIES)
+
+    def latencies(self, parts: Sequence[float]) -> list[float]:
+        """Seconds within which these parts (0…1) of the last transactions were answered; empty before the first."""
+        kept = sorted(self._latencies)
+        return [kept[min(int(part * len(kept)), len(kept) - 1)] for part in parts] if kept else []
 
     # Devices.
 
@@ -350,6 +377,7 @@ class LinkPoller:
                 self._samples(computed)
         if result is TurnOutcome.ANSWERED:
             device.timeout.answered(ended - began)
+            self._latencies.append(ended - began)
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
                 self._end_interval(device)
         elif result is TurnOutcome.SILENT:
@@ -366,6 +394,7 @@ class LinkPoller:
         data = reply.data
         if len(data) != decoder.size:
             raise BadReply(f"{len(data)} bytes came where {decoder.size} were asked for")
+        compiled.data, compiled.at = data, middle
         found = decoder.decode(data, device.scale_factors)
         if not found.flaws and self._clock.is_right:
             return SampleBatch(compiled.group, middle, half, found.values)

@@ -3,6 +3,8 @@
 Knows shapes alone. Times of samples are milliseconds since 1970 UTC, those of trends seconds, as the chart has them.
 """
 
+from typing import Literal
+
 from pydantic import Field
 
 from .messages import Answer, Plain
@@ -33,11 +35,14 @@ class CollectedPoint(Answer):
     device: str
     point: str
     unit_of_measure: str
+    kind: Literal["number", "state", "text"]
+    writable: bool
 
 
 class CollectedPoints(Answer):
     """All points."""
 
+    revision: int = Field(description="How often they became others since the start; the stream has the same number.")
     points: list[CollectedPoint]
 
 
@@ -72,6 +77,13 @@ class CollectedDevices(Answer):
     devices: list[DeviceAnswer]
 
 
+class SilentDevice(Answer):
+    """A device that is not polled, and since when."""
+
+    device: str
+    since: int
+
+
 class LinkAnswer(Answer):
     """A link: seconds of reads per second."""
 
@@ -79,6 +91,8 @@ class LinkAnswer(Answer):
     planned: float
     busy: float = Field(description="Since the start.")
     probing: float = Field(description="The part of it that went to silent devices.")
+    latency: list[float] = Field(description="Seconds within which 50, 90 and 99 % of the last reads came.")
+    silent: list[SilentDevice]
     problems: list[str]
 
 
@@ -97,6 +111,7 @@ class ReadAnswer(Answer):
 class LinksAnswer(Answer):
     """All links, and their reads."""
 
+    now: int
     links: list[LinkAnswer]
     reads: list[ReadAnswer]
     more_reads: int = Field(description="Reads that are left out.")
@@ -118,6 +133,26 @@ class SinksAnswer(Answer):
 
     sinks: list[SinkAnswer]
     prometheus: list[str] = Field(description="URLs of pages for Prometheus.")
+
+
+LogLevel = Literal["debug", "info", "warning", "error"]
+
+
+class LogLine(Answer):
+    """A message of the collector."""
+
+    number: int = Field(description="Greater than that of every message before.")
+    at: int
+    level: LogLevel
+    source: str
+    text: str
+
+
+class LogAnswer(Answer):
+    """The last messages."""
+
+    lines: list[LogLine]
+    dropped: int = Field(description="Older messages that are no longer kept.")
 
 
 class TrendAnswer(Answer):

@@ -9,25 +9,27 @@ Knows a running collector, its store and HTTP; asks no device.
 """
 
 import asyncio
+import contextlib
 import time
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 from fastapi import Depends, FastAPI, Query
 from starlette.exceptions import HTTPException
+from starlette.routing import WebSocketRoute
 
 from ...config.paths import within
 from ...options.tls import TlsParameters
-from ..collector.admission import LinkLoad
+from ...points.point import Point
 from ..collector.collector import Collector
 from ..collector.configuration import CollectorConfiguration
 from ..collector.preview import CollectorPreview, preview
 from ..collector.samples import NANOSECONDS, quality_of, reason_text
-from ..collector.sinks.prometheus import LastValues
 from ..collector.store.frames import BucketTable
 from ..collector.store.reading import Store
 from ..collector.store.writer import Commit
 from .access import ROLES, Application, Caller, PageAccessRules, Role, require
+from .collector_log import MOST_LINES, CollectorLog
 from .collector_messages import (
     CallerAnswer,
     CollectedDevices,
@@ -38,15 +40,20 @@ from .collector_messages import (
     DeviceAnswer,
     LinkAnswer,
     LinksAnswer,
+    LogAnswer,
+    LogLevel,
     ReadAnswer,
+    SilentDevice,
     SinkAnswer,
     SinksAnswer,
     TrendAnswer,
 )
+from .collector_stream import CollectorStream
 from .hosting import SHARED_FILES, HostedPage, guarded, page_application
 from .messages import Failure, plain_value
 from .page_tokens import TOKEN_FILE, KeptTokens
 
+PERCENTILES: Final = (0.5, 0.9, 0.99)
 MOST_BUCKETS: Final = 2000
 MOST_QUERIES: Final = 2
 MOST_READS: Final = 2000
@@ -55,11 +62,13 @@ _PLAN_SECONDS: Final = 30.0
 """How long a plan is shown before it is made anew."""
 _LONGEST: Final = 366 * 86_400.0
 _MILLION: Final = 1_000_000
+_SCRIPTS: Final = (
+    "alarms", "collector", "collector_log", "commands", "configuration", "devices", "history", "session", "values",
+)  # fmt: skip
 _FILES: Final = {
     **SHARED_FILES,
     "/": ("collector.html", "text/html; charset=utf-8"),
-    "/collector.js": ("collector.js", "text/javascript; charset=utf-8"),
-    "/history.js": ("history.js", "text/javascript; charset=utf-8"),
+    **{f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8") for name in _SCRIPTS},
 }
 
 
@@ -95,6 +104,9 @@ class CollectorPage(HostedPage):
         kept = KeptTokens(self.token_path)
         return PageAccessRules(kept.current, self._subjects, Role.VIEW if local else None, is_loopback=local)
 
+    def _lasting(self) -> contextlib.AbstractContextManager[object]:
+        return self.api.log
+
     def resources(self) -> FastAPI:
         """The API without its access rules."""
         inner = page_application("busway collector", "Last values, history, links, devices and sinks of a collector.")
@@ -129,7 +141,8 @@ class CollectorApi:
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector
-        self._values = LastValues()
+        self.stream: CollectorStream = CollectorStream(collector)
+        self.log: CollectorLog = CollectorLog()
         self._newest = 0
         self._queries = asyncio.Semaphore(MOST_QUERIES)
         self._planned: tuple[float, CollectorPreview] | None = None
@@ -138,7 +151,6 @@ class CollectorApi:
 
     def _committed(self, commit: Commit) -> None:
         self._newest = commit.number
-        self._values.update(commit)
 
     def add_to(self, application: FastAPI) -> None:
         """Add the resources to an application."""
@@ -149,7 +161,9 @@ class CollectorApi:
         add("/api/values", self.list_values, methods=["GET"], summary="The last committed value of each point")
         add("/api/devices", self.list_devices, methods=["GET"], summary="The devices, and what was learnt of them")
         add("/api/links", self.list_links, methods=["GET"], summary="The links, their load and their reads")
+        add("/api/log", self.list_log, methods=["GET"], summary="What the collector said last, the newest first")
         add("/api/sinks", self.list_sinks, methods=["GET"], summary="The sinks, and how far behind they are")
+        application.routes.append(WebSocketRoute("/stream", self.stream.serve))
         add(
             "/api/trend",
             self.get_trend,
@@ -177,26 +191,32 @@ class CollectorApi:
 
     async def list_points(self) -> CollectedPoints:
         """All points, in the order of `list_values`."""
+        self.stream.refresh()
         return CollectedPoints(
+            revision=self.stream.revision,
             points=[
-                CollectedPoint(device=device.name, point=point.name, unit_of_measure=point.unit_of_measure)
+                CollectedPoint(
+                    device=device.name,
+                    point=point.name,
+                    unit_of_measure=point.unit_of_measure,
+                    kind=_kind(point),
+                    writable=point.writing is not None,
+                )
                 for device in self._collector.configuration.devices.values()
                 for point in device.points
-            ]
+            ],
         )
 
     async def list_values(self) -> CollectedValues:
         """Columns with an entry for each point; nothing for a point that was not read since the start."""
-        known = {(sample[0], sample[1]): sample[2:] for sample in self._values.samples()}
-        answer = CollectedValues(now=time.time_ns() // _MILLION, value=[], quality=[], reason=[], time=[])
-        for device in self._collector.configuration.devices.values():
-            for point in device.points:
-                found = known.get((device.name, point.name))
-                answer.value.append(None if found is None else plain_value(found[0]))
-                answer.quality.append("" if found is None else quality_of(found[1]).label)
-                answer.reason.append("" if found is None or not found[1] else reason_text(found[1]))
-                answer.time.append(None if found is None else found[2] // _MILLION)
-        return answer
+        values, reasons, times = await asyncio.to_thread(self.stream.refresh().columns)
+        return CollectedValues(
+            now=time.time_ns() // _MILLION,
+            value=[plain_value(value) for value in values],
+            quality=[quality_of(reason).label if at else "" for reason, at in zip(reasons, times, strict=True)],
+            reason=[reason_text(reason) if reason else "" for reason in reasons],
+            time=[at or None for at in times],
+        )
 
     async def list_devices(self) -> CollectedDevices:
         """How each device does."""
@@ -221,9 +241,22 @@ class CollectorApi:
     async def list_links(self) -> LinksAnswer:
         """Load planned and real, and the reads with what each costs."""
         planned, real = await self._plan(), self._collector.loads()
+        latencies, silent = self._collector.latencies(PERCENTILES), self._silent()
         devices = self._collector.configuration.devices
         return LinksAnswer(
-            links=[_link(load, real.get(load.link, (0.0, 0.0))) for load in planned.loads],
+            now=time.time_ns() // _MILLION,
+            links=[
+                LinkAnswer(
+                    name=load.link,
+                    planned=load.load,
+                    busy=real.get(load.link, (0.0, 0.0))[0],
+                    probing=real.get(load.link, (0.0, 0.0))[1],
+                    latency=latencies.get(load.link, []),
+                    silent=silent.get(load.link, []),
+                    problems=list(load.problems),
+                )
+                for load in planned.loads
+            ],
             reads=[
                 ReadAnswer(
                     link=devices[read.device].link if read.device in devices else "",
@@ -238,6 +271,14 @@ class CollectorApi:
             ],
             more_reads=max(len(planned.reads) - MOST_READS, 0),
         )
+
+    def _silent(self) -> dict[str, list[SilentDevice]]:
+        found: dict[str, list[SilentDevice]] = {}
+        for each in self._collector.status():
+            if each.silent_since is not None:
+                silent = SilentDevice(device=each.name, since=each.silent_since // _MILLION)
+                found.setdefault(each.link, []).append(silent)
+        return found
 
     async def _plan(self) -> CollectorPreview:
         async with self._planning:
@@ -265,6 +306,15 @@ class CollectorApi:
             prometheus=self._collector.pages,
         )
 
+    async def list_log(
+        self,
+        limit: Annotated[int, Query(ge=1, le=MOST_LINES)] = 200,
+        level: Annotated[LogLevel, Query(description="The least level.")] = "info",
+        search: Annotated[str, Query(max_length=200)] = "",
+    ) -> LogAnswer:
+        """The last lines of a level or above that have all of the searched words."""
+        return self.log.lines(limit, level, search)
+
     async def get_trend(
         self,
         device: Annotated[str, Query(max_length=200)],
@@ -287,8 +337,11 @@ class CollectorApi:
         return _trend(table, now, seconds, max(3 * max(classes, default=1.0), 2 * length))
 
 
-def _link(load: LinkLoad, real: tuple[float, float]) -> LinkAnswer:
-    return LinkAnswer(name=load.link, planned=load.load, busy=real[0], probing=real[1], problems=list(load.problems))
+def _kind(point: Point) -> Literal["number", "state", "text"]:
+    """What a value of a point is for those who type one."""
+    if point.type.startswith("bit"):
+        return "state"
+    return "text" if point.type.startswith(("string", "ip", "eui")) else "number"
 
 
 def _read(folder: str, point: str, since: int, bucket: float) -> BucketTable:

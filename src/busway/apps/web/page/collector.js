@@ -1,135 +1,110 @@
-// The page of the collector: views as tabs, asked for once a second while they can be seen.
+// The page of the collector: views as tabs, the stream of values, and what the user's role permits.
 
-import { byId, element, keyed, setText, valueText } from "./dom.js";
+import { AlarmView } from "./alarms.js";
+import { showLog } from "./collector_log.js";
+import { WriteDialog, showCommands } from "./commands.js";
+import { ConfigurationView } from "./configuration.js";
+import { DeviceView, showLinks, showSinks } from "./devices.js";
+import { byId, setText } from "./dom.js";
 import { History } from "./history.js";
-import { Refusal, ask, useToken } from "./link.js";
+import { Refusal, Stream, ask, hasToken } from "./link.js";
+import { askForToken, learnRole, may, offerTokens, onRole } from "./session.js";
+import { ValueTable } from "./values.js";
 
-const VIEWS = ["values", "devices", "links", "sinks"];
+const VIEWS = ["values", "alarms", "devices", "links", "sinks", "commands", "log", "configuration"];
 const PERIOD = 1000;
-const MOST_ROWS = 500;
 const STATES = { waiting: "connecting", live: "live", down: "not connected" };
 
-const history_ = new History();
-let points = [];
 let view = "values";
+let revision = -1;
 
 function state(name, text = STATES[name]) {
   byId("live").dataset.state = name;
   setText(byId("live"), text);
 }
 
-/** How long ago, in words; times in milliseconds. */
-function ago(now, then) {
-  if (then === null) return "–";
-  const seconds = Math.max(now - then, 0) / 1000;
-  if (seconds < 10) return `${seconds.toFixed(1)} s`;
-  if (seconds < 120) return `${Math.round(seconds)} s`;
-  if (seconds < 7200) return `${Math.round(seconds / 60)} min`;
-  return seconds < 172800 ? `${Math.round(seconds / 3600)} h` : `${Math.round(seconds / 86400)} d`;
+const stream = new Stream(take, state);
+const past = new History();
+const writing = new WriteDialog(() => view === "commands" && refresh());
+const table = new ValueTable(stream, {
+  history: (point, button) => past.show({ ...point, button }),
+  write: (point, button) => writing.open(point, button),
+});
+const alarms = new AlarmView();
+const devices = new DeviceView();
+const configuration = new ConfigurationView();
+const SHOW = {
+  values: () => {},
+  alarms: () => alarms.show(),
+  devices: () => devices.show(),
+  links: showLinks,
+  sinks: showSinks,
+  commands: showCommands,
+  log: showLog,
+  configuration: () => configuration.show(),
+};
+
+function take(message) {
+  if (message.now !== undefined) {
+    if (message.revision === revision) table.take(message);
+    else begin(); // the file was read again, and the points are others
+  }
+  if (message.alarms) alarms.count(message.alarms);
+  if (message.command && view === "commands") refresh();
 }
 
-const percent = (part) => `${(100 * part).toFixed(1)} %`;
-
-/** Fill a table; `cells` gives the texts of an item. */
-function fill(id, items, keyOf, cells, numbers) {
-  const make = (item) =>
-    element("tr", {}, ...cells(item).map((_, at) => element(at ? "td" : "th", { class: numbers.includes(at) ? "number" : false, scope: at ? false : "row" })));
-  const update = (row, item) => cells(item).forEach((text, at) => setText(row.children[at], String(text)));
-  keyed(byId(id), items, keyOf, make, update);
+async function about() {
+  const found = await ask("GET", "/api/collector");
+  setText(byId("name"), found.name);
+  setText(byId("store"), `${found.store}: ${found.samples} samples${found.lost ? `, ${found.lost} lost` : ""}${found.error ? `: ${found.error}` : ""}`);
 }
 
-// Values.
-
-const fits = (point, words, quality) =>
-  words.every((word) => point.text.includes(word)) && (!quality || (point.quality || "none") === quality);
-
-function makeRow(point) {
-  point.button = element("button", { type: "button", class: "quiet", onclick: () => history_.show(point) }, `${point.device}/${point.point}`);
-  const cell = element("th", { scope: "row" }, point.button);
-  return element("tr", {}, cell, element("td", { class: "number" }), element("td"), element("td", { class: "number" }));
-}
-
-function updateRow(row, point) {
-  const [, value, quality, age] = row.children;
-  const measure = point.unit_of_measure && point.value !== null ? ` ${point.unit_of_measure}` : "";
-  setText(value, valueText(point.value, null) + measure);
-  setText(quality, (point.quality || "not read yet") + (point.reason ? `: ${point.reason}` : ""));
-  quality.dataset.quality = point.quality || "none";
-  setText(age, point.age);
-}
-
-function showValues() {
-  const words = byId("search").value.toLowerCase().split(/\s+/).filter(Boolean);
-  const found = points.filter((point) => fits(point, words, byId("quality").value));
-  const more = found.length > MOST_ROWS ? `, the first ${MOST_ROWS} are shown` : "";
-  setText(byId("count"), `${found.length === points.length ? "" : `${found.length} of `}${points.length} points${more}`);
-  keyed(byId("value-rows"), found.slice(0, MOST_ROWS), (point) => `${point.device}/${point.point}`, makeRow, updateRow);
-}
-
-async function loadPoints() {
-  points = (await ask("GET", "/api/points")).points;
-  for (const point of points) point.text = `${point.device}/${point.point}`.toLowerCase();
-}
-
-async function values() {
-  const found = await ask("GET", "/api/values");
-  if (found.value.length !== points.length) await loadPoints(); // the file was read again
-  points.forEach((point, at) => {
-    point.value = found.value[at] ?? null;
-    point.quality = found.quality[at];
-    point.reason = found.reason[at];
-    point.age = ago(found.now, found.time[at] ?? null);
-  });
-  showValues();
-}
-
-// The other views.
-
-async function devices() {
-  const found = await ask("GET", "/api/devices");
-  const told = (each) => (each.silent_since === null ? each.state : `${each.state} for ${ago(found.now, each.silent_since)}`);
-  fill("device-rows", found.devices, (each) => each.name, (each) => [each.name, each.link, told(each), each.reads, each.failures, each.skipped, each.last_error, each.learnt.join("; ")], [3, 4, 5]);
-}
-
-async function links() {
-  const found = await ask("GET", "/api/links");
-  fill("link-rows", found.links, (each) => each.name, (each) => [each.name, percent(each.planned), percent(each.busy), percent(each.probing), each.problems.join("; ")], [1, 2, 3]);
-  fill("read-rows", found.reads, (each) => `${each.device} ${each.poll_class} ${each.first}`, (each) => [each.device, each.link, each.poll_class, each.first, each.count, each.points, `${(1000 * each.seconds).toFixed(1)} ms`], [4, 5, 6]);
-  setText(byId("more-reads"), found.more_reads ? `${found.more_reads} more are not shown.` : "");
-}
-
-async function sinks() {
-  const found = await ask("GET", "/api/sinks");
-  fill("sink-rows", found.sinks, (each) => each.name, (each) => [each.name, each.behind, each.sent, each.lost, each.set_aside, each.error ?? ""], [1, 2, 3, 4]);
-  byId("no-sinks").hidden = found.sinks.length > 0;
-  setText(byId("prometheus"), found.prometheus.length ? `Last values for Prometheus: ${found.prometheus.join(", ")}` : "");
-}
-
-const LOADS = { values, devices, links, sinks };
-
+/** Show what the view has now; what is wrong is said in its place. */
 async function refresh() {
   if (document.hidden) return;
-  const about = await ask("GET", "/api/collector");
-  setText(byId("name"), about.name);
-  setText(byId("store"), `${about.store}: ${about.samples} samples${about.lost ? `, ${about.lost} lost` : ""}${about.error ? `: ${about.error}` : ""}`);
-  await LOADS[view]();
-  state("live");
+  try {
+    await SHOW[view]();
+    setText(byId("problem"), "");
+  } catch (error) {
+    setText(byId("problem"), error.message);
+  }
 }
 
 async function keepUp() {
-  try {
+  if (!document.hidden) {
+    await about().catch(() => {}); // the stream says when nothing answers
     await refresh();
-  } catch (error) {
-    if (error instanceof Refusal && error.status === 401) {
-      if (!byId("token").open) byId("token").showModal();
-      return;
-    }
-    state("down", error.message);
   }
   setTimeout(keepUp, PERIOD);
 }
 
+let beginning = false;
+
+/** Points first, then the stream of their values. */
+async function begin() {
+  if (beginning) return;
+  beginning = true;
+  try {
+    await learnRole();
+    const found = await ask("GET", "/api/points");
+    ({ revision } = found);
+    table.use(found.points);
+    stream.reopen();
+    await about();
+  } catch (error) {
+    if (error instanceof Refusal && error.status === 401) askForToken(hasToken() ? error.message : "");
+    else {
+      state("down", error.message);
+      setTimeout(begin, 3000);
+    }
+  } finally {
+    beginning = false;
+  }
+}
+
 // Views as tabs.
+
+const visible = () => VIEWS.filter((name) => !byId(`tab-${name}`).hidden);
 
 function show(wanted, focus) {
   view = wanted;
@@ -141,26 +116,32 @@ function show(wanted, focus) {
     if (one === view && focus) tab.focus();
   }
   if (location.hash !== `#${view}`) history.replaceState(null, "", `#${view}`);
-  refresh().catch(() => {}); // keepUp says what is wrong
+  setText(byId("problem"), "");
+  table.redraw();
+  refresh();
 }
 
-for (const [at, name] of VIEWS.entries()) {
+for (const name of VIEWS) {
   const tab = byId(`tab-${name}`);
   tab.addEventListener("click", () => show(name, true));
   tab.addEventListener("keydown", (event) => {
-    const to = { ArrowRight: at + 1, ArrowLeft: at - 1, Home: 0, End: VIEWS.length - 1 }[event.key];
+    const there = visible();
+    const at = there.indexOf(name);
+    const to = { ArrowRight: at + 1, ArrowLeft: at - 1, Home: 0, End: there.length - 1 }[event.key];
     if (to === undefined) return;
     event.preventDefault();
-    show(VIEWS[(to + VIEWS.length) % VIEWS.length], true);
+    show(there[(to + there.length) % there.length], true);
   });
 }
-byId("search").addEventListener("input", showValues);
-byId("quality").addEventListener("change", showValues);
-byId("token-form").addEventListener("submit", () => {
-  useToken(byId("token-input").value);
-  keepUp();
+for (const id of ["log-level", "log-search"]) byId(id).addEventListener("input", refresh);
+onRole(() => {
+  byId("tab-configuration").hidden = !may("configure");
+  if (view === "configuration" && !may("configure")) show("values", false);
+  else refresh();
 });
+offerTokens(begin);
 
 const wanted = location.hash.slice(1);
-if (VIEWS.includes(wanted)) show(wanted, false);
+if (VIEWS.includes(wanted) && wanted !== "configuration") show(wanted, false);
+begin();
 keepUp();

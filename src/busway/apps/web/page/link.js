@@ -31,14 +31,21 @@ export function useToken(given) {
   sessionStorage.setItem(KEPT_TOKEN, token);
 }
 
+/** Whether a token is shown. */
+export const hasToken = () => token !== "";
+
 /** Ask by HTTP; gives the JSON of the answer, throws a `Refusal` with the program's sentence. */
-export async function ask(method, path, body) {
+export const ask = (method, path, body) =>
+  exchange(method, path, body === undefined ? undefined : JSON.stringify(body), "application/json");
+
+/** As `ask`, with a body of another type. */
+export async function exchange(method, path, body, kind) {
   const headers = {};
   if (token) headers.Authorization = `Bearer ${token}`;
-  if (body !== undefined) headers["Content-Type"] = "application/json";
+  if (body !== undefined) headers["Content-Type"] = kind;
   let response;
   try {
-    response = await fetch(path, { method, headers, body: body === undefined ? undefined : JSON.stringify(body) });
+    response = await fetch(path, { method, headers, body });
   } catch {
     throw new Refusal("The program does not answer.", 0);
   }
@@ -85,6 +92,14 @@ export class Stream {
       setTimeout(() => this.open(), this.pause * (0.75 + Math.random() / 2));
       this.pause = Math.min(this.pause * 2, LONGEST_PAUSE);
     });
+  }
+
+  /** Connect anew: another token is used, or everything has to come again. */
+  reopen() {
+    const before = this.socket;
+    this.socket = null;
+    before?.close();
+    this.open();
   }
 
   /** Say what is wanted from now on; it is said again after each new connection. */

@@ -1,0 +1,93 @@
+"""What a collector said last, for its page: the records of all loggers of busway, in a bounded ring.
+
+Knows `logging`; knows no request. Records come from any thread.
+
+1. The last `MOST_LINES` messages of level INFO and above are kept, each cut at `LONGEST_LINE` characters.
+2. Characters of devices and certificates that are not visible are escaped, so that no name forges a line.
+3. The handler is there while the page is; the levels of the loggers stay as they were, save that INFO is let through.
+4. A program without handlers shows warnings on stderr (`logging.lastResort`); it still does.
+"""
+
+import logging
+import threading
+from collections import deque
+from types import TracebackType
+from typing import Final, Self, cast
+
+from ...values import printable
+from .collector_messages import LogAnswer, LogLevel, LogLine
+
+MOST_LINES: Final = 1000
+LONGEST_LINE: Final = 2000
+_LOGGER: Final = "busway"
+_NUMBERS: Final = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
+
+
+class CollectorLog(logging.Handler):
+    """The last messages while the ``with`` block lasts."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.INFO)
+        self._kept: deque[LogLine] = deque(maxlen=MOST_LINES)
+        self._count = 0
+        self._guard = threading.Lock()
+        self._level_before = logging.NOTSET
+
+    def __enter__(self) -> Self:
+        logger = logging.getLogger(_LOGGER)
+        self._level_before = logger.level
+        if logger.getEffectiveLevel() > logging.INFO:
+            logger.setLevel(logging.INFO)
+        logger.addHandler(self)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        logger = logging.getLogger(_LOGGER)
+        logger.removeHandler(self)
+        logger.setLevel(self._level_before)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a record. Where nothing else would show a warning, this handler does not hide it either (rule 4)."""
+        if not logging.getLogger().handlers and logging.lastResort and record.levelno >= logging.lastResort.level:
+            logging.lastResort.handle(record)
+        try:
+            text = printable(record.getMessage())[:LONGEST_LINE]
+        except Exception:
+            self.handleError(record)
+            return
+        with self._guard:
+            self._count += 1
+            line = LogLine(
+                number=self._count,
+                at=int(record.created * 1000),
+                level=_level_of(record.levelno),
+                source=record.name.removeprefix(f"{_LOGGER}."),
+                text=text,
+            )
+            self._kept.append(line)
+
+    def lines(self, limit: int, level: LogLevel, search: str) -> LogAnswer:
+        """The newest lines first.
+
+        Args:
+            limit: how many at most.
+            level: the least level.
+            search: words that each line has, in whatever case.
+        """
+        with self._guard:
+            kept, count = list(self._kept), self._count
+        words = search.casefold().split()
+        fit = [
+            line
+            for line in reversed(kept)
+            if _NUMBERS[line.level] >= _NUMBERS[level]
+            and all(word in f"{line.source} {line.text}".casefold() for word in words)
+        ]
+        return LogAnswer(lines=fit[:limit], dropped=count - len(kept))
+
+
+def _level_of(number: int) -> LogLevel:
+    found = [name for name, least in _NUMBERS.items() if number >= least]
+    return cast("LogLevel", found[-1] if found else "debug")

@@ -1,0 +1,238 @@
+"""``/stream`` of a collector's page: a WebSocket that tells changed values, alarms and commands to all viewers.
+
+Knows viewers and what they look at; knows no store. Values come from `live_values`.
+
+1. At most two ticks a second. What changed is looked for and encoded once, in a worker thread, for all viewers that saw
+   the same tick. A viewer that is still taking the last message gets the next one with all that it missed.
+2. A viewer says which points it shows, at most `MOST_SHOWN`. Their registers are sent to it alone, and those that are
+   read rarely are leased: read every `LEASED_PERIOD` seconds before all classes, unless their link has no time for it.
+3. Everything has a limit: viewers, points, events that wait, seconds that a viewer takes for a message.
+"""
+
+import asyncio
+import contextlib
+import json
+import time
+from collections import deque
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Final
+
+from pydantic import Field, ValidationError
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from ...errors import ConfigError
+from ..collector.admission import MOST_LOAD
+from ..collector.collector import Collector
+from ..collector.store.writer import Commit
+from .access import BEARER_PROTOCOL
+from .live_values import LiveValues
+from .messages import Asked
+from .stream import CLIENTS, PROTOCOL, SEND_SECONDS
+
+TICK: Final = 0.5
+"""Seconds between two messages, at least."""
+MOST_SHOWN: Final = 200
+MOST_EVENTS: Final = 256
+"""Events that wait for a viewer; the oldest are dropped, and it asks anew where it needs them."""
+LEASED_PERIOD: Final = 1.0
+LEASE_SECONDS: Final = 10.0
+_LEASE_EVERY: Final = 4.0
+_TRY_AGAIN_LATER: Final = 1013
+_UNSUPPORTED: Final = 1003
+_MILLION: Final = 1_000_000
+
+
+class Shown(Asked):
+    """What a viewer shows from now on: places of points, as ``/api/points`` lists them."""
+
+    shown: Annotated[list[Annotated[int, Field(ge=0)]], Field(max_length=MOST_SHOWN)]
+
+
+class Viewer:
+    """One WebSocket, what it has seen and what it shows."""
+
+    def __init__(self) -> None:
+        self.seen: int = 0
+        self.revision: int = -1
+        self.shown: tuple[int, ...] = ()
+        self.told: dict[int, bytes] = {}
+        self.events: deque[str] = deque(maxlen=MOST_EVENTS)
+        self.message: str = ""
+        self.is_sending: bool = False
+        self.wake: asyncio.Event = asyncio.Event()
+
+
+class CollectorStream:
+    """All viewers of one collector.
+
+    Args:
+        collector: it has begun.
+
+    Attributes:
+        values: its last values.
+        revision: how often its points have become others.
+        points: device and name of each point, by place.
+    """
+
+    def __init__(self, collector: Collector) -> None:
+        self._collector = collector
+        self._viewers: list[Viewer] = []
+        self._ticker: asyncio.Task[None] | None = None
+        self._leased_at = 0.0
+        self.revision: int = 0
+        self._configuration = collector.configuration
+        self.points: list[tuple[str, str]] = _points_of(collector)
+        self.values: LiveValues = LiveValues(self.points)
+        collector.subscribe(self._committed)
+
+    def __len__(self) -> int:
+        return len(self._viewers)
+
+    def _committed(self, commit: Commit) -> None:
+        self.values.update(commit)
+
+    def refresh(self) -> LiveValues:
+        """The values of now; anew where the file was read again and the points are others."""
+        if self._collector.configuration is not self._configuration:
+            self._configuration = self._collector.configuration
+            points = _points_of(self._collector)
+            if points != self.points:
+                self.points = points
+                self.values = LiveValues(points)
+                self.revision += 1
+        return self.values
+
+    def tell(self, kind: str, content: Mapping[str, Any]) -> None:  # Any: JSON
+        """Tell all viewers of an event: ``alarms`` or ``command``. From the thread of the event loop."""
+        if self._viewers:
+            text = json.dumps({kind: content}, ensure_ascii=False, separators=(",", ":"))
+            for viewer in self._viewers:
+                viewer.events.append(text)
+                viewer.wake.set()
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Serve one WebSocket until it ends."""
+        if len(self._viewers) >= CLIENTS:
+            await socket.close(_TRY_AGAIN_LATER, f"there are {CLIENTS} already")
+            return
+        offered = socket.scope.get("subprotocols", [])
+        shows_token = any(one.startswith(BEARER_PROTOCOL) for one in offered)
+        await socket.accept(PROTOCOL if PROTOCOL in offered or shows_token else None)
+        viewer = Viewer()
+        self._viewers.append(viewer)
+        if self._ticker is None:
+            self._ticker = asyncio.create_task(self._tick(), name="busway page ticks")
+        sender = asyncio.create_task(_send(socket, viewer))
+        try:
+            await self._receive(socket, viewer)
+        except WebSocketDisconnect:
+            pass
+        finally:
+            self._viewers.remove(viewer)
+            sender.cancel()
+            if not self._viewers and self._ticker is not None:
+                self._ticker.cancel()
+                self._ticker = None
+            await asyncio.gather(sender, return_exceptions=True)
+
+    async def _receive(self, socket: WebSocket, viewer: Viewer) -> None:
+        while True:
+            message = await socket.receive()
+            if message["type"] == "websocket.disconnect":
+                return
+            try:
+                wanted = Shown.model_validate_json(message.get("text") or "")
+            except ValidationError:
+                await socket.close(_UNSUPPORTED, f'expected {{"shown": [at most {MOST_SHOWN} places]}}')
+                return
+            count = len(self.points)
+            viewer.shown = tuple(place for place in wanted.shown if place < count)
+            self._leased_at = 0.0
+
+    async def _tick(self) -> None:
+        while True:
+            values = self.refresh()
+            await asyncio.to_thread(values.advance)
+            ready = [viewer for viewer in self._viewers if not viewer.is_sending]
+            for viewer in ready:
+                if viewer.revision != self.revision:
+                    viewer.seen, viewer.revision, viewer.told = -1, self.revision, {}
+            texts = {seen: await asyncio.to_thread(values.since, seen) for seen in {each.seen for each in ready}}
+            now = time.time_ns() // _MILLION
+            for viewer in ready:
+                raw = self._raw(viewer) if viewer.shown else {}
+                if viewer.seen < values.tick or raw:
+                    raw_text = f',"raw":{json.dumps(raw)}' if raw else ""
+                    viewer.message = f'{{"now":{now},"revision":{self.revision},{texts[viewer.seen]}{raw_text}}}'
+                    viewer.seen = values.tick
+                    viewer.is_sending = True
+                    viewer.wake.set()
+            self._lease()
+            await asyncio.sleep(TICK)
+
+    # What is shown.
+
+    def _raw(self, viewer: Viewer) -> dict[int, str]:
+        """Registers of the points that a viewer shows, where they are others than it was told."""
+        found: dict[int, str] = {}
+        for device, places in self._by_device(viewer.shown).items():
+            try:
+                registers = self._collector.registers_of(device, places)
+            except ConfigError:  # it has gone, and the next tick knows that
+                continue
+            for name, place in places.items():
+                data = registers.get(name)
+                if data is not None and viewer.told.get(place) != data:
+                    viewer.told[place] = data
+                    found[place] = data.hex(" ", 2).upper()
+        if len(viewer.told) > 10 * MOST_SHOWN:
+            viewer.told = {place: viewer.told[place] for place in viewer.shown if place in viewer.told}
+        return found
+
+    def _by_device(self, places: Iterable[int]) -> dict[str, dict[str, int]]:
+        found: dict[str, dict[str, int]] = {}
+        for place in places:
+            device, point = self.points[place] if place < len(self.points) else ("", "")
+            if device:
+                found.setdefault(device, {})[point] = place
+        return found
+
+    def _lease(self) -> None:
+        """Rule 2; every few seconds, and as soon as something else is shown."""
+        now = time.monotonic()
+        if now - self._leased_at < _LEASE_EVERY:
+            return
+        self._leased_at = now
+        configuration, loads = self._collector.configuration, self._collector.loads()
+        for device, points in self._by_device({place for each in self._viewers for place in each.shown}).items():
+            known = configuration.devices.get(device)
+            if known is None or loads.get(known.link, (1.0, 0.0))[0] > MOST_LOAD:
+                continue
+            slow = [name for name, period in configuration.periods.items() if period > LEASED_PERIOD]
+            rare = [point.name for each in slow for point in known.items.get(each, ()) if point.name in points]
+            if rare:
+                with contextlib.suppress(ConfigError):  # it has gone
+                    self._collector.watch(device, rare, period=LEASED_PERIOD, seconds=LEASE_SECONDS)
+
+
+def _points_of(collector: Collector) -> list[tuple[str, str]]:
+    return [(device.name, point.name) for device in collector.configuration.devices.values() for point in device.points]
+
+
+async def _send(socket: WebSocket, viewer: Viewer) -> None:
+    while True:
+        await viewer.wake.wait()
+        viewer.wake.clear()
+        try:
+            async with asyncio.timeout(SEND_SECONDS):
+                if viewer.message:
+                    text, viewer.message = viewer.message, ""
+                    await socket.send_text(text)
+                    viewer.is_sending = False
+                while viewer.events:
+                    await socket.send_text(viewer.events.popleft())
+        except TimeoutError:
+            with contextlib.suppress(RuntimeError):
+                if socket.application_state is WebSocketState.CONNECTED:
+                    await socket.close(_TRY_AGAIN_LATER, "it takes nothing")
+            return

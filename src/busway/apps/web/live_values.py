@@ -1,0 +1,150 @@
+"""Last committed value of each point, and what has changed since a tick, as one JSON text for all viewers.
+
+Knows commits and places of points; knows no request and no WebSocket. `LiveValues.update` is called by the thread of
+the store, everything else by any other.
+
+1. A commit costs one entry for each read, whether somebody views or not. Points are looked at once a tick.
+2. A viewer that has seen tick 7 gets all that changed since tick 7, however many ticks it missed: nothing is queued.
+3. Neighbouring points are told together: those read at one time in three numbers, changed values as a run.
+"""
+
+import json
+import threading
+from collections.abc import Sequence
+from typing import Any, Final
+from weakref import WeakKeyDictionary
+
+from ..collector.samples import PointGroup, SampleBatch, Value, quality_of, reason_text
+from ..collector.store.writer import Commit
+from .messages import plain_value
+
+MOST_WAITING: Final = 10_000
+"""Reads that are kept apart between two ticks; with more, the thread of the store makes a tick."""
+_MILLION: Final = 1_000_000
+
+
+class LiveValues:
+    """Values by the place of their point.
+
+    Args:
+        points: device and name of each point, in the order in which viewers have them.
+
+    Attributes:
+        tick: number of the last tick; 0 before the first.
+        values, reasons, times: of each point; times are milliseconds since 1970 UTC, 0 for a point that was not read.
+    """
+
+    def __init__(self, points: Sequence[tuple[str, str]]) -> None:
+        self.tick: int = 0
+        self.values: list[Value | None] = [None] * len(points)
+        self.reasons: list[int] = [0] * len(points)
+        self.times: list[int] = [0] * len(points)
+        self._changed_at = [0] * len(points)
+        self._read_at = [0] * len(points)
+        self._places = {key: place for place, key in enumerate(points)}
+        self._groups: WeakKeyDictionary[PointGroup, list[int]] = WeakKeyDictionary()
+        self._waiting: dict[PointGroup, SampleBatch] = {}
+        self._lock = threading.Lock()
+        self._texts: dict[int, str] = {}
+
+    def update(self, commit: Commit) -> None:
+        """Take in a commit."""
+        with self._lock:
+            for batch in commit.batches:
+                self._waiting[batch.group] = batch
+            if len(self._waiting) > MOST_WAITING:
+                self._advance()
+
+    def advance(self) -> bool:
+        """Make a tick of what was committed since the last one; False, and no tick, where nothing was."""
+        with self._lock:
+            if not self._waiting:
+                return False
+            self._advance()
+            return True
+
+    def _advance(self) -> None:
+        self.tick += 1
+        self._texts.clear()
+        waiting, self._waiting = self._waiting, {}
+        for batch in sorted(waiting.values(), key=lambda each: each.time):
+            self._take(batch)
+
+    def _take(self, batch: SampleBatch) -> None:
+        tick, at = self.tick, batch.time // _MILLION
+        values, reasons, times = self.values, self.reasons, self.times
+        for place, value, reason in zip(self._places_of(batch.group), batch.values, batch.reason_column(), strict=True):
+            if place < 0 or times[place] > at:
+                continue
+            times[place] = at
+            self._read_at[place] = tick
+            if value != values[place] or reason != reasons[place] or not self._changed_at[place]:
+                values[place] = value
+                reasons[place] = reason
+                self._changed_at[place] = tick
+
+    def _places_of(self, group: PointGroup) -> list[int]:
+        found = self._groups.get(group)
+        if found is None:
+            known = self._places
+            found = self._groups[group] = [known.get((group.device, point), -1) for point in group.points]
+        return found
+
+    def columns(self) -> tuple[list[Value | None], list[int], list[int]]:
+        """Values, reasons and times of all points, as of now."""
+        self.advance()
+        with self._lock:
+            return self.values.copy(), self.reasons.copy(), self.times.copy()
+
+    def since(self, seen: int) -> str:
+        """What changed since a tick, as JSON without its outer braces; made once for all viewers that saw that tick.
+
+        ``read`` has a first place, a number of places and a time for each run of points; ``changed`` a first place, and
+        values and reasons of a run; ``reasons`` the quality and text of the reasons among them.
+        """
+        with self._lock:
+            text = self._texts.get(seen)
+            if text is None:
+                text = self._texts[seen] = json.dumps(self._delta(seen), ensure_ascii=False, separators=(",", ":"))
+            return text[1:-1]
+
+    def _delta(self, seen: int) -> dict[str, Any]:
+        read, end, at = list[int](), -1, -1
+        times = self.times
+        for place, tick in enumerate(self._read_at):
+            if tick <= seen:
+                continue
+            if place == end and times[place] == at:
+                read[-2] += 1
+            else:
+                at = times[place]
+                read += (place, 1, at)
+            end = place + 1
+        changed, used = self._runs(seen)
+        return {"read": read, "changed": changed, "reasons": {str(reason): reason_shown(reason) for reason in used}}
+
+    def _runs(self, seen: int) -> tuple[list[Any], set[int]]:
+        """Runs of changed points, each a first place, values, and reasons; one number where all have the same."""
+        runs: list[Any] = []
+        used: set[int] = set()
+        end, values, reasons = -1, list[Any](), list[int]()
+        for place, tick in enumerate(self._changed_at):
+            if tick <= seen:
+                continue
+            if place != end:
+                values, reasons = [], []
+                runs.append([place, values, reasons])
+            values.append(plain_value(self.values[place]))
+            reasons.append(self.reasons[place])
+            end = place + 1
+        for run in runs:
+            kinds = set(run[2])
+            used |= kinds
+            if len(kinds) == 1:
+                run[2] = run[2][0]
+        return runs, used
+
+
+def reason_shown(reason: int) -> list[str]:
+    """Quality and text of a reason."""
+    return [quality_of(reason).label, reason_text(reason) if reason else ""]

@@ -1,0 +1,148 @@
+// Writes: a value is armed, confirmed by the sentence that the program makes of it, and its outcome shown; and the list
+// of what was written.
+
+import { byId, clockSeconds, element, keyed, setText, valueText } from "./dom.js";
+import { ask } from "./link.js";
+
+const NUMBER = /^[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?$/;
+const STATES = { on: true, true: true, 1: true, off: false, false: false, 0: false };
+const OUTCOMES = { done: "Written", failed: "Not written", refused: "Refused", expired: "Expired, nothing was sent", unknown: "It is not known whether it was written" };
+
+/** A value as it was typed; throws a sentence. Decimals are never guessed: 1,5 may be one and a half, or a list. */
+export function typedValue(text, kind) {
+  const typed = text.trim();
+  if (!typed) throw new Error("Type a value.");
+  if (kind === "text") return typed;
+  if (kind === "state") {
+    const state = STATES[typed.toLowerCase()];
+    if (state === undefined) throw new Error(`${typed} is no state: type on or off.`);
+    return state;
+  }
+  if (typed.includes(",")) throw new Error(`${typed} is no number: decimals stand behind a point, as in 1.5, and nothing groups digits.`);
+  if (!NUMBER.test(typed)) throw new Error(`${typed} is no number: type it as 12, -3.5 or 1e-3.`);
+  const number = Number(typed);
+  if (!Number.isFinite(number)) throw new Error(`${typed} is too large.`);
+  if (/^[+-]?\d+$/.test(typed) && !Number.isSafeInteger(number)) throw new Error(`A browser cannot send ${typed} exactly; use the API.`);
+  return number;
+}
+
+export class WriteDialog {
+  constructor(done) {
+    this.done = done;
+    byId("write-form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.arm();
+    });
+    byId("write-value").addEventListener("input", () => this.forget());
+    byId("write-confirm").addEventListener("click", () => this.confirm());
+    for (const id of ["write-cancel", "write-close"]) byId(id).addEventListener("click", () => byId("write").close());
+    byId("write").addEventListener("close", () => {
+      this.forget();
+      this.opener?.focus();
+    });
+  }
+
+  open(point, opener) {
+    this.point = point;
+    this.opener = opener;
+    setText(byId("write-title"), `Write ${point.key}`);
+    const measure = point.unit_of_measure ? ` ${point.unit_of_measure}` : "";
+    setText(byId("write-now"), `Now: ${valueText(point.value, null)}${point.value === null ? "" : measure}`);
+    setText(byId("write-label"), point.unit_of_measure ? `New value in ${point.unit_of_measure}` : "New value");
+    byId("write-value").value = "";
+    this.forget();
+    byId("write").showModal();
+    byId("write-value").focus();
+  }
+
+  /** Another value: what was armed no longer counts. */
+  forget() {
+    this.armed = null;
+    clearTimeout(this.expiring);
+    setText(byId("write-message"), "");
+    setText(byId("write-outcome"), "");
+    byId("write-question").hidden = true;
+    byId("write-arm").hidden = false;
+    byId("write-done").hidden = true;
+    byId("write-value").readOnly = false;
+  }
+
+  async arm() {
+    this.forget();
+    try {
+      const value = typedValue(byId("write-value").value, this.point.kind);
+      const { device, point } = this.point;
+      const armed = await ask("POST", "/api/commands/arm", { device, point, value });
+      this.armed = armed;
+      setText(byId("write-sentence"), armed.confirm);
+      byId("write-arm").hidden = true;
+      byId("write-question").hidden = false;
+      byId("write-confirm").focus();
+      this.expiring = setTimeout(() => this.expire(), Math.min(Math.max(armed.expires * 1000 - Date.now(), 0), 600000));
+    } catch (error) {
+      setText(byId("write-message"), error.message);
+    }
+  }
+
+  expire() {
+    this.forget();
+    setText(byId("write-message"), "It was not confirmed in time, and nothing was sent. Ask again.");
+    byId("write-value").focus();
+  }
+
+  async confirm() {
+    const armed = this.armed;
+    if (!armed) return;
+    this.armed = null; // once, however often the button is pressed
+    clearTimeout(this.expiring);
+    byId("write-question").hidden = true;
+    byId("write-value").readOnly = true;
+    setText(byId("write-outcome"), "It is being written…");
+    let text;
+    try {
+      const told = await ask("POST", `/api/commands/${encodeURIComponent(armed.key)}/confirm`, {});
+      const back = told.read_back === null || told.read_back === undefined ? "" : ` The device now has ${valueText(told.read_back, null)}.`;
+      text = `${OUTCOMES[told.state] ?? told.state}.${back}${told.reason ? ` ${told.reason}` : ""}`;
+    } catch (error) {
+      text = error.status ? error.message : `${OUTCOMES.unknown}. ${error.message} Look at the list of commands before you try again.`;
+    }
+    setText(byId("write-outcome"), text);
+    byId("write-done").hidden = false;
+    byId("write-close").focus();
+    this.done();
+  }
+}
+
+/** The list of what was written, the newest first. */
+export async function showCommands() {
+  const found = await ask("GET", "/api/commands?limit=200");
+  const list = Array.isArray(found) ? found : found.commands;
+  byId("no-commands").hidden = list.length > 0;
+  byId("command-table").hidden = list.length === 0;
+  const cells = (each) => [
+    moment(each.at),
+    each.by,
+    each.origin,
+    `${each.device}/${each.point}`,
+    plain(each.old),
+    plain(each.value),
+    each.state,
+    each.reason ?? "",
+  ];
+  keyed(
+    byId("command-rows"),
+    list,
+    (each) => each.key,
+    (each) => element("tr", {}, ...cells(each).map(() => element("td"))),
+    (row, each) => cells(each).forEach((text, at) => setText(row.children[at], String(text))),
+  );
+}
+
+const plain = (value) => valueText(value !== null && typeof value === "object" && !Array.isArray(value) ? value.value : value, null);
+
+/** A moment as date and time of day; seconds since 1970, or its text. */
+export function moment(at) {
+  if (at === null || at === undefined) return "";
+  const seconds = typeof at === "number" ? (at > 1e11 ? at / 1000 : at) : Date.parse(at) / 1000;
+  return `${new Date(seconds * 1000).toLocaleDateString()} ${clockSeconds(seconds)}`;
+}

@@ -1,0 +1,42 @@
+// The configuration: the whole file, replaced as a whole or refused as a whole.
+
+import { byId, setText } from "./dom.js";
+import { ask, exchange } from "./link.js";
+
+export class ConfigurationView {
+  constructor() {
+    this.revision = null;
+    byId("configuration-apply").addEventListener("click", () => this.apply());
+    byId("configuration-again").addEventListener("click", () => this.load());
+  }
+
+  /** Load it at the first look; what is being edited stays. */
+  async show() {
+    if (this.revision === null) await this.load();
+  }
+
+  async load() {
+    const found = await ask("GET", "/api/configuration");
+    this.revision = found.revision;
+    byId("configuration-text").value = found.text;
+    setText(byId("configuration-revision"), `Revision ${found.revision}`);
+    setText(byId("configuration-message"), "");
+    setText(byId("configuration-done"), "");
+  }
+
+  async apply() {
+    setText(byId("configuration-message"), "");
+    setText(byId("configuration-done"), "");
+    byId("configuration-apply").disabled = true;
+    try {
+      const told = await exchange("POST", "/api/configuration", byId("configuration-text").value, "application/toml");
+      if (told?.revision !== undefined) this.revision = told.revision;
+      setText(byId("configuration-revision"), `Revision ${this.revision}`);
+      setText(byId("configuration-done"), `Applied. ${[told?.done ?? told?.changes ?? []].flat().join("; ")}`);
+    } catch (error) {
+      setText(byId("configuration-message"), error.message);
+    } finally {
+      byId("configuration-apply").disabled = false;
+    }
+  }
+}

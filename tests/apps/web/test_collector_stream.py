@@ -1,0 +1,143 @@
+"""The stream of a collector's page: values as they change, registers of what is shown, events, and its limits."""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from page_collector import WatchedCollector, watched_collector
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from busway.apps.web import collector_stream
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WatchedCollector]:
+    with watched_collector(tmp_path_factory.mktemp("plant"), more="[poll_class.rare]\nperiod = 3600\n") as running:
+        yield running
+
+
+def stream_of(plant: WatchedCollector) -> ClientConnection:
+    return connect(plant.page.url.replace("http", "ws") + "stream", proxy=None)
+
+
+def until(socket: ClientConnection, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    limit = time.monotonic() + 20
+    while time.monotonic() < limit:
+        message = json.loads(socket.recv(timeout=20))
+        if holds(message):
+            return message  # type: ignore[no-any-return]
+    raise AssertionError("nothing of that kind came")
+
+
+def until_values(socket: ClientConnection, **wanted: Any) -> None:
+    """Wait until points, by their place behind ``p``, have these values."""
+    values: dict[str, Any] = {}
+
+    def take(message: dict[str, Any]) -> bool:
+        for first, found, _ in message.get("changed", ()):
+            values.update({f"p{first + at}": value for at, value in enumerate(found)})
+        return values | wanted == values
+
+    until(socket, take)
+
+
+def receive_all(socket: ClientConnection) -> None:
+    """Receive until the stream is closed, which raises."""
+    while True:
+        socket.recv(timeout=20)
+
+
+def test_the_first_message_has_every_point_and_later_ones_what_changes(plant: WatchedCollector) -> None:
+    with stream_of(plant) as socket:
+        first = json.loads(socket.recv(timeout=20))
+        assert sum(len(run[1]) for run in first["changed"]) == 3
+        assert first["revision"] == plant.ask("/api/points")[1]["revision"]
+        plant.device.holding_registers[1] = 321
+        until_values(socket, p1=321)
+
+
+def test_registers_come_for_points_that_are_shown_and_only_as_they_change(plant: WatchedCollector) -> None:
+    plant.device.holding_registers[0] = 0x0A0B
+    with stream_of(plant) as socket:
+        assert "raw" not in json.loads(socket.recv(timeout=20))
+        socket.send('{"shown":[0,2]}')
+        assert until(socket, lambda message: message.get("raw") == {"0": "0A0B"})
+        assert "raw" not in json.loads(socket.recv(timeout=20))
+
+
+def test_events_reach_all_viewers(plant: WatchedCollector) -> None:
+    with stream_of(plant) as one, stream_of(plant) as other:
+        for socket in (one, other):
+            socket.recv(timeout=20)
+        plant.loop.call_soon_threadsafe(plant.page.api.stream.tell, "alarms", {"active": 2, "unacknowledged": 1})
+        for socket in (one, other):
+            found = until(socket, lambda message: "alarms" in message)
+            assert found == {"alarms": {"active": 2, "unacknowledged": 1}}
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"shown":[-1]}', '{"shown":"all"}', '{"shown":[0],"x":1}', "no json"])
+def test_a_wish_that_cannot_be_closes_the_stream_with_a_sentence(plant: WatchedCollector, text: str) -> None:
+    with stream_of(plant) as socket:
+        socket.send(text)
+        with pytest.raises(ConnectionClosed) as caught:
+            receive_all(socket)
+        assert "shown" in str(caught.value)
+
+
+def test_places_beyond_the_last_point_are_left_out(plant: WatchedCollector) -> None:
+    with stream_of(plant) as socket:
+        socket.send('{"shown":[0,3,100000]}')
+        assert json.loads(socket.recv(timeout=20))
+
+
+def test_more_points_than_fit_on_a_screen_are_refused(plant: WatchedCollector) -> None:
+    with stream_of(plant) as socket:
+        socket.send(json.dumps({"shown": list(range(collector_stream.MOST_SHOWN + 1))}))
+        with pytest.raises(ConnectionClosed):
+            receive_all(socket)
+
+
+def test_there_is_a_limit_to_viewers(plant: WatchedCollector, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(collector_stream, "CLIENTS", 1)
+    with stream_of(plant) as socket:
+        socket.recv(timeout=20)
+        with pytest.raises((InvalidStatus, ConnectionClosed)), stream_of(plant) as other:
+            other.recv(timeout=20)
+
+
+def test_nothing_ticks_without_viewers(plant: WatchedCollector) -> None:
+    with stream_of(plant) as socket:
+        socket.recv(timeout=20)
+    limit = time.monotonic() + 20
+    while len(plant.page.api.stream):
+        assert time.monotonic() < limit
+        time.sleep(0.02)
+    assert plant.page.api.stream._ticker is None
+
+
+RARE = """\
+[[unit]]
+unit = 1
+point = [
+    { name = "speed", address = "4x1", scale = 0.1 },
+    { name = "level", address = "4x2", poll_class = "rare" },
+]
+"""
+
+
+def test_a_point_that_is_read_rarely_is_read_every_second_while_it_is_shown(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    folder = tmp_path_factory.mktemp("rare")
+    with (
+        watched_collector(folder, more="[poll_class.rare]\nperiod = 3600\n", profile=RARE) as plant,
+        stream_of(plant) as socket,
+    ):
+        until_values(socket, p0=1.5)
+        socket.send('{"shown":[1]}')
+        until_values(socket, p1=7)
+        plant.device.holding_registers[1] = 55
+        until_values(socket, p1=55)

@@ -1,0 +1,127 @@
+"""What changed since a tick, as one text for all viewers."""
+
+import json
+from typing import Any
+
+import pytest
+
+from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
+from busway.apps.collector.store.writer import Commit
+from busway.apps.web import live_values
+from busway.apps.web.live_values import LiveValues
+
+PUMP = PointGroup("pump", ("speed", "level", "gone"))
+METER = PointGroup("meter", ("power",))
+POINTS = [("pump", "speed"), ("pump", "level"), ("pump", "gone"), ("meter", "power")]
+SECOND = 1_000_000_000
+
+
+def commit(*batches: SampleBatch) -> Commit:
+    return Commit(1, 0, batches, ())
+
+
+def since(values: LiveValues, seen: int) -> dict[str, Any]:
+    return json.loads(f"{{{values.since(seen)}}}")  # type: ignore[no-any-return]
+
+
+def replayed(messages: list[dict[str, Any]]) -> tuple[dict[int, Any], dict[int, int]]:
+    """Values and times as a viewer has them after some messages."""
+    values, times = dict[int, Any](), dict[int, int]()
+    for message in messages:
+        for first, found, _ in message["changed"]:
+            values |= {first + at: value for at, value in enumerate(found)}
+        read = message["read"]
+        for first, count, at in zip(read[::3], read[1::3], read[2::3], strict=True):
+            times |= dict.fromkeys(range(first, first + count), at)
+    return values, times
+
+
+def test_neighbours_that_were_read_together_are_told_in_one_run() -> None:
+    values = LiveValues(POINTS)
+    values.update(commit(SampleBatch(PUMP, SECOND, 0, (1.5, 7, None), (0, 0, Reason.TIMEOUT))))
+    assert values.advance()
+    assert since(values, 0) == {
+        "read": [0, 3, 1000],
+        "changed": [[0, [1.5, 7, None], [0, 0, Reason.TIMEOUT]]],
+        "reasons": {"0": ["good", ""], str(int(Reason.TIMEOUT)): ["bad", "timeout"]},
+    }
+
+
+def test_a_value_that_stays_is_read_again_but_has_not_changed() -> None:
+    values = LiveValues(POINTS)
+    for at, level in ((SECOND, 7), (2 * SECOND, 8)):
+        values.update(commit(SampleBatch(PUMP, at, 0, (1.5, level, 2))))
+        values.advance()
+    assert since(values, 1) == {"read": [0, 3, 2000], "changed": [[1, [8], 0]], "reasons": {"0": ["good", ""]}}
+
+
+def test_a_viewer_that_missed_ticks_has_the_same_as_one_that_saw_each() -> None:
+    values, each = LiveValues(POINTS), []
+    for turn in range(1, 20):
+        batches = [SampleBatch(METER, turn * SECOND, 0, (turn // 3,))]
+        if turn % 2:
+            batches.append(SampleBatch(PUMP, turn * SECOND, 0, (turn, 7, turn % 5), Reason.CLOCK if turn == 9 else 0))
+        values.update(commit(*batches))
+        before = values.tick
+        values.advance()
+        each.append(since(values, before))
+    assert replayed([since(values, 0)]) == replayed(each)
+    late = [each[0], since(values, 1)]
+    assert replayed(late) == replayed(each)
+
+
+def test_one_that_begins_is_told_of_points_that_were_not_read_too() -> None:
+    values = LiveValues(POINTS)
+    values.update(commit(SampleBatch(METER, SECOND, 0, (1,))))
+    values.advance()
+    assert replayed([since(values, -1)]) == ({0: None, 1: None, 2: None, 3: 1}, {0: 0, 1: 0, 2: 0, 3: 1000})
+
+
+def test_nothing_new_makes_no_tick() -> None:
+    values = LiveValues(POINTS)
+    assert not values.advance()
+    values.update(commit(SampleBatch(METER, SECOND, 0, (1,))))
+    assert values.advance()
+    assert not values.advance()
+    assert values.tick == 1
+
+
+def test_a_text_is_made_once_for_all_that_saw_the_same_tick() -> None:
+    values = LiveValues(POINTS)
+    values.update(commit(SampleBatch(METER, SECOND, 0, (1,))))
+    values.advance()
+    assert values.since(0) == values.since(0)
+    assert len(values._texts) == 1
+
+
+def test_an_older_sample_does_not_hide_a_newer_one() -> None:
+    values = LiveValues(POINTS)
+    both = PointGroup("pump", ("speed",))
+    values.update(commit(SampleBatch(both, 5 * SECOND, 0, (5,)), SampleBatch(PUMP, 4 * SECOND, 0, (4, 4, 4))))
+    values.advance()
+    values.update(commit(SampleBatch(PUMP, 3 * SECOND, 0, (3, 3, 3))))
+    values.advance()
+    assert values.columns()[0] == [5, 4, 4, None]
+
+
+def test_points_that_are_not_collected_any_more_are_left_out() -> None:
+    values = LiveValues([("pump", "level")])
+    values.update(commit(SampleBatch(PUMP, SECOND, 0, (1, 2, 3)), SampleBatch(METER, SECOND, 0, (1,))))
+    values.advance()
+    assert values.columns()[0] == [2]
+
+
+def test_numbers_that_json_does_not_have_are_texts() -> None:
+    values = LiveValues(POINTS)
+    values.update(commit(SampleBatch(PUMP, SECOND, 0, (float("inf"), 2**63, "text"))))
+    values.advance()
+    assert since(values, 0)["changed"] == [[0, ["Infinity", str(2**63), "text"], 0]]
+
+
+def test_reads_do_not_gather_without_end_while_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_values, "MOST_WAITING", 10)
+    values = LiveValues(POINTS)
+    for turn in range(100):
+        values.update(commit(SampleBatch(PointGroup("meter", ("power",)), turn * SECOND, 0, (turn,))))
+        assert len(values._waiting) <= 10
+    assert values.columns()[0][3] == 99
