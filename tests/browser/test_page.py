@@ -263,9 +263,19 @@ def test_traffic_appears_is_filtered_and_pauses(page, unit, keep):
     expect(frames).to_have_count(before + 2)
 
 
+def test_every_button_of_a_view_has_a_name_of_its_own(page):
+    expect(page.get_by_role("button", name="Theme: auto")).to_be_visible()
+    for view in ("points", "trends", "traffic", "faults", "server"):
+        page.click(f"#tab-{view}")
+        names = [
+            each.inner_text() for each in page.locator(f"header button:visible, #{view} > .bar button:visible").all()
+        ]
+        assert len(names) == len(set(names)), names
+
+
 def test_time_is_paused_and_goes_on(page):
     page.click("#pause")
-    expect(page.locator("#pause")).to_have_text("Go on")
+    expect(page.locator("#pause")).to_have_text("Resume plant")
     expect(page.locator("#endpoints")).to_contain_text("paused")
     page.click("#pause")
     expect(page.locator("#endpoints")).not_to_contain_text("paused")
@@ -327,10 +337,10 @@ def test_colours_follow_the_system_and_the_switch_and_stay(new_page, plant, keep
     assert dark != light
     page.click("#theme")
     page.click("#theme")
-    expect(page.locator("#theme")).to_have_text("Dark")
+    expect(page.locator("#theme")).to_have_text("Theme: dark")
     assert page.evaluate(ground) == dark
     page.reload()
-    expect(page.locator("#theme")).to_have_text("Dark")
+    expect(page.locator("#theme")).to_have_text("Theme: dark")
     assert page.evaluate(ground) == dark
 
 

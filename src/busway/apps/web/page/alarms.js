@@ -1,10 +1,11 @@
 // Alarms: those that are active or not acknowledged, and the journal.
 
-import { moment } from "./commands.js";
+import { moment as momentOf } from "./commands.js";
 import { byId, element, keyed, setText, valueText } from "./dom.js";
 import { ask } from "./link.js";
 import { may } from "./session.js";
 
+const moment = (at) => momentOf(at === null ? null : at / 1000);
 const LIMITS = { HH: "far too high (HH)", H: "high (H)", L: "low (L)", LL: "far too low (LL)" };
 
 export class AlarmView {
@@ -26,7 +27,7 @@ export class AlarmView {
       (each) => element("tr", {}, ...told(each).map(() => element("td"))),
       (row, each) => told(each).forEach((text, at) => setText(row.children[at], String(text))),
     );
-    this.count({ active: found.active.filter((each) => !each.cleared).length, unacknowledged: found.active.filter((each) => !each.acknowledged).length });
+    this.count({ active: found.active.filter((each) => !each.cleared).length, unacknowledged: found.active.filter((each) => each.needs_acknowledgement).length });
   }
 
   /** The number beside the tab, from the stream or from what was asked for. */
@@ -44,11 +45,11 @@ export class AlarmView {
   }
 
   update(row, alarm) {
-    const acknowledged = alarm.acknowledged ? `by ${alarm.acknowledged.by}, ${moment(alarm.acknowledged.at)}` : "no";
-    const texts = [`${alarm.device}/${alarm.point}`, LIMITS[alarm.limit] ?? alarm.limit, valueText(alarm.value, null), moment(alarm.since), alarm.cleared ? `over since ${moment(alarm.cleared)}` : alarm.text || "active", acknowledged];
+    const acknowledged = alarm.acknowledged ? `by ${alarm.acknowledged.by}, ${moment(alarm.acknowledged.at)}` : alarm.needs_acknowledgement ? "no" : "";
+    const texts = [`${alarm.device}/${alarm.point}`, LIMITS[alarm.limit] ?? alarm.limit, valueText(alarm.value, null), moment(alarm.since), alarm.cleared ? `over since ${moment(alarm.cleared)}` : [alarm.text || "active", alarm.quality === "good" ? "" : `${alarm.quality}: ${alarm.reason}`].filter(Boolean).join("; "), acknowledged];
     texts.forEach((text, at) => setText(row.children[at], text));
     row.dataset.active = !alarm.cleared;
-    row.lastChild.firstChild.hidden = Boolean(alarm.acknowledged) || !may("operate");
+    row.lastChild.firstChild.hidden = !alarm.needs_acknowledgement || !may("operate");
   }
 
   async acknowledge({ device, point, limit }) {

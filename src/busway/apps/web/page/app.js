@@ -9,7 +9,7 @@ import { TrafficView } from "./traffic.js";
 import { Trends } from "./trends.js";
 
 const VIEWS = ["points", "trends", "traffic", "faults", "server"];
-const THEMES = { auto: ["Auto", "as the system has them"], light: ["Light", "light"], dark: ["Dark", "dark"] };
+const THEMES = ["auto", "light", "dark"];
 const STATES = { waiting: "connecting", live: "live", down: "not connected" };
 
 const stream = new Stream(take, (state) => {
@@ -69,18 +69,15 @@ addEventListener("hashchange", () => {
 function colours(theme) {
   if (theme === "auto") delete document.documentElement.dataset.theme;
   else document.documentElement.dataset.theme = theme;
-  const [text, words] = THEMES[theme];
-  setText(byId("theme"), text);
-  byId("theme").setAttribute("aria-label", `Colours: ${words}`);
+  setText(byId("theme"), `Theme: ${theme}`);
   table.redraw();
   trends.redraw();
 }
 
 let theme = localStorage.getItem("busway-theme");
-if (!(theme in THEMES)) theme = "auto";
+if (!THEMES.includes(theme)) theme = "auto";
 byId("theme").addEventListener("click", () => {
-  const names = Object.keys(THEMES);
-  theme = names[(names.indexOf(theme) + 1) % names.length];
+  theme = THEMES[(THEMES.indexOf(theme) + 1) % THEMES.length];
   localStorage.setItem("busway-theme", theme);
   colours(theme);
 });

@@ -47,7 +47,10 @@ const SHOW = {
 function take(message) {
   if (message.now !== undefined) {
     if (message.revision === revision) table.take(message);
-    else begin(); // the file was read again, and the points are others
+    else if (message.revision > revision) {
+      revision = message.revision; // the file was read again, and the points are others
+      begin();
+    }
   }
   if (message.alarms) alarms.count(message.alarms);
   if (message.command && view === "commands") refresh();
@@ -78,27 +81,27 @@ async function keepUp() {
   setTimeout(keepUp, PERIOD);
 }
 
-let beginning = false;
+let begun = 0;
 
-/** Points first, then the stream of their values. */
+/** Points first, then the stream of their values. One that is asked for meanwhile, with another token, takes its place. */
 async function begin() {
-  if (beginning) return;
-  beginning = true;
+  begun += 1;
+  const mine = begun;
   try {
     await learnRole();
     const found = await ask("GET", "/api/points");
+    if (mine !== begun) return;
     ({ revision } = found);
     table.use(found.points);
     stream.reopen();
     await about();
   } catch (error) {
+    if (mine !== begun) return;
     if (error instanceof Refusal && error.status === 401) askForToken(hasToken() ? error.message : "");
     else {
       state("down", error.message);
       setTimeout(begin, 3000);
     }
-  } finally {
-    beginning = false;
   }
 }
 

@@ -115,8 +115,7 @@ export class WriteDialog {
 
 /** The list of what was written, the newest first. */
 export async function showCommands() {
-  const found = await ask("GET", "/api/commands?limit=200");
-  const list = Array.isArray(found) ? found : found.commands;
+  const { commands: list } = await ask("GET", "/api/commands?limit=200");
   byId("no-commands").hidden = list.length > 0;
   byId("command-table").hidden = list.length === 0;
   const cells = (each) => [
@@ -124,8 +123,8 @@ export async function showCommands() {
     each.by,
     each.origin,
     `${each.device}/${each.point}`,
-    plain(each.old),
-    plain(each.value),
+    valueText(each.old, null),
+    valueText(each.value, null),
     each.state,
     each.reason ?? "",
   ];
@@ -138,11 +137,8 @@ export async function showCommands() {
   );
 }
 
-const plain = (value) => valueText(value !== null && typeof value === "object" && !Array.isArray(value) ? value.value : value, null);
-
-/** A moment as date and time of day; seconds since 1970, or its text. */
-export function moment(at) {
-  if (at === null || at === undefined) return "";
-  const seconds = typeof at === "number" ? (at > 1e11 ? at / 1000 : at) : Date.parse(at) / 1000;
+/** A moment as date and time of day, from seconds since 1970. */
+export function moment(seconds) {
+  if (seconds === null || seconds === undefined) return "";
   return `${new Date(seconds * 1000).toLocaleDateString()} ${clockSeconds(seconds)}`;
 }

@@ -29,12 +29,13 @@ export class ConfigurationView {
     setText(byId("configuration-done"), "");
     byId("configuration-apply").disabled = true;
     try {
-      const told = await exchange("POST", "/api/configuration", byId("configuration-text").value, "application/toml");
-      if (told?.revision !== undefined) this.revision = told.revision;
-      setText(byId("configuration-revision"), `Revision ${this.revision}`);
-      setText(byId("configuration-done"), `Applied. ${[told?.done ?? told?.changes ?? []].flat().join("; ")}`);
+      const path = `/api/configuration?${new URLSearchParams({ revision: this.revision })}`;
+      const told = await exchange("POST", path, byId("configuration-text").value, "application/toml");
+      this.revision = told.revision;
+      setText(byId("configuration-revision"), `Revision ${told.revision}`);
+      setText(byId("configuration-done"), `Applied: ${told.done.join("; ")}.`);
     } catch (error) {
-      setText(byId("configuration-message"), error.message);
+      setText(byId("configuration-message"), error.told ?? error.message);
     } finally {
       byId("configuration-apply").disabled = false;
     }

@@ -38,7 +38,7 @@ export class DeviceView {
         const button = row.lastChild.firstChild;
         const isOn = each.state === "maintenance";
         button.hidden = !may("operate");
-        button.onclick = () => (isOn ? this.change(each.name, false, "") : this.ask(each.name, button));
+        button.onclick = () => (isOn ? this.change(each.name, false, "ended on the page") : this.ask(each.name, button));
         setText(button, isOn ? "End maintenance" : "Maintenance");
         button.setAttribute("aria-label", `${isOn ? "End the" : "Begin the"} maintenance of ${each.name}`);
       },

@@ -5,11 +5,12 @@ const KEPT_TOKEN = "busway-token";
 const FIRST_PAUSE = 500;
 const LONGEST_PAUSE = 10000;
 
-/** What the program has refused: a sentence and the status. */
+/** What the program has refused: a sentence, the status, and the sentence as it came. */
 export class Refusal extends Error {
-  constructor(sentence, status) {
+  constructor(sentence, status, told = sentence) {
     super(sentence);
     this.status = status;
+    this.told = told;
   }
 }
 
@@ -55,7 +56,10 @@ export async function exchange(method, path, body, kind) {
   } catch {
     content = null;
   }
-  if (!response.ok) throw new Refusal(sentence(content?.error ?? `status ${response.status}`), response.status);
+  if (!response.ok) {
+    const told = content?.error ?? `status ${response.status}`;
+    throw new Refusal(sentence(told), response.status, told);
+  }
   return content;
 }
 

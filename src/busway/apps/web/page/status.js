@@ -30,7 +30,7 @@ export class StatusView {
     const clock = ` · ${duration(Math.floor(simulation.time))}${speed}${simulation.paused ? ", paused" : ""}`;
     setText(byId("endpoints"), simulation.endpoints.join("  ") + clock);
     byId("pause").hidden = false;
-    setText(byId("pause"), simulation.paused ? "Go on" : "Pause");
+    setText(byId("pause"), simulation.paused ? "Resume plant" : "Pause plant");
     if (this.isVisible) this.draw();
   }
 

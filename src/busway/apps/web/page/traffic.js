@@ -50,7 +50,6 @@ export class TrafficView {
   setPaused(isPaused) {
     this.isPaused = isPaused;
     byId("hold").setAttribute("aria-pressed", isPaused);
-    setText(byId("hold"), isPaused ? "Go on" : "Pause");
     this.want();
     this.count();
   }
