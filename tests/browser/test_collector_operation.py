@@ -333,6 +333,26 @@ def test_a_row_has_raw_value_age_and_course(new_page, plant):
     expect(row(page, "pump/speed").locator("canvas")).to_have_attribute("data-drawn", re.compile("."))
 
 
+def test_the_course_of_a_point_is_drawn(new_page, plant):
+    page = new_page(plant.page.url)
+    canvas = row(page, "pump/speed").locator("canvas")
+    expect(canvas).to_have_attribute("data-drawn", re.compile("^[2-9]"))
+    drawn = "(it) => it.getContext('2d').getImageData(0, 0, it.width, it.height).data.some((each) => each)"
+    assert canvas.evaluate(drawn)
+
+
+def test_time_without_samples_is_a_gap_in_the_history(new_page, plant, keep):
+    page = new_page(plant.page.url)
+    poll = plant.collector._poller_of("pump")
+    plant.loop.call_soon_threadsafe(lambda: poll.pause("pump", paused=True))
+    time.sleep(4)
+    plant.loop.call_soon_threadsafe(lambda: poll.pause("pump", paused=False))
+    row(page, "pump/speed").get_by_role("button", name="pump/speed", exact=True).click()
+    page.locator("#span").select_option("600")
+    expect(page.locator("#chart")).to_have_attribute("data-gaps", re.compile("[1-9]"))
+    keep(page, "collector-gap")
+
+
 def test_links_say_how_long_reads_take(new_page, plant):
     page = new_page(plant.page.url)
     page.click("#tab-links")

@@ -1,5 +1,6 @@
 """The stream of a collector's page: values as they change, registers of what is shown, events, and its limits."""
 
+import asyncio
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -72,10 +73,33 @@ def test_events_reach_all_viewers(plant: WatchedCollector) -> None:
     with stream_of(plant) as one, stream_of(plant) as other:
         for socket in (one, other):
             socket.recv(timeout=20)
-        plant.loop.call_soon_threadsafe(plant.page.api.stream.tell, "alarms", {"active": 2, "unacknowledged": 1})
+        plant.loop.call_soon_threadsafe(plant.page.api.stream.tell, "command", {"key": "one", "state": "done"})
         for socket in (one, other):
+            found = until(socket, lambda message: "command" in message)
+            assert found == {"command": {"key": "one", "state": "done"}}
+
+
+def test_commands_are_told_with_who_and_outcome(plant: WatchedCollector) -> None:
+    with stream_of(plant) as socket:
+        socket.recv(timeout=20)
+        write = plant.collector.write("pump", "speed", 2.5, by="anna")
+        asyncio.run_coroutine_threadsafe(write, plant.loop).result(20)
+        told = until(socket, lambda message: "command" in message)["command"]
+        assert (told["by"], told["device"], told["point"], told["value"]) == ("anna", "pump", "speed", 2.5)
+        assert told["state"] == "done"
+
+
+def test_the_number_of_alarms_is_told_as_it_changes_and_to_new_viewers(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    with watched_collector(tmp_path_factory.mktemp("alarmed"), profile=ALARMED) as plant:
+        with stream_of(plant) as socket:
+            assert "alarms" not in json.loads(socket.recv(timeout=20))
+            plant.device.holding_registers[1] = 90
             found = until(socket, lambda message: "alarms" in message)
-            assert found == {"alarms": {"active": 2, "unacknowledged": 1}}
+            assert found["alarms"] == {"active": 1, "unacknowledged": 1}
+        with stream_of(plant) as later:
+            assert until(later, lambda message: "alarms" in message) == found
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"shown":[-1]}', '{"shown":"all"}', '{"shown":[0],"x":1}', "no json"])
@@ -118,6 +142,13 @@ def test_nothing_ticks_without_viewers(plant: WatchedCollector) -> None:
     assert plant.page.api.stream._ticker is None
 
 
+ALARMED = """\
+[[unit]]
+unit = 1
+point = [
+    { name = "level", address = "4x2", alarm = [{ kind = "H", limit = 80, acknowledge = true }] },
+]
+"""
 RARE = """\
 [[unit]]
 unit = 1

@@ -23,10 +23,11 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 from ...errors import ConfigError
 from ..collector.admission import MOST_LOAD
 from ..collector.collector import Collector
+from ..collector.commands.command import CommandResult
 from ..collector.store.writer import Commit
 from .access import BEARER_PROTOCOL
 from .live_values import LiveValues
-from .messages import Asked
+from .messages import Asked, plain_value
 from .stream import CLIENTS, PROTOCOL, SEND_SECONDS
 
 TICK: Final = 0.5
@@ -56,6 +57,7 @@ class Viewer:
         self.revision: int = -1
         self.shown: tuple[int, ...] = ()
         self.told: dict[int, bytes] = {}
+        self.alarms: tuple[int, int] = (0, 0)
         self.events: deque[str] = deque(maxlen=MOST_EVENTS)
         self.message: str = ""
         self.is_sending: bool = False
@@ -84,6 +86,7 @@ class CollectorStream:
         self.points: list[tuple[str, str]] = _points_of(collector)
         self.values: LiveValues = LiveValues(self.points)
         collector.subscribe(self._committed)
+        collector.commands.subscribe(self._tell_command)
 
     def __len__(self) -> int:
         return len(self._viewers)
@@ -103,11 +106,36 @@ class CollectorStream:
         return self.values
 
     def tell(self, kind: str, content: Mapping[str, Any]) -> None:  # Any: JSON
-        """Tell all viewers of an event: ``alarms`` or ``command``. From the thread of the event loop."""
+        """Tell all viewers of an event, such as ``command``. From the thread of the event loop."""
         if self._viewers:
             text = json.dumps({kind: content}, ensure_ascii=False, separators=(",", ":"))
             for viewer in self._viewers:
                 viewer.events.append(text)
+                viewer.wake.set()
+
+    def _tell_command(self, result: CommandResult) -> None:
+        command = result.command
+        self.tell(
+            "command",
+            {
+                "key": command.key,
+                "at": result.at,
+                "by": command.by,
+                "device": command.device,
+                "point": command.point,
+                "value": plain_value(command.value),
+                "state": result.state.value,
+            },
+        )
+
+    def _tell_alarms(self) -> None:
+        """Tell how many alarms there are, where that has become another number, and to viewers that are new."""
+        counts = self._collector.alarms.counts()
+        content = {"alarms": {"active": counts[0], "unacknowledged": counts[1]}}
+        for viewer in self._viewers:
+            if viewer.alarms != counts:
+                viewer.alarms = counts
+                viewer.events.append(json.dumps(content))
                 viewer.wake.set()
 
     async def serve(self, socket: WebSocket) -> None:
@@ -167,6 +195,7 @@ class CollectorStream:
                     viewer.seen = values.tick
                     viewer.is_sending = True
                     viewer.wake.set()
+            self._tell_alarms()
             self._lease()
             await asyncio.sleep(TICK)
 

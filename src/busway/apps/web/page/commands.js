@@ -35,7 +35,7 @@ export class WriteDialog {
     });
     byId("write-value").addEventListener("input", () => this.forget());
     byId("write-confirm").addEventListener("click", () => this.confirm());
-    for (const id of ["write-cancel", "write-close"]) byId(id).addEventListener("click", () => byId("write").close());
+    for (const id of ["write-cancel", "write-back", "write-close"]) byId(id).addEventListener("click", () => byId("write").close());
     byId("write").addEventListener("close", () => {
       this.forget();
       this.opener?.focus();
