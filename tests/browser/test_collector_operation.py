@@ -341,16 +341,36 @@ def test_the_course_of_a_point_is_drawn(new_page, plant):
     assert canvas.evaluate(drawn)
 
 
+RUNS = """(canvas) => {
+  const { width, height } = canvas;
+  const { data } = canvas.getContext("2d").getImageData(0, 0, width, height);
+  const near = (at) => Math.abs(data[at] - 15) + Math.abs(data[at + 1] - 110) + Math.abs(data[at + 2] - 132) < 60;
+  const has = (x) => {
+    for (let at = 4 * x; at < data.length; at += 4 * width) if (near(at) && data[at + 3] > 200) return true;
+    return false;
+  };
+  const columns = [...Array(width).keys()].map(has);
+  return columns.filter((here, x) => here && !columns[x - 1]).length;
+}"""
+"""Runs of columns of the chart in which the colour of the line stands."""
+
+
 def test_time_without_samples_is_a_gap_in_the_history(new_page, plant, keep):
-    page = new_page(plant.page.url)
+    page = new_page(plant.page.url, color_scheme="light")
     poll = plant.collector._poller_of("pump")
+    time.sleep(2)
     plant.loop.call_soon_threadsafe(lambda: poll.pause("pump", paused=True))
-    time.sleep(4)
+    time.sleep(5)
     plant.loop.call_soon_threadsafe(lambda: poll.pause("pump", paused=False))
-    row(page, "pump/speed").get_by_role("button", name="pump/speed", exact=True).click()
+    time.sleep(3)
+    row(page, "pump/level").get_by_role("button", name="pump/level", exact=True).click()
     page.locator("#span").select_option("600")
     expect(page.locator("#chart")).to_have_attribute("data-gaps", re.compile("[1-9]"))
     keep(page, "collector-gap")
+    mean = plant.ask("/api/trend", device="pump", point="level", seconds=600, buckets=1100)[1]["mean"]
+    known = "".join("-" if each is None else "x" for each in mean)
+    assert re.search("xx-+xx", known), known
+    assert page.locator("#chart canvas").evaluate(RUNS) >= 2
 
 
 def test_links_say_how_long_reads_take(new_page, plant):
@@ -373,6 +393,8 @@ def test_nothing_overflows_and_axe_finds_no_barrier(new_page, plant, sign_in, ke
     for view in VIEWS:
         page.click(f"#tab-{view}")
         expect(page.locator(f"#{view}")).to_be_visible()
+        if view in ("devices", "links", "sinks"):
+            expect(page.locator(f"#{view} tbody tr").first).to_be_visible()
         keep(page, f"collector-{view}-{width}-{theme}")
         assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth"), view
         found += [f"{view}: {each}" for each in barriers(axe_of().run(page))]
