@@ -99,6 +99,26 @@ def nats_server(folder: Path) -> ForeignServer:
     return ForeignServer([program, "-a", "127.0.0.1", "-p", str(port), "-js", "-sd", str(folder / "nats")], port)
 
 
+def influxdb(folder: Path) -> ForeignServer:
+    """An InfluxDB 1 that keeps its data in the folder, without users."""
+    program, port, other = needed("influxd"), free_port(), free_port()
+    place, config = folder / "influxdb", folder / "influxdb.conf"
+    config.write_text(f"""
+reporting-disabled = true
+bind-address = "127.0.0.1:{other}"
+[meta]
+dir = "{place}/meta"
+[data]
+dir = "{place}/data"
+wal-dir = "{place}/wal"
+[http]
+bind-address = "127.0.0.1:{port}"
+[monitor]
+store-enabled = false
+""")
+    return ForeignServer([program, "run", "-config", str(config)], port)
+
+
 class PostgresqlServer(ForeignServer):
     """A PostgreSQL server with a database folder of its own and one user, ``collector``, with a password."""
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from collected import NOON, PUMP, at, filled, read_of
 from deliveries import commit_reads, delivery_to, run_until
-from foreign_servers import ForeignServer, PostgresqlServer, mosquitto, nats_server, needed
+from foreign_servers import ForeignServer, PostgresqlServer, influxdb, mosquitto, nats_server, needed
 
 from busway.apps.collector.samples import PointDescription, PointGroup, Reason, SampleBatch
 from busway.apps.collector.sinks.delivery import DeliveryOptions
@@ -257,6 +257,47 @@ async def test_a_stream_that_was_down_has_everything_once_and_in_order(tmp_path:
         await client.close()
     assert found == {"plant.meter-7": WANTED}
     assert state.messages == READS
+
+
+async def test_an_influxdb_that_was_down_has_everything_once_with_awkward_names_and_texts(tmp_path: Path) -> None:
+    httpx = pytest.importorskip("httpx")
+    from busway.apps.collector.sinks.influxdb import InfluxSink
+
+    async def asked(statement: str) -> list[list[Any]]:
+        async with httpx.AsyncClient(trust_env=False) as client:
+            query = {"db": "plant", "q": statement, "epoch": "ns"}
+            (found,) = (await client.post(f"{url}/query", params=query)).json()["results"]
+        return [row for series in found.get("series", ()) for row in series["values"]]
+
+    odd = PointGroup("m,e=t er", ('p"o,i=n t', "text"))
+    with influxdb(tmp_path) as server, filled(tmp_path / "store", 10) as writer:
+        url = f"http://127.0.0.1:{server.port}"
+        await asked("CREATE DATABASE plant")
+        delivery = delivery_to(InfluxSink(f"{url}/write?db=plant", timeout=2.0), writer, QUICK)
+        await run_until(delivery, lambda: delivery.status().sent == 30)
+        server.stop()
+        commit_reads(writer, 10, 20)
+        writer.commit([read_of(odd, 30, float("nan"), 'a "b" \\\n, c=ä', reasons=(0, 0))], [], at(30))
+        writer.commit([read_of(odd, 31, None, None, reasons=Reason.TIMEOUT)], [], at(31))
+        await run_until(delivery, lambda: delivery.status().error is not None)
+        server.start()
+        await run_until(delivery, lambda: delivery.status().sent >= 94, 60)
+        writer.manifest.set_cursor("sink", 0, 0)  # as if the cursor had not been written
+        again = delivery_to(InfluxSink(f"{url}/write?db=plant", timeout=2.0), writer, QUICK)
+        await run_until(again, lambda: again.status().sent == 94)
+        currents_there = await asked("SELECT value FROM samples WHERE device = 'meter-7' AND point = 'current'")
+        odd_there = await asked("SELECT device, point, text, value, reason FROM samples WHERE device = 'm,e=t er'")
+    assert [value for _, value in currents_there] == WANTED
+    assert [time for time, _ in currents_there] == [at(number) for number in range(READS)]
+    assert sorted(odd_there, key=str) == sorted(
+        [
+            [at(30), "m,e=t er", 'p"o,i=n t', None, None, 0],
+            [at(30), "m,e=t er", "text", 'a "b" \\\\n, c=ä', None, 0],  # a line break as \\n
+            [at(31), "m,e=t er", 'p"o,i=n t', None, None, Reason.TIMEOUT],
+            [at(31), "m,e=t er", "text", None, None, Reason.TIMEOUT],
+        ],
+        key=str,
+    )
 
 
 def test_the_pump_is_another_device() -> None:
