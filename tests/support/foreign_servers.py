@@ -119,6 +119,14 @@ store-enabled = false
     return ForeignServer([program, "run", "-config", str(config)], port)
 
 
+def victoria_metrics(folder: Path) -> ForeignServer:
+    """A VictoriaMetrics, which takes lines of InfluxDB and answers questions of Prometheus."""
+    program, port = needed("victoria-metrics"), free_port()
+    place = f"-storageDataPath={folder / 'victoria'}"
+    options = ["-retentionPeriod=100y", "-search.latencyOffset=1ms", "-memory.allowedPercent=5"]
+    return ForeignServer([program, place, f"-httpListenAddr=127.0.0.1:{port}", *options], port)
+
+
 class PostgresqlServer(ForeignServer):
     """A PostgreSQL server with a database folder of its own and one user, ``collector``, with a password."""
 

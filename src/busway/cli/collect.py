@@ -26,11 +26,13 @@ EXAMPLES = """\b
 Examples:
   busway collect plant.toml
   busway collect demo
+  busway collect dashboard prometheus > plant.json
   busway collect plan plant.toml
   busway collect learnt plant.toml
   busway collect learnt plant.toml --pin meter-7
   busway collect learnt plant.toml --forget meter-7
 
+`dashboard prometheus|postgresql` prints a dashboard for Grafana.
 `plan` shows the reads, the load of each link and what it would learn; nothing is sent.
 """
 
@@ -39,7 +41,9 @@ DEMO_PAGE = "127.0.0.1:8503"
 
 
 def collect(
-    words: list[str] = typer.Argument(..., metavar="[plan|learnt] FILE|demo", help="A collector file, in TOML."),
+    words: list[str] = typer.Argument(
+        ..., metavar="[plan|learnt] FILE|demo|dashboard KIND", help="A collector file, in TOML."
+    ),
     status_every: str = typer.Option("60s", "--status-every", metavar="TIME", help="Print a status this often: 60s."),
     lasts: str | None = typer.Option(None, "--for", metavar="TIME", help="demo: end after this time: 60s."),
     pin: str | None = typer.Option(None, "--pin", metavar="DEVICE", help="learnt: keep what was learnt of a device."),
@@ -52,6 +56,8 @@ def collect(
 
     if words == ["demo"]:
         return _demo(lasts, verbose)
+    if words[0] == "dashboard":
+        return _print_dashboard(words[1:])
     action, file = _action_and_file(words)
     if lasts is not None:
         raise ConfigError("is for demo", key="--for")
@@ -77,6 +83,13 @@ def _demo(lasts: str | None, verbose: int) -> int:
     limit = seconds(lasts or "60s", "--for", low=0.1)
     show_traffic(verbose)
     run(collect_demo(limit, DEMO_PAGE))
+    return ExitCode.DONE
+
+
+def _print_dashboard(words: list[str]) -> int:
+    from ..apps.collector.dashboards import dashboard
+
+    typer.echo(dashboard(" ".join(words)), nl=False)
     return ExitCode.DONE
 
 

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import subprocess
+import time
 from collections import defaultdict
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 from collected import NOON, PUMP, at, filled, read_of
 from deliveries import commit_reads, delivery_to, run_until
-from foreign_servers import ForeignServer, PostgresqlServer, influxdb, mosquitto, nats_server, needed
+from foreign_servers import ForeignServer, PostgresqlServer, influxdb, mosquitto, nats_server, needed, victoria_metrics
 
 from busway.apps.collector.samples import PointDescription, PointGroup, Reason, SampleBatch
 from busway.apps.collector.sinks.delivery import DeliveryOptions
@@ -298,6 +299,24 @@ async def test_an_influxdb_that_was_down_has_everything_once_with_awkward_names_
         ],
         key=str,
     )
+
+
+async def test_victoriametrics_takes_the_same_lines(tmp_path: Path) -> None:
+    httpx = pytest.importorskip("httpx")
+    from busway.apps.collector.sinks.influxdb import InfluxSink
+
+    today = (time.time_ns() - NOON) // 10**9  # it takes no samples of the future, where those of the tests are
+    with victoria_metrics(tmp_path) as server, StoreWriter(tmp_path / "store", now=at(today)) as writer:
+        commit_reads(writer, today - 10, 10)
+        url = f"http://127.0.0.1:{server.port}"
+        delivery = delivery_to(InfluxSink(f"{url}/write", timeout=5.0), writer, QUICK)
+        await run_until(delivery, lambda: delivery.status().sent == 30)
+        async with httpx.AsyncClient(trust_env=False, base_url=url) as client:
+            await client.get("/internal/force_flush")
+            asked = {"match[]": 'samples_value{device="meter-7",point="current"}'}
+            (series,) = map(json.loads, (await client.get("/api/v1/export", params=asked)).text.splitlines())
+    assert series["values"] == [today - 10 + number for number in range(10)]
+    assert series["timestamps"] == [at(today - 10 + number) // 1_000_000 for number in range(10)]
 
 
 def test_the_pump_is_another_device() -> None:
