@@ -16,7 +16,7 @@ from deliveries import commit_reads, delivery_to, run_until
 from foreign_servers import ForeignServer, PostgresqlServer, influxdb, mosquitto, nats_server, needed, victoria_metrics
 
 from busway.apps.collector.samples import PointDescription, PointGroup, Reason, SampleBatch
-from busway.apps.collector.sinks.delivery import DeliveryOptions
+from busway.apps.collector.sinks.delivery import Delivery, DeliveryOptions
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.sinks.mqtt import MqttSink
 from busway.apps.collector.sinks.nats import NatsSink
@@ -309,7 +309,7 @@ async def test_victoriametrics_takes_the_same_lines(tmp_path: Path) -> None:
     with victoria_metrics(tmp_path) as server, StoreWriter(tmp_path / "store", now=at(today)) as writer:
         commit_reads(writer, today - 10, 10)
         url = f"http://127.0.0.1:{server.port}"
-        delivery = delivery_to(InfluxSink(f"{url}/write", timeout=5.0), writer, QUICK)
+        delivery = Delivery("sink", InfluxSink(f"{url}/write", timeout=5.0), writer.folder, writer.manifest, QUICK)
         await run_until(delivery, lambda: delivery.status().sent == 30)
         async with httpx.AsyncClient(trust_env=False, base_url=url) as client:
             await client.get("/internal/force_flush")
