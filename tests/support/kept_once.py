@@ -20,6 +20,8 @@ from lying_devices import Answer
 
 Key = tuple[str, str, int]
 SECOND = 1_000_000_000
+PROMPT = SECOND // 20
+"""An answer that took longer came from a machine that was too busy: it may have been too late."""
 
 
 @dataclass(slots=True)
@@ -138,6 +140,8 @@ def missing_answers(
             if answer.lie != "honest" or answer.function != 3 or answer.start % 4 or answer.count % 4:
                 continue
             if any(begin <= answer.received <= end for begin, end in excused):
+                continue
+            if answer.answered - answer.received > PROMPT:
                 continue
             for start in range(answer.start, answer.start + answer.count, 4):
                 point = f"code{start}"

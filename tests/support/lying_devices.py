@@ -264,11 +264,10 @@ class Field:
             tail = honest
 
         def act() -> None:
+            answer = Answer(device.number, function, start, count, turn, received, time.time_ns(), kind)
+            self.answers[device.number].append(answer)
             if kind != "silent":
                 actions.get(kind, send)(tail)
-            self.answers[device.number].append(
-                Answer(device.number, function, start, count, turn, received, time.time_ns(), kind)
-            )
 
         delay = device.lies.delay
         self._at(device, device.random.uniform(*device.lies.late) if kind == "late" else delay, keeps_order, act)

@@ -275,7 +275,9 @@ class Checker:
             if source is None:
                 told.append(f"configuration {number}: not read")
                 continue
-            answers = [f"{a.round}:{a.lie}" for a in self._between(source.device, begin, end)]
+            answers = [
+                f"{a.round}: {a.function} {a.start}+{a.count} {a.lie}" for a in self._between(source.device, begin, end)
+            ]
             where = f"{source.laid.key} at {source.start()} of device {source.device}"
             told.append(f"configuration {number}: {where}, answers {answers}")
         value = f"{sample.value:016x}" if isinstance(sample.value, int) else repr(sample.value)

@@ -1,5 +1,7 @@
 """What was learnt: kept as text, dropped with the firmware, pinned, forgotten, offered to devices of the same kind."""
 
+from dataclasses import replace
+
 import pytest
 
 from busway.apps.collector.knowledge import (
@@ -90,3 +92,15 @@ def test_it_is_told_in_sentences() -> None:
         "at most 64 registers in one read; 65 are refused (pinned)",
         "a read takes 30.0 ms apart from its registers",
     ]
+
+
+def test_what_was_learnt_at_another_place_is_dropped_and_what_is_pinned_stays() -> None:
+    knowledge = Knowledge()
+    knowledge.set("a", replace(knowledge.of("a", "sdm630", "1.2", "tcp://h:502 unit 1"), holes=(HOLE,)))
+    assert knowledge.of("a", "sdm630", "1.2", "tcp://h:502 unit 1").holes == (HOLE,)
+    assert knowledge.of("a", "sdm630", "1.2", "tcp://h:502 unit 2").holes == ()
+    again = read_knowledge(knowledge.text(), "learnt.json")
+    assert again.of("a", "sdm630", "1.2", "tcp://other:502 unit 1").holes == ()
+    assert knowledge.pin("a")
+    (pinned,) = knowledge.of("a", "sdm630", "1.2", "tcp://h:502 unit 2").holes
+    assert pinned.pinned

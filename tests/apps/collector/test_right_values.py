@@ -4,6 +4,7 @@
 2. One random walk changes the configuration under way: devices change places, points change names, classes change.
 """
 
+import asyncio
 import os
 import random
 import signal
@@ -16,8 +17,10 @@ import pytest
 from lying_devices import Field, Lies, LyingDevice
 from program import Busway
 from right_values import Checker, Laid, Source, Truth, group_points, layout, profile
+from waiting import until
 
 import busway
+from busway.apps.collector.configuration import load_collector
 
 LYING = {"late": 0.03, "silent": 0.01, "twice": 0.04, "foreign": 0.03, "short": 0.02, "long": 0.02, "exception": 0.03}
 SEED = int(os.environ.get("BUSWAY_WALK_SEED", "20261122"))
@@ -168,6 +171,33 @@ def plant_of_all_kinds(world: Field, folder: Path, seed: int) -> Plant:
     plant.link(world, "line", "rtu", [1, 2, 3], line, "timeout = 0.15")
     plant.declare()
     return plant
+
+
+async def test_what_was_learnt_of_a_unit_is_not_held_against_another_under_its_name(tmp_path: Path) -> None:
+    profile_text = "[[unit]]\nunit = 1\npoint = [\n"
+    for start in (0, 100):
+        profile_text += f'{{ name = "code{start}", address = "holding:{start}", type = "uint64" }},\n'
+    (tmp_path / "profile.toml").write_text(profile_text + "]\n")
+
+    def file_for(url: str, unit: int) -> Path:
+        file = tmp_path / "plant.toml"
+        file.write_text(
+            '[collector]\npage = "off"\n[poll_class]\nall.period = 0.03\n'
+            f'[[link]]\nname = "a"\nurl = "{url}"\n'
+            f'[[device]]\nname = "d"\nlink = "a"\nunit = {unit}\nprofile = "profile.toml"\n'
+        )
+        return file
+
+    with Field() as world:
+        url, devices = world.endpoint("tcp", [1, 2])
+        devices[1].lies = Lies(holes=[range(100, 104)])
+        async with busway.collect(file_for(url, 1)) as collector:
+            await until(lambda: any("exception 02" in line for line in collector.status()[0].learnt), 20)
+            await collector.reload(load_collector(file_for(url, 2)))
+            async with asyncio.timeout(20):
+                async for batch in collector.samples():
+                    if "code100" in batch.points and batch.values[batch.points.index("code100")] is not None:
+                        break
 
 
 def check_a_walk(folder: Path, seed: int, seconds: float) -> None:

@@ -527,7 +527,7 @@ class Collector:
             now=loop.time,
         )
         for device in configuration.devices_of(name):
-            known = self.knowledge.of(device.name, device.profile, device.firmware)
+            known = configuration.known_of(device, self.knowledge)
             derived = DerivedPoints(
                 device.name, device.points, _renamed(self._counters.get(device.name, {}).values(), device.points)
             )

@@ -142,13 +142,17 @@ class CollectorConfiguration:
         """The devices behind a link."""
         return [device for device in self.devices.values() if device.link == link]
 
+    def known_of(self, device: CollectedDevice, knowledge: Knowledge) -> DeviceKnowledge:
+        """What is known of a device of this kind, behind this link and with this unit identifier."""
+        place = f"{self.links[device.link].settings.endpoint.url} unit {device.unit}"
+        return knowledge.of(device.name, device.profile, device.firmware, place)
+
     def loads(self, knowledge: Knowledge) -> list[LinkLoad]:
         """The admission test of each link."""
         found = []
         for name, link in self.links.items():
             books = [
-                (each.name, each.book(knowledge.of(each.name, each.profile, each.firmware)), self.periods)
-                for each in self.devices_of(name)
+                (each.name, each.book(self.known_of(each, knowledge)), self.periods) for each in self.devices_of(name)
             ]
             found.append(admit(name, books, link.settings.parameters.timeout))
         return found

@@ -2,8 +2,8 @@
 
 Pure: knows no clock, no socket and no file.
 
-1. What was learnt belongs to a device. It is dropped when the device gets another profile or firmware, unless it is
-   pinned.
+1. What was learnt belongs to a device. It is dropped when the device gets another profile or firmware, or its name
+   stands for a unit at another place, unless it is pinned.
 2. What two devices with the same profile and firmware learnt alike is offered to others of that kind: they begin
    with it.
 3. What is pinned is neither changed by learning nor forgotten with the rest.
@@ -81,6 +81,7 @@ class DeviceKnowledge:
         base: seconds of a read apart from its registers; None where too few reads were made.
         holes: what it refuses to read.
         limits: the widest reads, one for registers and one for bits at most.
+        place: endpoint and unit where it was learnt; empty for unknown.
     """
 
     profile: str = ""
@@ -88,6 +89,7 @@ class DeviceKnowledge:
     base: float | None = None
     holes: tuple[LearntHole, ...] = ()
     limits: tuple[LearntLimit, ...] = ()
+    place: str = ""
 
     def limit(self, bits: bool) -> LearntLimit | None:
         """The learnt limit of reads of bits, or of registers; None without one."""
@@ -136,6 +138,7 @@ class DeviceKnowledge:
             None,
             tuple(one for one in self.holes if one.pinned and not pinned),
             tuple(one for one in self.limits if one.pinned and not pinned),
+            self.place,
         )
 
     def lines(self) -> Iterator[str]:
@@ -157,16 +160,16 @@ class Knowledge:
     def __iter__(self) -> Iterator[tuple[str, DeviceKnowledge]]:
         return iter(sorted(self._devices.items()))
 
-    def of(self, name: str, profile: str = "", firmware: str = "") -> DeviceKnowledge:
-        """What is known about a device: learnt from itself, or from others of its profile and firmware (rules 1
-        and 2).
+    def of(self, name: str, profile: str = "", firmware: str = "", place: str = "") -> DeviceKnowledge:
+        """What is known about a device: learnt from itself at this place, or from others of its profile and firmware
+        (rules 1 and 2).
         """
         known = self._devices.get(name)
         if known is None:
-            return self.offered(profile, firmware)
-        if (known.profile, known.firmware) != (profile, firmware):
-            return replace(known.forgotten(), profile=profile, firmware=firmware)
-        return known
+            return replace(self.offered(profile, firmware), place=place)
+        if (known.profile, known.firmware) != (profile, firmware) or known.place not in ("", place or known.place):
+            known = replace(known.forgotten(), profile=profile, firmware=firmware)
+        return replace(known, place=place or known.place)
 
     def set(self, name: str, known: DeviceKnowledge) -> None:
         """Replace what was learnt about a device."""
@@ -243,6 +246,7 @@ def _device_data(known: DeviceKnowledge) -> dict[str, Any]:  # Any: what JSON ha
     return {
         "profile": known.profile,
         "firmware": known.firmware,
+        "place": known.place,
         "base": known.base,
         "holes": [
             {"table": one.table.value, "start": one.start, "end": one.end, "code": one.code, "pinned": one.pinned}
@@ -268,4 +272,5 @@ def _device(data: Mapping[str, Any]) -> DeviceKnowledge:  # Any: what JSON has
             LearntLimit(one["of"] == "bits", int(one["good"]), int(one["bad"]), bool(one["pinned"]))
             for one in data["limits"]
         ),
+        str(data.get("place", "")),
     )

@@ -9,6 +9,7 @@ Pure: knows items, rules and what is learnt; knows no clock and no socket.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 from .cost import ReadCost
@@ -85,9 +86,7 @@ class PlanBook:
         known = self._map.knowledge
         if not self._learner.is_settled:
             return known
-        return DeviceKnowledge(
-            known.profile, known.firmware, round(self._learner.cost.base, 6), known.holes, known.limits
-        )
+        return replace(known, base=round(self._learner.cost.base, 6))
 
     @property
     def rules(self) -> ReadRules:

@@ -58,7 +58,7 @@ def preview(configuration: CollectorConfiguration, knowledge: Knowledge) -> Coll
     unreadable: list[tuple[str, str, str]] = []
     learnt: list[tuple[str, str]] = []
     for device in configuration.devices.values():
-        known = knowledge.of(device.name, device.profile, device.firmware)
+        known = configuration.known_of(device, knowledge)
         book = device.book(known)
         for name in device.items:
             plan = book.plan_for(frozenset({name}))
