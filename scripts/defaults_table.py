@@ -9,11 +9,12 @@ from marked import ROOT, replaced, update
 
 from busway.options.client import ClientParameters, ManagementParameters
 from busway.options.declaration import Option, declared
-from busway.options.gateway import GatewayListenerParameters, GatewayParameters, UpstreamParameters
+from busway.options.gateway import GatewayListenerParameters, GatewayParameters, RouteParameters, UpstreamParameters
 from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters
 from busway.options.ports import OpeningParameters, SerialSettings
 from busway.options.presets import strict_settings
 from busway.options.server import ListenerParameters, ServerParameters, UnitParameters
+from busway.options.service import AuditParameters, ControlParameters, MetricsParameters
 from busway.options.sockets import SocketParameters
 from busway.options.tls import TlsParameters
 
@@ -33,6 +34,10 @@ TABLES = {
     "gateway": GatewayParameters,
     "upstreams": UpstreamParameters,
     "gateway_listeners": GatewayListenerParameters,
+    "routes": RouteParameters,
+    "audit": AuditParameters,
+    "metrics": MetricsParameters,
+    "control": ControlParameters,
 }
 """The parts of the page and the class that each shows."""
 STRICT = {

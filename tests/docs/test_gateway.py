@@ -15,6 +15,7 @@ from busway.config.files.system import LinkKeys
 
 ROOT = Path(__file__).resolve().parents[2]
 GUIDE = ROOT / "docs" / "gateway.md"
+REFERENCE = ROOT / "docs" / "reference" / "defaults.md"
 SETUPS = (
     "One serial line for many masters",
     "An inverter that takes one connection",
@@ -61,17 +62,19 @@ def test_what_check_prints_is_what_it_prints(text: str) -> None:
             assert f"\n{line}\n" in text
 
 
-def test_every_key_of_listeners_lines_and_routes_is_explained(text: str) -> None:
-    explained = set(re.findall(r"`(\w+)`", "\n".join(re.findall(r"^\| (`.+?) \|", text, re.MULTILINE))))
-    own_of_lines = set(UpstreamSection.model_fields) - set(LinkKeys.model_fields)
-    known = {name for kind in UpstreamSection.kinds for name in kind.__dataclass_fields__}
-    for keys in (
+def test_every_key_of_listeners_links_and_routes_is_named_and_explained_in_the_reference(text: str) -> None:
+    named = set(re.findall(r"`(\w+)`", text[text.index("### `[[listener]]`") : text.index("## Who is told what")]))
+    explained = set(re.findall(r"^\| `(\w+)` \|", REFERENCE.read_text(encoding="utf-8"), re.MULTILINE))
+    own = (
         set(GatewayListenerSection.model_fields) - set(ListenerSection.model_fields),
-        own_of_lines - known,
-        set(RouteSection.model_fields) - {"name"},
+        set(UpstreamSection.model_fields) - set(LinkKeys.model_fields) - {"name", "url", "same_device"},
+        set(RouteSection.model_fields),
         set(GatewaySection.model_fields),
-    ):
+    )
+    for keys in own:
         assert keys - explained == set()
+        assert keys - named == set()
+    assert {"url", "name", "same_device"} <= named
 
 
 def test_the_tables_of_registers_are_those_of_the_map() -> None:

@@ -10,7 +10,7 @@ import pytest
 from control_sockets import connected, exchange, received
 from waiting import wait_until
 
-from busway.errors import ConfigError, LinkDown
+from busway.errors import LinkDown
 from busway.observe.http import (
     BODY_LIMIT,
     HEAD_LIMIT,
@@ -20,7 +20,6 @@ from busway.observe.http import (
     HttpService,
     bind_tcp,
     bound_name,
-    parse_host_port,
 )
 
 hanging: list[HttpRequest] = []
@@ -207,20 +206,6 @@ def test_half_a_request_that_ends_is_not_answered(
         assert received(connection) == b""
     assert capsys.readouterr().err == ""
     assert not caplog.records
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [("127.0.0.1:9502", ("127.0.0.1", 9502)), ("[::1]:0", ("::1", 0)), ("name:65535", ("name", 65535))],
-)
-def test_host_and_port_are_told_apart(text: str, expected: tuple[str, int]) -> None:
-    assert parse_host_port(text, "metrics") == expected
-
-
-@pytest.mark.parametrize("text", ["", "127.0.0.1", ":9502", "::1:9502", "a:b", "a:-1", "a:65536", "a:٣"])
-def test_what_is_no_host_and_port_is_named(text: str) -> None:
-    with pytest.raises(ConfigError, match=r"metrics: an address such as 127\.0\.0\.1:9502"):
-        parse_host_port(text, "metrics")
 
 
 def test_a_port_that_is_taken_is_named() -> None:

@@ -14,12 +14,13 @@ import busway.options.offer
 from busway.cli.config import config
 from busway.client.option_types import LinkOptions
 from busway.client.settings import link_settings
-from busway.config.files.gateway import GatewayListenerSection, GatewaySection, UpstreamSection
+from busway.config.files.gateway import GatewayListenerSection, GatewaySection, RouteSection, UpstreamSection
 from busway.config.files.options import OptionSection, with_options_of
 from busway.config.files.schema import Section, json_schema, parse_file
-from busway.config.files.system import LinkSection, SystemFile
+from busway.config.files.system import AuditSection, ControlSection, LinkSection, MetricsSection, SystemFile
 from busway.errors import ConfigError
 from busway.options.declaration import (
+    REQUIRED,
     Alias,
     ByFraming,
     Name,
@@ -32,8 +33,9 @@ from busway.options.declaration import (
     declared,
 )
 from busway.options.endpoints import SCHEMES, parse_endpoint
-from busway.options.gateway import GatewayListenerParameters, GatewayParameters, UpstreamParameters
+from busway.options.gateway import GatewayListenerParameters, GatewayParameters, RouteParameters, UpstreamParameters
 from busway.options.offer import LINKS, SERVERS, Offer, aliases, options_for
+from busway.options.service import AuditParameters, ControlParameters, MetricsParameters
 from busway.options.text import build_parameters
 from busway.server.option_types import ServerOptions
 
@@ -226,7 +228,32 @@ def test_the_options_of_gateways_are_in_files_schema_and_table(section: type[Sec
         assert f"| `{option.name}` | {option.default_text} | {option.values} | {option.help} |" in TABLE
 
 
-def test_help_lists_every_option_of_links_and_servers(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_lists_every_option_of_links_servers_and_sections_of_files(capsys: pytest.CaptureFixture[str]) -> None:
     config("options", None, device=False, simulation=False, gateway=False)
     listed = re.findall(r"^  (\w+) ", capsys.readouterr().out, re.MULTILINE)
-    assert listed == [*LINK_OPTIONS, *SERVER_OPTIONS]
+    sections = (AuditParameters, MetricsParameters, ControlParameters, GatewayParameters)
+    of_gateways = (GatewayListenerParameters, UpstreamParameters, RouteParameters)
+    of_files = [name for kind in (*sections, *of_gateways) for name in declared(kind)]
+    assert listed == [*LINK_OPTIONS, *SERVER_OPTIONS, *of_files]
+
+
+@pytest.mark.parametrize(
+    ("section", "kind"),
+    [
+        (AuditSection, AuditParameters),
+        (MetricsSection, MetricsParameters),
+        (ControlSection, ControlParameters),
+        (RouteSection, RouteParameters),
+    ],
+)
+def test_a_section_of_a_file_has_the_keys_of_its_declaration_and_the_schema_says_their_ranges(
+    section: type[Section], kind: type[Any]
+) -> None:
+    assert set(section.model_fields) == set(declared(kind))
+    schema = json_schema(section, "x")
+    required = [name for name, option in declared(kind).items() if option.default is REQUIRED]
+    assert schema.get("required", []) == required
+    for name, option in declared(kind).items():
+        assert schema["properties"][name]["description"] == option.help
+        if isinstance(option.limits, Range):
+            assert schema["properties"][name]["maximum"] == option.limits.high

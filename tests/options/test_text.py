@@ -10,7 +10,7 @@ from busway.errors import ConfigError
 from busway.options.client import ClientParameters, MismatchPolicy
 from busway.options.declaration import declared
 from busway.options.server import Scope, ServerParameters
-from busway.options.text import build_parameters
+from busway.options.text import build_parameters, host_and_port
 
 
 @dataclass(frozen=True)
@@ -126,3 +126,22 @@ def test_the_parameters_of_conversations_are_built_and_checked_from_texts() -> N
 
 def test_every_option_left_out_has_its_default() -> None:
     assert build_parameters(ClientParameters, {}) == ClientParameters()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("127.0.0.1:9502", ("127.0.0.1", 9502)), ("[::1]:0", ("::1", 0)), ("name:65535", ("name", 65535))],
+)
+def test_host_and_port_are_told_apart(text: str, expected: tuple[str, int]) -> None:
+    assert host_and_port(text, "metrics") == expected
+
+
+@pytest.mark.parametrize("text", ["", "127.0.0.1", ":9502", "::1:9502", "a:b", "a:-1", "a:٣", "1", "a:", "[]:1"])
+def test_what_is_no_host_and_port_is_named(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"metrics: an address such as 127\.0\.0\.1:9502"):
+        host_and_port(text, "metrics")
+
+
+def test_a_port_that_cannot_be_is_named() -> None:
+    with pytest.raises(ConfigError, match=r"listen: an address such as .* is needed; a port is 0…65535, not 65536"):
+        host_and_port("a:65536", "listen")

@@ -24,8 +24,9 @@ from types import TracebackType
 from typing import Final, Protocol, Self
 
 from ..errors import ConfigError
+from ..options.service import AuditParameters, OnFailure
+from ..options.text import build_parameters
 from ..safe_files import open_to_append
-from ..values.refusal import shown
 from .denials import About, DenialLine, RepeatedDenials
 
 _log = logging.getLogger("busway.audit")
@@ -143,12 +144,8 @@ class AuditLog:
         now: Callable[[], float] = time.time,
         room: Room = room_of_file,
     ) -> None:
-        if not 0 <= interval <= 10:
-            raise ConfigError(f"seconds are 0…10, not {shown(interval)}", key="interval")
-        if on_failure not in ("serve", "refuse"):
-            raise ConfigError(f"one of serve, refuse is needed, not {shown(on_failure)}", key="on_failure")
-        if not 0 <= repeat_interval <= 3600:
-            raise ConfigError(f"seconds are 0…3600, not {shown(repeat_interval)}", key="repeat_interval")
+        given = {"interval": interval, "on_failure": on_failure, "repeat_interval": repeat_interval}
+        parameters = build_parameters(AuditParameters, {"path": path, **given})
         self.path: Path = Path(path)
         self.timestamp: WallClock = WallClock(now)
         self.written: int = 0
@@ -156,15 +153,15 @@ class AuditLog:
         self.failures: int = 0
         self.is_failing: bool = False
         self.denials_left_out: int = 0
-        self._interval = interval
-        self._repeat_interval = repeat_interval
+        self._interval = parameters.interval
+        self._repeat_interval = parameters.repeat_interval
         self._repeated = RepeatedDenials()
         self._repeated_due: float | None = None
         self._room = room
         self._has_room = True
         self._looked = -_LOOK_PAUSE
         self._left_out = 0  # of them, those that no line has told yet
-        self._refuses = on_failure == "refuse"
+        self._refuses = parameters.on_failure is OnFailure.REFUSE
         self._schedule = schedule
         self._clock = clock
         self._lock = threading.RLock()

@@ -74,12 +74,23 @@ def _show(file: str) -> None:
 
 
 def _print_options(url: str | None) -> None:
-    """Print name, default, values and meaning of each option: of a link to a URL, or of all links and servers."""
+    """Print name, default, values and meaning of each option: of a link to a URL, or of all that files configure."""
+    from ..options import gateway, service
     from ..options.endpoints import parse_endpoint
     from ..options.offer import LINKS, SERVERS, Offer
 
     if url is None:
-        offers = {"of links:": Offer.of(*LINKS, role="client"), "of servers:": Offer.of(*SERVERS, role="server")}
+        offers = {
+            "of links:": Offer.of(*LINKS, role="client"),
+            "of servers:": Offer.of(*SERVERS, role="server"),
+            "[audit]": Offer.of(service.AuditParameters),
+            "[metrics]": Offer.of(service.MetricsParameters),
+            "[control]": Offer.of(service.ControlParameters),
+            "[gateway]": Offer.of(gateway.GatewayParameters),
+            "[[listener]] of a gateway:": Offer.of(gateway.GatewayListenerParameters),
+            "[[link]] of a gateway:": Offer.of(gateway.UpstreamParameters),
+            "[[route]] of a gateway:": Offer.of(gateway.RouteParameters),
+        }
     else:
         endpoint = parse_endpoint(url)
         offers = {f"of a link to {endpoint.url}:": Offer.at(endpoint, "client", LINKS)}

@@ -42,9 +42,9 @@ AUDIT = typer.Option(None, "--audit", metavar="FILE", help="Append denied reques
 def _place_of_metrics(text: str | None) -> str | None:
     """Check the address of ``--metrics``. Raises `ConfigError`."""
     if text is not None:
-        from ..observe.http import parse_host_port
+        from ..options.text import host_and_port
 
-        parse_host_port(text, "--metrics")
+        host_and_port(text, "--metrics")
     return text
 
 

@@ -219,14 +219,14 @@ def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], DeclaredS
 
 
 def _page(simulation: "Simulation", api: str, token_file: str | None, file: str) -> "ControlPage":
-    from ..observe.http import parse_host_port
+    from ..options.text import host_and_port
 
     try:
         from ..apps.web.hosting import ControlPage
     except ImportError as error:
         raise MissingExtra(error.name or "starlette", "web", purpose="the page", key="--api") from error
 
-    parse_host_port(api, "--api")
+    host_and_port(api, "--api")
     token = None if token_file is None else read_text(token_file).strip()
     return ControlPage(simulation, api, token=token, name=Path(file).stem)
 

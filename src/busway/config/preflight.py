@@ -32,8 +32,8 @@ def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], repo
     wrong = len(report.problems)
     for place, path in _named_files(file):
         _readable(place, within(name, path), report)
-    if file.audit is not None:
-        folder = Path(within(name, file.audit.path)).parent
+    if file.audit_parameters is not None:
+        folder = Path(within(name, file.audit_parameters.path)).parent
         if not folder.is_dir() or not os.access(folder, os.W_OK):
             report.refuse(("audit", "path"), f"nothing can be written in {folder}")
     if len(report.problems) > wrong:

@@ -21,7 +21,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Final, NoReturn, cast
 
-from ..errors import ConfigError, LinkDown
+from ..errors import LinkDown
 from ..transport.descriptors import is_reserved
 
 _log = logging.getLogger("busway.http")
@@ -302,15 +302,6 @@ class _Head:
         if not line.endswith(b"\n"):
             raise EOFError
         return line
-
-
-def parse_host_port(text: str, key: str) -> tuple[str, int]:
-    """Split ``127.0.0.1:9502`` or ``[::1]:9502`` into host and port; port 0 takes a free one. Raises `ConfigError`."""
-    host, colon, port = text.rpartition(":")
-    is_bare = host.count(":") == 0 or (host.startswith("[") and host.endswith("]"))
-    if not (colon and host and is_bare and port.isascii() and port.isdigit() and int(port) <= 65_535):
-        raise ConfigError(f"an address such as 127.0.0.1:9502 is needed, not {text!r}", key=key)
-    return host.strip("[]"), int(port)
 
 
 def bind_tcp(host: str, port: int) -> socket.socket:

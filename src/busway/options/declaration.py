@@ -14,14 +14,16 @@ Knows types, ranges and texts; knows no particular option. ::
 3. URLs, keywords, keys of files, JSON Schema, help and the tables of the documentation ask `declared`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from enum import Enum
 from types import MappingProxyType, NoneType, UnionType
-from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Final, get_args, get_origin, get_type_hints
 
 from ..errors import ConfigError
 
+REQUIRED: Final = object()
+"""The default of an option that must be there: its class has none for it."""
 NONE: Final = "none"
 """The text that means None for an option that may be None: files and URLs have no other word for it."""
 
@@ -128,6 +130,33 @@ class Alias:
     name: str
 
 
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """Numbers, ranges and words as files have them: ``5``, ``"1-10"``, ``[1, "7-9"]``. Their use says what they may be.
+
+    Attributes:
+        written: what stands in the file.
+        written_as: its type there.
+    """
+
+    written_as: ClassVar[Any] = int | str | list[int | str]
+    written: int | str | list[int | str]
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """A list of names, at least one."""
+
+    names: tuple[str, ...]
+
+    @classmethod
+    def parse(cls, texts: Sequence[str]) -> "Names":
+        """The names. Raises `ConfigError` if there is none."""
+        if not texts:
+            raise ConfigError("needs at least one name")
+        return cls(tuple(texts))
+
+
 class Mark(Enum):
     """Marks of an option that have no value of their own.
 
@@ -173,7 +202,8 @@ class Option:
     @property
     def choices(self) -> tuple[Any, ...]:
         """The words that are values of the option, those of its enums."""
-        return tuple(one.value for kind in self.kinds if issubclass(kind, Enum) for one in kind)
+        enums = (kind for kind in self.kinds if isinstance(kind, type) and issubclass(kind, Enum))
+        return tuple(one.value for kind in enums for one in kind)
 
     @property
     def expected(self) -> str:
@@ -193,6 +223,8 @@ class Option:
             text = ", ".join([str(self.limits)] * (self.limits is not None) + [f"`{one}`" for one in self.choices])
         elif hasattr(self.kinds[0], "parse"):
             text = "a list"
+        elif hasattr(self.kinds[0], "written_as"):
+            text = "a number, a text or a list"
         else:
             text = "a text" if self.limits is None or isinstance(self.limits, Name) else str(self.limits)
         return f"{text}, or none" if self.is_optional else text
@@ -239,6 +271,7 @@ def _declared(kind: type[Any]) -> Mapping[str, Option]:
     found = {}
     for field in fields(kind):
         default = field.default if field.default_factory is MISSING else field.default_factory()
+        default = REQUIRED if default is MISSING else default
         found[field.name] = _option(field.name, hints[field.name], default, () if on is None else (on,))
     return MappingProxyType(found)
 
@@ -271,6 +304,10 @@ def _option(name: str, hint: Any, default: object, on: tuple[On, ...]) -> Option
 
 
 def _shown(default: object) -> str:
+    if default is REQUIRED:
+        return "must be there"
+    if isinstance(default, str) and not isinstance(default, Enum):
+        return f"`{default}`" if default else "none"
     if default is None or (hasattr(default, "parse") and not default):
         return "none"
     if isinstance(default, bool):

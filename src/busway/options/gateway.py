@@ -5,7 +5,7 @@ from typing import Annotated
 
 from ..codes import TCP_DEVICE_UNIT
 from .client import CLIENT_DEADLINE
-from .declaration import Range, check
+from .declaration import Name, Names, Numbers, Range, check
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +38,50 @@ class GatewayListenerParameters:
         "What is still queued then is not sent any more.",
     ] = CLIENT_DEADLINE
     silent_broadcasts: Annotated[bool, "whether a write to unit 0 gets no answer, as on a serial line."] = False
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, slots=True)
+class RouteParameters:
+    """Options of a route: which requests it is for, what becomes of them, and how they are forwarded."""
+
+    name: Annotated[str, "what messages call it."] = ""
+    listeners: Annotated[Names | None, "names of listeners; None: of all."] = None
+    units: Annotated[
+        Numbers | None, 'units asked, `5`, `"1-10"`, `[1, 3, "7-9"]`; None: those that the link can have.'
+    ] = None
+    functions: Annotated[Numbers | None, 'function codes, or `"read"` and `"write"`; None: all.'] = None
+    table: Annotated[str | None, Name("the name of a table"), "the table that plain addresses are of."] = None
+    addresses: Annotated[
+        Numbers | None, '`"4x1-4x100"`, or `"0-99"` with `table = "holding"`; None: all, and no items at all.'
+    ] = None
+    link: Annotated[str | None, Name("the name of a link"), "the link over which requests are forwarded."] = None
+    refuse: Annotated[int | None, Range(1, 255), "the exception code with which requests are answered."] = None
+    drop: Annotated[bool, "whether requests are not answered."] = False
+    unit: Annotated[int | None, Range(0, 255), "unit behind; None: the one that was asked."] = None
+    unit_offset: Annotated[int, Range(-255, 255), "added to the unit: 101…110 become 1…10 with -100."] = 0
+    shift: Annotated[int, Range(-65_535, 65_535), "added to every address; the answer is shifted back."] = 0
+    max_registers: Annotated[
+        int | None,
+        Range(1, 125),
+        "registers that the device takes at once: a longer read is split, and answered whole.",
+    ] = None
+    max_bits: Annotated[int | None, Range(1, 2000), "the same of coils and discrete inputs."] = None
+    split_writes: Annotated[bool, "whether longer writes are split too. They are no longer executed as one."] = False
+    cache: Annotated[
+        float | None,
+        Range(0.001, 3600),
+        "seconds for which a read may be answered from memory; None: it is always asked.",
+    ] = None
+    timeout: Annotated[float | None, Range(0.001, 3600), "seconds to wait for this unit; None: the link's."] = None
+    request_gap: Annotated[
+        float | None,
+        Range(0.001, 60),
+        "seconds that the unit is left alone after it has answered; the others are asked meanwhile. Serial lines only;",
+        "elsewhere it is an option of the link.",
+    ] = None
 
     def __post_init__(self) -> None:
         check(self)

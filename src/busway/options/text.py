@@ -101,6 +101,8 @@ def _of_kind(name: str, value: object, kind: Any) -> object:  # a type
             raise ConfigError(f"must be one of {allowed}, not {value!r}", key=name) from None
     if hasattr(kind, "parse"):
         return _parsed(name, value, kind)
+    if hasattr(kind, "written_as"):
+        return kind(value)
     if kind is str and hasattr(value, "__fspath__"):
         return str(value.__fspath__())
     if isinstance(value, str) and kind is not str:
@@ -139,3 +141,14 @@ def _words(kind: type) -> str:
     if issubclass(kind, Enum):
         return " or ".join(str(one.value) for one in kind)
     return {bool: "on or off", int: "a whole number", float: "a number", str: "a text"}.get(kind, kind.__name__)
+
+
+def host_and_port(text: str, key: str) -> tuple[str, int]:
+    """Split ``127.0.0.1:9502`` or ``[::1]:9502`` into host and port; port 0 takes a free one. Raises `ConfigError`."""
+    host, colon, port = text.rpartition(":")
+    is_bare = host.count(":") == 0 or (host.startswith("[") and host.endswith("]"))
+    if not (colon and host.strip("[]") and is_bare and port.isascii() and port.isdigit()):
+        raise ConfigError(f"an address such as 127.0.0.1:9502 is needed, not {text!r}", key=key)
+    if int(port) > 65_535:
+        raise ConfigError(f"an address such as 127.0.0.1:9502 is needed; a port is 0…65535, not {port}", key=key)
+    return host.strip("[]"), int(port)

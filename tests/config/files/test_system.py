@@ -25,7 +25,6 @@ from busway.config.files.system import (
     MetricsSection,
     SecuritySection,
     SystemFile,
-    host_and_port,
 )
 from busway.errors import ConfigError
 from busway.options.endpoints import SCHEMES, parse_endpoint
@@ -146,8 +145,14 @@ def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_un
         (UNIT + '[policy]\ndefault = "some"\n', "x.toml:4: policy.default: must be 'allow', 'deny' or 'read-only'"),
         (UNIT + '[policy]\ndefault = "deny"\n[[policy.rule]]\nunits = 300\n', "x.toml:6: policy.rule[0].units: "),
         (UNIT + "[audit]\n", "x.toml:3: audit.path: is missing"),
-        (UNIT + '[metrics]\nlisten = "9502"\n', "x.toml:4: metrics.listen: must be HOST:PORT, for example"),
-        (UNIT + '[metrics]\nlisten = "h:70000"\n', "x.toml:4: metrics.listen: a port is 0…65535, not 70000"),
+        (
+            UNIT + '[metrics]\nlisten = "9502"\n',
+            "x.toml:4: metrics.listen: an address such as 127.0.0.1:9502 is needed, not '9502'",
+        ),
+        (
+            UNIT + '[metrics]\nlisten = "h:70000"\n',
+            "x.toml:4: metrics.listen: an address such as 127.0.0.1:9502 is needed; a port is 0…65535, not 70000",
+        ),
         (UNIT + '[control]\nenabled = "no"\n', "x.toml:4: control.enabled: must be true or false, not 'no'"),
     ],
 )
@@ -206,19 +211,6 @@ def test_rules_for_roles_that_nobody_can_have_are_odd_but_can_be() -> None:
 def test_a_listener_on_every_interface_is_taken_with_a_warning() -> None:
     (warning,) = parse_configuration('listen = ["tcp://0.0.0.0:502"]\n' + UNIT, "x.toml").warnings
     assert str(warning).startswith("x.toml:1: listen[0]: warning: tcp://0.0.0.0:502 listens on every interface")
-
-
-@pytest.mark.parametrize(
-    ("text", "parts"), [("127.0.0.1:9502", ("127.0.0.1", 9502)), ("[::1]:0", ("::1", 0)), ("here:1", ("here", 1))]
-)
-def test_a_host_with_a_port(text: str, parts: tuple[str, int]) -> None:
-    assert host_and_port(text) == parts
-
-
-@pytest.mark.parametrize("text", ["", ":1", "1", "a:", "a:b", "::1:5", "a:65536", "[]:1"])
-def test_what_is_no_host_with_a_port(text: str) -> None:
-    with pytest.raises(ConfigError):
-        host_and_port(text)
 
 
 @pytest.mark.clause("T33")

@@ -227,15 +227,8 @@ class Collector:
         configuration = self.configuration
         section = configuration.file.audit
         path = configuration.common.audit or Path(configuration.store) / AUDIT_LOG
-        if section is None:
-            self._audit = AuditLog(path)
-        else:
-            self._audit = AuditLog(
-                path,
-                interval=section.interval,
-                on_failure=section.on_failure,
-                repeat_interval=section.repeat_interval,
-            )
+        options = {} if section is None else section.options()
+        self._audit = AuditLog(**{**options, "path": path})
         targets = CollectedTargets(lambda: self.configuration, self._poller_of, self.values)
         journal = CommandJournal(Path(configuration.store))
         self._commands = CommandRunner(targets, journal, self._audit)

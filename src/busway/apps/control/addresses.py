@@ -18,7 +18,7 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from ...errors import ConfigError
-from ...observe.http import parse_host_port
+from ...options.text import host_and_port
 
 HAS_UNIX_SOCKETS = hasattr(socket, "AF_UNIX")
 KEY = "control"
@@ -64,7 +64,7 @@ def parse_control_address(text: str) -> ControlAddress:
         if not text:
             raise ConfigError("a path or an address such as 127.0.0.1:0 is needed", key=KEY)
         return UnixAddress(Path(text))
-    host, port = parse_host_port(host_port, KEY)
+    host, port = host_and_port(host_port, KEY)
     host = "127.0.0.1" if host == "localhost" else host
     if not is_loopback(host):
         raise ConfigError(f"only an address of this host's loopback can be, not {host!r}", key=KEY)

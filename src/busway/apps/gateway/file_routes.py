@@ -7,13 +7,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from ...codes import ExceptionCode
 from ...config.files.gateway import GatewayFile, RouteSection
 from ...config.files.lines import Path as Place
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint
+from ...options.gateway import RouteParameters
 from .routes import ALL_UNITS, SERIAL_UNITS, AddressRange, Route, RouteAction
 from .settings import UpstreamSettings
+
+SAME = "name", "unit", "unit_offset", "shift", "max_registers", "max_bits", "split_writes", "cache", "timeout"
+"""Options of a route in a file that a route in memory has as they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +35,14 @@ class PlacedRoute:
         return f"{self.place[0]}[{self.place[1]}]" + (f" ({self.route.name})" if self.route.name else "")
 
     @property
+    def names_units(self) -> bool:
+        """Whether the file says which units it is for."""
+        return self.section is not None and self.section.parameters.units is not None
+
+    @property
     def gap(self) -> float:
         """Seconds of silence that the route wants after a reply of its unit."""
-        return (self.section.request_gap or 0.0) if self.section is not None else 0.0
+        return (self.section.parameters.request_gap or 0.0) if self.section is not None else 0.0
 
     def key(self, *names: str) -> Place:
         """The path of the first of these keys that the route sets, or else of the route itself."""
@@ -68,7 +78,8 @@ def placed_routes(
     found = []
     for index, section in enumerate(file.route):
         at: Place = ("route", index)
-        if section.link is not None and section.link not in upstreams:
+        link = section.parameters.link
+        if link is not None and link not in upstreams:
             continue  # reported with the section of the upstream
         made = report.make(partial(_route, section, upstreams), partial(_key_of, section, at))
         if made is not None:
@@ -81,40 +92,33 @@ def _key_of(section: RouteSection, at: Place, key: str | None) -> Place:
 
 
 def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> Route:
-    upstream = None if section.link is None else upstreams[section.link]
+    wanted = section.parameters
+    upstream = None if wanted.link is None else upstreams[wanted.link]
     asked = section.asked_units()
     addresses = section.asked_addresses()
-    action = RouteAction.FORWARD if upstream is not None else RouteAction.DROP if section.drop else RouteAction.REFUSE
+    action = RouteAction.FORWARD if upstream is not None else RouteAction.DROP if wanted.drop else RouteAction.REFUSE
     return Route(
-        upstream=section.link or "",
-        listeners=frozenset(section.listeners or ()),
-        units=_default_units(section, upstream) if asked is None else asked,
+        upstream=wanted.link or "",
+        listeners=frozenset(wanted.listeners.names if wanted.listeners else ()),
+        units=_default_units(wanted, upstream) if asked is None else asked,
         functions=section.asked_functions(),
         addresses=None if addresses is None else AddressRange(*addresses),
-        unit=section.unit,
-        unit_offset=section.unit_offset,
-        shift=section.shift,
-        max_registers=section.max_registers,
-        max_bits=section.max_bits,
-        split_writes=section.split_writes,
         action=action,
-        code=1 if section.refuse is None else section.refuse,
-        cache=section.cache,
-        timeout=section.timeout,
-        name=section.name,
+        code=wanted.refuse or ExceptionCode.ILLEGAL_FUNCTION,
+        **{name: getattr(wanted, name) for name in SAME},
     )
 
 
-def _default_units(section: RouteSection, upstream: UpstreamSettings | None) -> frozenset[int]:
+def _default_units(wanted: RouteParameters, upstream: UpstreamSettings | None) -> frozenset[int]:
     """The units of a route that names none: those that its upstream can have."""
     if upstream is None:
         return ALL_UNITS
     there = upstream_units(upstream)
-    if section.unit is not None:
+    if wanted.unit is not None:
         return there
-    units = frozenset(unit for unit in ALL_UNITS if unit + section.unit_offset in there)
+    units = frozenset(unit for unit in ALL_UNITS if unit + wanted.unit_offset in there)
     if not units:
-        raise ConfigError(f"leaves no unit that {section.link!r} has", key="unit_offset")
+        raise ConfigError(f"leaves no unit that {wanted.link!r} has", key="unit_offset")
     return units
 
 

@@ -101,7 +101,7 @@ def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
     plain = [one.route for one in routes]
     for position, placed in enumerate(routes):
         route = placed.route
-        is_rest = placed.section is None or placed.section.units is None
+        is_rest = not placed.names_units
         if is_rest and (route.action is RouteAction.FORWARD or not (route.functions or route.addresses)):
             continue  # it is meant for what other routes leave
         takers, left = taken_before(plain, position)
@@ -144,7 +144,7 @@ def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
             return ""
     if not wider.units <= earlier.units:
         return ""
-    says_units = placed.section is not None and placed.section.units is not None
+    says_units = placed.names_units
     if earlier.covers(wider):
         is_rest = not (says_units or refusal.functions or refusal.addresses)
         return "" if is_rest else f"units {units_text(wider.units)}"
@@ -168,12 +168,12 @@ def _impossible_units(
     routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
 ) -> Faults:
     for placed in routes:
-        route, section = placed.route, placed.section
+        route = placed.route
         if route.upstream and upstream_units(upstreams[route.upstream]) is SERIAL_UNITS:
             wrong = sorted(unit for unit in route.units if route.upstream_unit(unit) not in SERIAL_UNITS)
             if wrong:
                 yield placed.key("unit", "unit_offset", "units"), _no_upstream_unit(route, wrong[0])
-        if section is None or section.units is None:
+        if not placed.names_units:
             continue
         at = [one for one in listeners if not route.listeners or one.name in route.listeners]
         serial = [one for one in at if one.is_serial]
@@ -389,8 +389,8 @@ def _hidden_own_unit(file: GatewayFile, routes: Sequence[PlacedRoute]) -> Faults
         return
     is_written = "own_unit" in file.gateway.model_fields_set
     for placed in routes:
-        route, section = placed.route, placed.section
-        is_named = section is not None and section.units is not None
-        if own in route.units and not route.functions and route.addresses is None and (is_written or is_named):
+        route = placed.route
+        is_all = not route.functions and route.addresses is None
+        if own in route.units and is_all and (is_written or placed.names_units):
             yield placed.key("units"), f"takes unit {own}, which could be the gateway's own"
             return

@@ -15,6 +15,8 @@ from enum import Enum
 
 from ...codes import LAST_SERIAL_UNIT, TABLE_SIZE, ExceptionCode, Table
 from ...errors import ConfigError
+from ...options.declaration import declared
+from ...options.gateway import RouteParameters
 from ...pdu.general import OpaqueRequest
 from ...pdu.message import Request, Span
 from .address_index import AddressIndex
@@ -89,16 +91,11 @@ class Route:
     name: str = ""
 
     def __post_init__(self) -> None:
-        for key, value, low, high in (
-            ("max_registers", self.max_registers, 1, 125),
-            ("max_bits", self.max_bits, 1, 2000),
-            ("unit", self.unit, 0, 255),
-            ("code", self.code, 1, 255),
-            ("cache", self.cache, 0.001, 3600),
-            ("timeout", self.timeout, 0.001, 3600),
-        ):
-            if value is not None and not low <= value <= high:
-                raise ConfigError(f"must be {low:g}…{high:g}, not {value:g}", key=key)
+        options = declared(RouteParameters)
+        for key in ("max_registers", "max_bits", "unit", "cache", "timeout"):
+            options[key].check(getattr(self, key))
+        if not 1 <= self.code <= 255:
+            raise ConfigError(f"must be 1…255, not {self.code}", key="code")
         if not self.units:
             raise ConfigError("a route needs at least one unit", key="units")
         for unit in self.units:

@@ -220,7 +220,7 @@ def put_together(
         limits or ListenerParameters(),
         makers.tls(),
         None if file.policy is None else file.policy.access_rules(),
-        None if file.audit is None else within(name, file.audit.path),
+        None if file.audit_parameters is None else within(name, file.audit_parameters.path),
         _control(file, name),
         links,
         (),
@@ -229,8 +229,9 @@ def put_together(
 
 
 def _control(file: SystemFile, name: str) -> str | None:
-    path = file.control.path
-    if path is None or not file.control.enabled:
+    control = file.control_parameters
+    path = control.path
+    if path is None or not control.enabled:
         return None
     is_address = path.startswith("http://") or path.rpartition(":")[2].isdecimal()
     return path if is_address else within(name, path)

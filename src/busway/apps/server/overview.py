@@ -76,10 +76,10 @@ def _policy(configuration: Configuration) -> str:
 
 
 def _server(configuration: Configuration) -> Iterator[str]:
-    file = configuration.file
     yield f"audit {configuration.audit}" if configuration.audit else "no audit log"
-    yield f"metrics on {file.metrics.listen}" if file.metrics else "no metrics"
-    if not file.control.enabled:
+    file = configuration.file
+    yield f"metrics on {file.metrics_address}" if file.metrics else "no metrics"
+    if not file.control_parameters.enabled:
         yield "no control socket"
     elif configuration.control:
         yield f"control socket {configuration.control}"

@@ -80,7 +80,7 @@ class Service:
         if overrides.standard_port is not None:
             options["standard_port"] = overrides.standard_port
         self.server = server = configuration.serve(listeners, **options)
-        metrics = overrides.metrics or (configuration.file.metrics.listen if configuration.file.metrics else None)
+        metrics = overrides.metrics or configuration.file.metrics_address
         endpoint = None
         if metrics is not None:
             from ...observe.metrics import start_metrics
@@ -90,7 +90,8 @@ class Service:
         await stack.enter_async_context(server)
         if access.is_guarded:
             access.replace_policy(server, access.rules)
-        at = overrides.control or (configuration.control if configuration.file.control.enabled else OFF)
+        is_on = configuration.file.control_parameters.enabled
+        at = overrides.control or (configuration.control if is_on else OFF)
         await stack.enter_async_context(
             open_control(
                 server,
@@ -117,11 +118,5 @@ class Service:
         from ...access.audit_log import AuditLog
 
         section = self.configuration.file.audit
-        if section is None:
-            return AuditLog(path)
-        return AuditLog(
-            path,
-            interval=section.interval,
-            on_failure=section.on_failure,
-            repeat_interval=section.repeat_interval,
-        )
+        options = {} if section is None else section.options()
+        return AuditLog(**{**options, "path": path})

@@ -28,8 +28,9 @@ from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
 
 from ...errors import ConfigError
-from ...observe.http import bind_tcp, bound_name, parse_host_port
+from ...observe.http import bind_tcp, bound_name
 from ...options.endpoints import parse_endpoint
+from ...options.text import host_and_port
 from ...options.tls import TlsParameters
 from ...transport.tls.context import WatchedContext, web_context
 from ...transport.tls.roles import require_cryptography
@@ -124,7 +125,7 @@ class HostedPage(ABC):
             raise ConfigError(
                 f"a token has at least {SHORTEST_TOKEN} characters, letters, digits, - . _ and ~ alone", key="token"
             )
-        self._address = parse_host_port(at, key)
+        self._address = host_and_port(at, key)
         self._given = token
         self._tls = tls
         self.url: str = ""

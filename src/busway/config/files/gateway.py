@@ -28,19 +28,19 @@ Rules:
 """
 
 from collections.abc import Container, Iterator, Sequence
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import BeforeValidator, Field, model_validator
 
 from ...access.notation import parse_functions, parse_items, parse_table, parse_units
 from ...codes import Table
 from ...errors import ConfigError
-from ...options.gateway import GatewayListenerParameters, GatewayParameters, UpstreamParameters
+from ...options.gateway import GatewayListenerParameters, GatewayParameters, RouteParameters, UpstreamParameters
 from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, clashes
 from .options import OptionSection, with_options_of
-from .schema import FileProblems, Section
+from .schema import FileProblems
 from .system import LinkSection, SystemFile, twice
 
 NOT_OF_GATEWAYS: Final = {
@@ -48,8 +48,6 @@ NOT_OF_GATEWAYS: Final = {
     "max_connections": "connections says how many there are",
 }
 """Options of links that have no effect in a gateway, and what there is instead."""
-
-Numbers = int | str | list[int | str]
 
 
 def is_gateway(sections: Container[str]) -> bool:
@@ -79,29 +77,16 @@ class UpstreamSection(LinkSection):
     same_device: list[list[int]] = Field(default_factory=list)
 
 
-class RouteSection(Section):
+@with_options_of(RouteParameters)
+class RouteSection(OptionSection):
     """``[[route]]``: which requests the route applies to, and where they are forwarded."""
 
     retired: ClassVar[dict[str, str]] = {"line": "link"}
 
-    name: str = ""
-    listeners: list[str] | None = Field(default=None, min_length=1)
-    units: Numbers | None = None
-    functions: Numbers | None = None
-    table: str | None = None
-    addresses: Numbers | None = None
-    link: str | None = None
-    refuse: int | None = Field(default=None, ge=1, le=255)
-    drop: Literal[True] | None = None
-    unit: int | None = Field(default=None, ge=0, le=255)
-    unit_offset: int = Field(default=0, ge=-255, le=255)
-    shift: int = Field(default=0, ge=-65_535, le=65_535)
-    max_registers: int | None = Field(default=None, ge=1, le=125)
-    max_bits: int | None = Field(default=None, ge=1, le=2000)
-    split_writes: bool = False
-    cache: float | None = Field(default=None, ge=0.001, le=3600)
-    timeout: float | None = Field(default=None, ge=0.001, le=3600)
-    request_gap: float | None = Field(default=None, ge=0.001, le=60)
+    @property
+    def parameters(self) -> RouteParameters:
+        """The options, with the defaults of those that are left out."""
+        return self.built(RouteParameters)
 
     @model_validator(mode="after")
     def _check(self) -> "RouteSection":
@@ -111,10 +96,11 @@ class RouteSection(Section):
         return self
 
     def _faults(self) -> Iterator[tuple[Path, str]]:
-        ways = [name for name in ("link", "refuse", "drop") if getattr(self, name) is not None]
+        wanted = self.parameters
+        ways = [name for name in ("link", "refuse", "drop") if getattr(wanted, name) not in (None, False)]
         if len(ways) != 1:
             yield (), f"needs exactly one of link, refuse and drop, and has {' and '.join(ways) or 'none of them'}"
-        if self.link is None:
+        if wanted.link is None:
             only_forwarded = {"unit", "unit_offset", "shift", "max_registers", "max_bits", "split_writes", "cache"}
             for name in sorted((only_forwarded | {"timeout", "request_gap"}) & self.model_fields_set):
                 yield (name,), "has no effect where nothing is forwarded"
@@ -126,30 +112,34 @@ class RouteSection(Section):
 
     def asked_units(self) -> frozenset[int] | None:
         """The units that the route applies to; None for all. Raises `ConfigError`."""
-        return None if self.units is None else parse_units(self.units)
+        units = self.parameters.units
+        return None if units is None else parse_units(units.written)
 
     def asked_functions(self) -> frozenset[int]:
         """The function codes that the route applies to; empty for all. Raises `ConfigError`."""
-        if self.functions is None:
+        functions = self.parameters.functions
+        if functions is None:
             return frozenset()
-        found = parse_functions(self.functions)
+        found = parse_functions(functions.written)
         if any(sub_code is not None for _, sub_code in found):
             raise ConfigError("a route is for whole functions, not for a sub-function")
         return frozenset(code for code, _ in found)
 
     def asked_table(self) -> Table | None:
         """The table that plain numbers in the route's addresses belong to. Raises `ConfigError`."""
-        return None if self.table is None else parse_table(self.table)
+        table = self.parameters.table
+        return None if table is None else parse_table(table)
 
     def asked_addresses(self) -> tuple[Table, int, int] | None:
         """The addresses of the route: table, first offset and the one after the last; None for all. Raises
         `ConfigError`.
         """
-        if self.addresses is None:
-            if self.table is not None:
+        addresses = self.parameters.addresses
+        if addresses is None:
+            if self.parameters.table is not None:
                 raise ConfigError("is missing: a table is named, and no addresses of it")
             return None
-        found = parse_items(self.addresses, self.asked_table() if self.table is not None else None)
+        found = parse_items(addresses.written, self.asked_table())
         if len(found) != 1 or len(next(iter(found.values()))) != 1:
             raise ConfigError("a route has one range of addresses; write another route for another range")
         ((table, ((first, end),)),) = found.items()
@@ -215,10 +205,11 @@ class GatewayFile(SystemFile):
         yield from twice("listener", [each.title for each in self.listener])
         names = [each.name for each in self.link]
         titles = [*self.listen, *(each.title for each in self.listener)]
-        for index, route in enumerate(self.route):
+        for index, section in enumerate(self.route):
+            route = section.parameters
             if route.link is not None and route.link not in names:
                 yield ("route", index, "link"), f"there is no link {route.link!r}, but {', '.join(names)}"
-            for place, wanted in enumerate(route.listeners or ()):
+            for place, wanted in enumerate(route.listeners.names if route.listeners else ()):
                 if wanted not in titles:
                     yield (
                         ("route", index, "listeners", place),

@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from ...errors import ConfigError
-from ...options.declaration import NONE, Option, Range, declared
+from ...options.declaration import NONE, REQUIRED, Name, Option, Range, declared
 from ...options.offer import Offer
 from ...options.text import build_parameters
 from ...values.refusal import shown
@@ -106,7 +106,7 @@ def _annotation(option: Option) -> Any:  # a type as annotations have it
 def _plain(kind: Any) -> Any:  # both are types as annotations have them
     if issubclass(kind, Enum):
         return Literal[tuple(one.value for one in kind)]
-    return list[str] if hasattr(kind, "parse") else kind
+    return getattr(kind, "written_as", list[str] if hasattr(kind, "parse") else kind)
 
 
 def _one_of(option: Option) -> Callable[[object], object]:
@@ -125,4 +125,7 @@ def _field(option: Option) -> Any:  # what pydantic makes of it
     if isinstance(option.limits, Range):
         extra["exclusiveMinimum" if option.limits.above else "minimum"] = option.limits.low
         extra["maximum"] = option.limits.high
-    return Field(default=None, description=option.help, json_schema_extra=extra)
+    elif isinstance(option.limits, Name):
+        extra["minLength"] = 1
+    default: Any = ... if option.default is REQUIRED else None  # Any: as pydantic has it
+    return Field(default=default, description=option.help, json_schema_extra=extra)

@@ -38,43 +38,24 @@ Rules:
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from ...errors import ConfigError
 from ...options.offer import LINKS
+from ...options.service import AuditParameters, ControlParameters, MetricsParameters
 from ...options.tls import TlsParameters
 from .device import DeviceFile, UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url, clashes
 from .options import OptionSection, with_options_of
 from .policy import ActionWord, PolicySection
-from .schema import FileProblems, Section
+from .schema import FileProblems
 
 DEFAULT_LISTEN: Final = "tcp://127.0.0.1:5020"
 """Where units are served if the file does not say."""
 
 
-def host_and_port(text: str) -> tuple[str, int]:
-    """Split ``127.0.0.1:9502`` or ``[::1]:9502`` into host and port. Raises `ConfigError`."""
-    host, colon, port = text.rpartition(":")
-    bare = host[1:-1] if host[:1] == "[" and host[-1:] == "]" else host
-    if not colon or not bare or (":" in bare and bare == host) or not (port.isascii() and port.isdecimal()):
-        raise ConfigError(f"must be HOST:PORT, for example 127.0.0.1:9502, not {text!r}")
-    if int(port) > 65_535:
-        raise ConfigError(f"a port is 0…65535, not {port}")
-    return bare, int(port)
-
-
 def _unchanged(value: object) -> object:
     return value
-
-
-def _checked_place(text: str) -> str:
-    host_and_port(text)
-    return text
-
-
-FilePath = Annotated[str, Field(min_length=1)]
 
 
 @with_options_of(*LINKS, role="client")
@@ -110,26 +91,19 @@ class SecuritySection(OptionSection):
     """``[security]``: certificates of this host, for each ``tls://`` listener and link without its own."""
 
 
-class AuditSection(Section):
+@with_options_of(AuditParameters)
+class AuditSection(OptionSection):
     """``[audit]``: the log file of writes and denied requests."""
 
-    path: FilePath
-    interval: float = Field(default=0.2, ge=0, le=10)
-    on_failure: Literal["serve", "refuse"] = "serve"
-    repeat_interval: float = Field(default=60.0, ge=0, le=3600)
 
-
-class MetricsSection(Section):
+@with_options_of(MetricsParameters)
+class MetricsSection(OptionSection):
     """``[metrics]``: the address where Prometheus can scrape metrics."""
 
-    listen: Annotated[str, AfterValidator(_checked_place)]
 
-
-class ControlSection(Section):
+@with_options_of(ControlParameters)
+class ControlSection(OptionSection):
     """``[control]``: the socket that ``busway status`` connects to."""
-
-    enabled: bool = True
-    path: FilePath | None = None
 
 
 DeclaredPolicy = Annotated[
@@ -150,6 +124,21 @@ class SystemFile(DeviceFile):
     control: ControlSection = ControlSection()
     policy: DeclaredPolicy | None = None
     unit: Sequence[UnitSection] = Field(default_factory=list)
+
+    @property
+    def audit_parameters(self) -> AuditParameters | None:
+        """Options of the audit log; None without one."""
+        return None if self.audit is None else self.audit.built(AuditParameters)
+
+    @property
+    def metrics_address(self) -> str | None:
+        """Address and port of the metrics; None without them."""
+        return None if self.metrics is None else self.metrics.built(MetricsParameters).listen
+
+    @property
+    def control_parameters(self) -> ControlParameters:
+        """Options of the control socket."""
+        return self.control.built(ControlParameters)
 
     def places(self) -> list[tuple[Path, str]]:
         """The URLs to listen on, each with its path in the file."""

@@ -16,9 +16,10 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
 
 from ...errors import MissingExtra
+from ...options.text import host_and_port
 from ...pdu.functions import FunctionTable
 from ...session.pipeline import RequestObserver
-from ..http import HttpError, HttpRequest, HttpResponse, HttpService, bind_tcp, bound_name, parse_host_port
+from ..http import HttpError, HttpRequest, HttpResponse, HttpService, bind_tcp, bound_name
 from .observer import Classify, ClassifyByPriority, MetricsObserver, classify_by_listener
 from .request_tally import RequestTally
 
@@ -96,7 +97,7 @@ class MetricsEndpoint:
         links: Callable[[], Iterable[Any]] | None = None,
     ) -> None:
         """Bind the address and register the observer; arguments as of `start_metrics`."""
-        host, port = parse_host_port(where, "metrics")
+        host, port = host_and_port(where, "metrics")
         need_prometheus()
         from .metric_families import ClientCollector, ServerCollector, registry_of
 

@@ -15,7 +15,8 @@ from typing import Any
 
 from ....errors import ConfigError
 from ....extras import require
-from ....observe.http import HttpRequest, HttpResponse, HttpService, bind_tcp, parse_host_port
+from ....observe.http import HttpRequest, HttpResponse, HttpService, bind_tcp
+from ....options.text import host_and_port
 from ..samples import NANOSECONDS, PointGroup, Quality, SampleBatch, Value, quality_of
 from ..store.writer import Commit
 
@@ -100,7 +101,7 @@ class PrometheusPage:
         if not points:
             raise ConfigError('names no point; points = ["meter-7/*"] shows those of a device', key="points")
         self._points, self._values, self._stale, self._now = tuple(points), values, stale, now
-        self._service = HttpService(bind_tcp(*parse_host_port(where, "url")), self._answer, name="busway prometheus")
+        self._service = HttpService(bind_tcp(*host_and_port(where, "url")), self._answer, name="busway prometheus")
         host, port = self._service.socket.getsockname()[:2]
         self.url: str = f"http://{host}:{port}/metrics"
         self._service.start()
