@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -78,16 +79,52 @@ def test_request_of_a_way_that_nobody_knows_is_answered_rightly() -> None:
         board.around(_Plain()).answer(_context(), STANDARD.decode_request(READ))
 
 
-async def test_audit_log_of_a_server_has_the_write_that_was_executed_and_not_answered(tmp_path: Path) -> None:
-    board = FaultSwitchboard()
-    board.add("execute-then-drop")
-    log = AuditLog(tmp_path / "audit.jsonl")
+def _audited(board: FaultSwitchboard, log: AuditLog) -> busway.Server:
     server = busway.serve("tcp://127.0.0.1:0", units=known_device(), audit=log)
     board.attach(server)
-    async with server, busway.open(server.endpoints[0], timeout=5, retries=0) as link:
-        with pytest.raises(busway.WriteOutcomeUnknown):
-            await link.unit(1).write_single_register(5, 7)
-        assert await link.unit(1).read_holding_registers(5, count=1) == [7]
-    log.close()
-    (line,) = [json.loads(line) for line in (tmp_path / "audit.jsonl").read_text(encoding="utf-8").splitlines()]
+    return server
+
+
+def _lines(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+
+
+async def test_audit_line_of_a_write_that_a_fault_swallows_says_what_was_executed_and_that_there_was_no_answer(
+    tmp_path: Path,
+) -> None:
+    board = FaultSwitchboard()
+    board.add("execute-then-drop")
+    with AuditLog(tmp_path / "audit.jsonl") as log:
+        async with _audited(board, log) as server, busway.open(server.endpoints[0], timeout=5, retries=0) as link:
+            with pytest.raises(busway.WriteOutcomeUnknown):
+                await link.unit(1).write_single_register(5, 7)
+            assert await link.unit(1).read_holding_registers(5, count=1) == [7]
+    (line,) = _lines(tmp_path / "audit.jsonl")
     assert (line["function"], line["address"], line["old"], line["new"]) == (6, 5, [5], [7])
+    assert line["outcome"] == "no answer"
+
+
+@pytest.mark.parametrize(
+    ("fault", "options"), [("late", {"delay": 0.02}), ("dribble", {}), ("glue", {}), ("min-gap", {})]
+)
+async def test_audit_line_of_a_write_whose_answer_a_fault_delays_or_cuts_says_that_it_was_done(
+    fault: str, options: dict[str, Any], tmp_path: Path
+) -> None:
+    board = FaultSwitchboard()
+    board.add(fault, parameters=options)
+    with AuditLog(tmp_path / "audit.jsonl") as log:
+        async with _audited(board, log) as server, busway.open(server.endpoints[0], timeout=5, retries=0) as link:
+            await link.unit(1).write_single_register(5, 7)
+    (line,) = _lines(tmp_path / "audit.jsonl")
+    assert (line["old"], line["new"], line["outcome"]) == ([5], [7], "done")
+
+
+async def test_audit_line_of_a_write_that_a_fault_refuses_has_its_exception_code(tmp_path: Path) -> None:
+    board = FaultSwitchboard()
+    board.add("busy")
+    with AuditLog(tmp_path / "audit.jsonl") as log:
+        async with _audited(board, log) as server, busway.open(server.endpoints[0], timeout=5, retries=0) as link:
+            with pytest.raises(busway.ExceptionReply):
+                await link.unit(1).write_single_register(5, 7)
+    (line,) = _lines(tmp_path / "audit.jsonl")
+    assert (line["outcome"], line["code"], line["old"]) == ("exception", 6, None)

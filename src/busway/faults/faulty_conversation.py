@@ -94,8 +94,8 @@ class FaultyConversation:
                 return answer
         return None
 
-    def answered(self, exchange: Exchange, struck: Struck, answer: bytes, now: float) -> None:
-        """Plan the bytes to send for a reply, changed by the faults that strike it.
+    def answered(self, exchange: Exchange, struck: Struck, answer: bytes, now: float) -> bool:
+        """Plan the bytes to send for a reply, changed by the faults that strike it. Returns whether there is a reply.
 
         Args:
             exchange: the request.
@@ -113,6 +113,7 @@ class FaultyConversation:
                 emissions = made
         for emission in emissions:
             self._plan(emission, now)
+        return any(emission.pdu for emission in emissions)
 
     # Time.
 

@@ -7,7 +7,7 @@ Knows requests, faults and faulty connections; knows no socket.
 2. A request that no fault strikes is answered by the wrapped responder directly, unless earlier replies on the same
    connection are delayed: then its reply waits for them.
 3. The reply to a request that a fault strikes is sent by its `FaultyConnection`. The session is told `SILENCE`, so its
-   counters count no answer.
+   counters count no answer. Observers are told the reply, unless a fault swallows it.
 """
 
 from collections.abc import Awaitable, Callable
@@ -89,7 +89,8 @@ class FaultyResponder:
         turn = _Turn(faulty, exchange, struck)
         if said is None:
             return turn.take(context, lambda inside: self.inner.answer(inside, request))
-        turn.say(said)
+        refused = ExceptionResponse(context.function, said[1]) if len(said) == 2 and said[0] & 0x80 else None
+        turn.say(context, said, refused)
         return SILENCE
 
 
@@ -101,10 +102,11 @@ class _Turn:
         self._exchange = exchange
         self._struck = struck
 
-    def say(self, answer: bytes) -> None:
-        """Plan the bytes to send for a reply PDU; an empty PDU means no reply."""
+    def say(self, context: RequestContext, answer: bytes, outcome: Message | None) -> None:
+        """Plan the bytes to send for a reply PDU, and tell the outcome to observers; an empty PDU means no reply."""
         faulty = self._faulty
-        faulty.conversation.answered(self._exchange, self._struck, answer, faulty.clock.now())
+        is_sent = faulty.conversation.answered(self._exchange, self._struck, answer, faulty.clock.now())
+        context.end(outcome if is_sent and outcome is not None else SILENCE)
         faulty.pump_soon()
 
     def take(self, context: RequestContext, perform: Callable[[RequestContext], Outcome]) -> Outcome:
@@ -125,13 +127,19 @@ class _Turn:
             return LATER
         if isinstance(outcome, Message | Deferral):
             inside._finish = None
-            self.say(outcome.encode() if isinstance(outcome, Message) else b"")
+            self._say_reply(context, outcome)
             return SILENCE
         return self._awaited(context, outcome)
 
     def _later(self, context: RequestContext, reply: Message | Deferral) -> None:
-        self.say(reply.encode() if isinstance(reply, Message) else b"")
+        self._say_reply(context, reply)
         context.reply(SILENCE)
+
+    def _say_reply(self, context: RequestContext, reply: Message | Deferral) -> None:
+        if isinstance(reply, Message):
+            self.say(context, reply.encode(), reply)
+        else:
+            self.say(context, b"", None)
 
     async def _awaited(self, context: RequestContext, awaitable: Awaitable[Message]) -> Message:
         try:

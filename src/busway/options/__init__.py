@@ -11,6 +11,7 @@
 `ports`        Options of a serial port: its line settings, and how it is opened
 `presets`      Presets: named sets of options. `strict` meets every "must" of the specifications
 `server`       Options of a server: its units, its sessions, and the limits and timeouts of its connections
+`service`      Options of what a running server tells: its audit log, its metrics, its control socket
 `sockets`      Options of network connections, of clients and servers
 `text`         Converts options given as text (URLs, command line) or keywords into the fields of a parameter class
 `tls`          Options of Modbus/TCP Security: certificates, TLS versions, cipher suites and deadlines (port 802
