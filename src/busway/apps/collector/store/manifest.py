@@ -433,6 +433,15 @@ class Manifest:
             database.execute("INSERT OR REPLACE INTO cursors VALUES (?, ?, ?)", (sink, number, lost))
 
 
+def copy_points(source: Path, target: sqlite3.Connection) -> None:
+    """Make the points of a manifest, with all their names, those of a copy of it."""
+    target.execute("ATTACH ? AS source", (str(source),))
+    with target:
+        for table in ("points", "renames", "carried_names"):
+            target.execute(f"DELETE FROM main.{table}")
+            target.execute(f"INSERT INTO main.{table} SELECT * FROM source.{table}")
+
+
 def _give_new_names(database: sqlite3.Connection, described: Sequence[PointDescription], last_commit: int) -> None:
     """Rename points to their current names, unless another point has that name and keeps it."""
     rows = database.execute("SELECT device, point, id FROM points").fetchall()

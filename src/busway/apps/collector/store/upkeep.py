@@ -4,8 +4,8 @@ Knows files and what the manifest says of them; changes nothing in the store tha
 
 1. A check reads every part, and tells each problem in one sentence. It takes no lock.
 2. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. Segments are
-   copied first, by SQLite, so the open one has every commit up to a moment; then the manifest again, so that all their
-   points are in it. Where the list of parts changed meanwhile, all of that is done again. Sealed parts come last.
+   copied first, by SQLite, so the open one has every commit up to a moment; then the points, which are in the manifest
+   before their first sample. Sealed parts come last. Where a part has gone meanwhile, all of that is done again.
 3. A backup that is cut short is in a folder with the end ``.unfinished``, and no store.
 """
 
@@ -17,7 +17,7 @@ from pathlib import Path
 
 from ....errors import ConfigError
 from .folder import LOCK, MANIFEST, SEGMENTS, UNFINISHED, check_store, holder_of, make_folder, sync_file, sync_folder
-from .manifest import Manifest, StorePart
+from .manifest import Manifest, StorePart, copy_points
 from .sealing import arrow, can_seal
 from .segment import facts_of, is_unmade, open_for_reading
 
@@ -140,35 +140,32 @@ def back_up(folder: Path, target: Path) -> int:
 
 
 def _copied(folder: Path, target: Path) -> int | None:
-    """Copy segments, the manifest and sealed parts; None where the list of parts changed meanwhile."""
-    listed = _copied_manifest(folder, target)
-    for part in listed:
-        if part.kind != "sealed":
-            source = folder / SEGMENTS / part.file
-            try:
+    """Copy the manifest and the parts it lists; None where one has gone meanwhile."""
+    _copy_database(folder / MANIFEST, target / MANIFEST)
+    with closing(Manifest(target)) as manifest:
+        parts = manifest.parts()
+    for part in sorted(parts, key=lambda part: part.kind == "sealed"):
+        source, copy = folder / SEGMENTS / part.file, target / SEGMENTS / part.file
+        try:
+            if part.kind == "sealed":
+                shutil.copyfile(source, copy)
+                sync_file(copy)
+            else:
                 with closing(open_for_reading(source)):
-                    _copy_database(source, target / SEGMENTS / part.file)
-            except FileNotFoundError:  # it is sealed by now, or not made yet: the list tells
-                pass
-    parts = _copied_manifest(folder, target)
-    if [(part.file, part.kind) for part in parts] != [(part.file, part.kind) for part in listed]:
-        return None
-    for part in parts:
-        if part.kind == "sealed":
-            copy = target / SEGMENTS / part.file
-            try:
-                shutil.copyfile(folder / SEGMENTS / part.file, copy)
-            except FileNotFoundError:  # dropped meanwhile
+                    _copy_database(source, copy)
+        except FileNotFoundError:
+            if part.kind != "open" or not _is_listed(folder, part):
                 return None
-            sync_file(copy)
+    with closing(sqlite3.connect(target / MANIFEST)) as written:
+        copy_points(folder / MANIFEST, written)
+    sync_file(target / MANIFEST)
     return len(parts)
 
 
-def _copied_manifest(folder: Path, target: Path) -> list[StorePart]:
-    """Copy the manifest; the parts that it lists."""
-    _copy_database(folder / MANIFEST, target / MANIFEST)
-    with closing(Manifest(target)) as manifest:
-        return manifest.parts()
+def _is_listed(folder: Path, part: StorePart) -> bool:
+    """Whether a segment whose file is not there is not made yet; otherwise it is sealed by now."""
+    with closing(Manifest(folder)) as manifest:
+        return part in manifest.parts()
 
 
 def _copy_database(source: Path, target: Path) -> None:
