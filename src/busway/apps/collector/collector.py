@@ -30,6 +30,7 @@ from ...points.point import Point
 from .alarms.collected import CollectorAlarms
 from .commands.audit import configuration_line, revision_of
 from .commands.command import CommandResult, CommandValue
+from .commands.inputs import CommandReceiver, InputStatus
 from .commands.journal import CommandJournal
 from .commands.runner import CommandRunner
 from .commands.targets import CollectedTargets
@@ -145,6 +146,8 @@ class Collector:
         self.values: LastValues = LastValues()
         self._audit: AuditLog | None = None
         self._commands: CommandRunner | None = None
+        self._receivers: list[CommandReceiver] = []
+        self._receiving: list[asyncio.Task[None]] = []
         self._reloading = asyncio.Lock()
 
     async def __aenter__(self) -> Self:
@@ -172,6 +175,7 @@ class Collector:
                 self._start_link(name, self.configuration)
             self._upkeep = asyncio.create_task(self._keep_up(), name="busway collector upkeep")
             self._upkeep.add_done_callback(_log_defect)
+            self._receive_commands()
             unless_started.pop_all()
         return self
 
@@ -197,6 +201,8 @@ class Collector:
                 steps.push_async_callback(self._stop_link, name)
             if self._upkeep is not None:
                 steps.push_async_callback(_ended, self._upkeep)
+            for task in self._receiving:
+                steps.push_async_callback(_ended, task)
 
     def _opened_store(self) -> StoreWriter:
         """The store, which knows the points of the configuration, and what was learnt. Raises `ConfigError`."""
@@ -232,6 +238,15 @@ class Collector:
         targets = CollectedTargets(lambda: self.configuration, self._poller_of, self.values)
         journal = CommandJournal(Path(configuration.store))
         self._commands = CommandRunner(targets, journal, self._audit)
+
+    def _receive_commands(self) -> None:
+        """Take commands from the servers of sinks that may give some."""
+        for name, made in self.configuration.inputs.items():
+            receiver = CommandReceiver(name, made, self.commands, lambda: self.configuration)
+            task = asyncio.create_task(receiver.run(), name=f"busway commands of {name}")
+            task.add_done_callback(_log_defect)
+            self._receivers.append(receiver)
+            self._receiving.append(task)
 
     @property
     def commands(self) -> CommandRunner:
@@ -305,6 +320,10 @@ class Collector:
     def sink_statuses(self) -> Sequence[SinkStatus]:
         """How each sink does."""
         return () if self._sinks is None else self._sinks.statuses()
+
+    def input_statuses(self) -> Sequence[InputStatus]:
+        """How each server does from which commands come."""
+        return [each.status() for each in self._receivers]
 
     @property
     def pages(self) -> list[str]:
@@ -414,8 +433,13 @@ class Collector:
             return await self._reload(configuration, by, origin)
 
     async def read_again(self, *, by: str = "this program", origin: str = "signal") -> list[str]:
-        """Read the file again, and poll by it. As `reload`; also raises `FileError` for all that is wrong with it."""
+        """Read the file again, and poll by it; the audit log is opened anew, for log rotation.
+
+        As `reload`; also raises `FileError` for all that is wrong with the file.
+        """
         async with self._reloading:
+            if self._audit is not None:
+                self._audit.reopen()
             name = self.configuration.name
             text = await asyncio.to_thread(read_text, name)
             return await self._reload(await self._parsed(text, by, origin), by, origin)

@@ -32,6 +32,8 @@ from ...points.point import Point
 from ...points.point_rules import ItemRange, ReadRules
 from ..server.configuration import Configuration, put_together
 from .admission import LinkLoad, admit
+from .commands.input_options import make_input
+from .commands.inputs import CommandInput
 from .cost import ReadCost, baud_cost, line_cost, network_cost
 from .knowledge import DeviceKnowledge, Knowledge
 from .plan_cache import PlanBook
@@ -112,6 +114,7 @@ class CollectorConfiguration:
         devices: by name.
         sinks: by name, where samples are handed on, and how.
         pages: by name, the pages for Prometheus.
+        inputs: by name of the sink, what receives commands from the same server.
     """
 
     common: Configuration
@@ -122,6 +125,7 @@ class CollectorConfiguration:
     devices: Mapping[str, CollectedDevice] = field(default_factory=dict)
     sinks: Mapping[str, tuple[Sink, DeliveryOptions]] = field(default_factory=dict)
     pages: Mapping[str, "PrometheusOptions"] = field(default_factory=dict)
+    inputs: Mapping[str, CommandInput] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -188,20 +192,21 @@ def parse_collector(text: str, name: str) -> CollectorConfiguration:
         made = _device(file, section, ("device", index), common.links, profiles, source, report)
         if made is not None:
             devices[made.name] = made
-    sinks, pages = _sinks(file, name, report)
+    sinks, pages, inputs = _sinks(file, name, report)
     report.end()
     periods = {key: each.period for key, each in file.poll_class.items()}
     return CollectorConfiguration(
-        common, file, text, within(name, file.collector.store), periods, devices, sinks, pages
+        common, file, text, within(name, file.collector.store), periods, devices, sinks, pages, inputs
     )
 
 
 def _sinks(
     file: CollectorFile, name: str, report: ConfigurationReport
-) -> tuple[dict[str, tuple[Sink, DeliveryOptions]], dict[str, PrometheusOptions]]:
-    """Where samples are handed on; paths are relative to the folder of the file."""
+) -> tuple[dict[str, tuple[Sink, DeliveryOptions]], dict[str, PrometheusOptions], dict[str, CommandInput]]:
+    """Where samples are handed on, and commands come from; paths are relative to the folder of the file."""
     sinks: dict[str, tuple[Sink, DeliveryOptions]] = {}
     pages: dict[str, PrometheusOptions] = {}
+    inputs: dict[str, CommandInput] = {}
     for index, section in enumerate(file.sink):
         at: Path = ("sink", index)
         values = sink_options(section)
@@ -216,11 +221,16 @@ def _sinks(
         values["url"] = section.url
         if section.url.startswith(_FILE):
             values["url"] = _FILE + within(name, section.url.removeprefix(_FILE))
+        commands = values.pop("commands", None)
         folder = FilePath(within(name, file.collector.store))
         made = report.make(partial(make_sink, section.name, values, folder), partial(_key_at, at))
         if made is not None:
             sinks[section.name] = made
-    return sinks, pages
+        if made is not None and commands is not None:
+            taken = report.make(partial(make_input, section.name, values, commands), partial(_key_at, at))
+            if taken is not None:
+                inputs[section.name] = taken
+    return sinks, pages, inputs
 
 
 def _key_at(at: Path, key: str | None) -> Path:

@@ -20,7 +20,8 @@ from ...errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, Lin
 from ...pdu.message import Request
 from ...pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from ...points.decoder import ReadDecoder
-from ...points.quality import Reason, exception_reason
+from ...points.point import Point
+from ...points.quality import Reading, Reason, exception_reason
 from .derived_points import DerivedPoints
 from .learning import ReadOutcome, outcome_of
 from .plan import PlannedRead
@@ -110,6 +111,7 @@ class PolledDevice:
         last_seconds: how long its last transaction took.
         last_error: what was wrong last; empty where nothing ever was.
         suspended: the interval that is open while it is suspended or in maintenance.
+        single: the groups of points that were read alone.
     """
 
     name: str
@@ -125,6 +127,7 @@ class PolledDevice:
     last_seconds: float = 0.0
     last_error: str = ""
     suspended: StateInterval | None = None
+    single: dict[str, PointGroup] = field(default_factory=dict)
     _compiled: dict[int, _CompiledRead] = field(default_factory=dict)
 
     def registers_of(self, points: Container[str]) -> dict[str, bytes]:
@@ -274,6 +277,20 @@ class LinkPoller:
         device = self.devices.get(name)
         if device is not None and device.pause:
             device.ready_at = self._now() + device.pause
+
+    def note_reading(self, name: str, point: Point, found: Reading, began: float) -> None:
+        """Give the sample of a point that was read in the turn of a write, from ``began`` until now."""
+        device = self.devices.get(name)
+        if device is None or point.rollover:  # a counter's sample is its total
+            return
+        ended = self._now()
+        group = device.single.setdefault(point.name, PointGroup(name, (point.name,)))
+        reason = found.reason or (Reason.NONE if self._clock.is_right else Reason.CLOCK)
+        half = int((ended - began) * 500_000_000)
+        batch = SampleBatch(group, self._clock.time_ns((began + ended) / 2), half, (found.value,), int(reason))
+        if device.derived is not None:
+            batch, _ = device.derived.take(batch)
+        self._samples(batch)
 
     def wake(self) -> None:
         """Look again at what is next."""

@@ -12,6 +12,7 @@
 `subject`             the interface of a simulation that this package needs
 `collector_page`      the API and the page of a collector
 `collector_messages`  JSON of its responses
+`collector_commands`  commands and the configuration over HTTP
 ``page``              HTML, style and script
 `faults`              faults of a simulation as the API shows and changes them
 `page_tokens`         the file with the tokens of a page: made at the first start, for its owner alone

@@ -29,6 +29,7 @@ from ..collector.store.frames import BucketTable
 from ..collector.store.reading import Store
 from ..collector.store.writer import Commit
 from .access import ROLES, Application, Caller, PageAccessRules, Role, require
+from .collector_commands import CommandsApi
 from .collector_log import MOST_LINES, CollectorLog
 from .collector_messages import (
     CallerAnswer,
@@ -99,6 +100,7 @@ class CollectorPage(HostedPage):
         )
         self._subjects = {subject: ROLES[label] for subject, label in access.subjects.items()}
         self.api: CollectorApi = CollectorApi(collector)
+        self.commands: CommandsApi = CommandsApi(collector)
 
     def _rules(self, *, local: bool) -> PageAccessRules:
         kept = KeptTokens(self.token_path)
@@ -111,6 +113,7 @@ class CollectorPage(HostedPage):
         """The API without its access rules."""
         inner = page_application("busway collector", "Last values, history, links, devices and sinks of a collector.")
         self.api.add_to(inner)
+        self.commands.add_to(inner)
         return inner
 
     def application(self, rules: PageAccessRules) -> Application:

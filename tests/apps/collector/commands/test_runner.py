@@ -251,6 +251,18 @@ async def test_a_value_is_confirmed_at_another_address_and_the_device_may_need_t
         assert len(running.boiler.writes) == 1
 
 
+async def test_what_is_read_to_confirm_a_value_is_a_sample(tmp_path: Path) -> None:
+    async with plant(tmp_path) as running:
+        file = running.folder / "plant.toml"
+        file.write_text(file.read_text().replace("all.period = 0.1", "all.period = 3600"))
+        await running.collector.read_again()
+        await until(lambda: running.collector.status()[0].state == "polled", 20)
+        assert (await running.write("setpoint", 33.5)).is_done
+        await until(lambda: running.collector.values.last("boiler", "setpoint")[0] == 33.5)  # type: ignore[index]
+        table = busway.Store(tmp_path / "data").read("boiler/setpoint", since="1m")
+        assert (table.value[-1], table.reason[-1]) == (33.5, 0)
+
+
 async def test_a_coil_is_confirmed_by_a_bit_elsewhere(tmp_path: Path) -> None:
     async with plant(tmp_path) as running:
         profile = (tmp_path / "valve.toml").read_text().replace('verify = "4x5"', 'verify = "4x5.2"')

@@ -26,7 +26,6 @@ from ....errors import (
     Overloaded,
 )
 from ....pdu.message import Request
-from ....pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from ....pdu.write_items import (
     MaskWriteRegister,
     WriteMultipleCoils,
@@ -36,17 +35,13 @@ from ....pdu.write_items import (
 )
 from ....points.decoder import decode_point
 from ....points.point import Point
+from ....points.point_rules import ReadRules
 from ....points.quality import Quality, Reading
 from ....values import Address, value_type
 from ....values.refusal import shown
 from .command import CommandState, CommandValue
+from .point_read import PointRead, point_read
 
-_READS: Final = {
-    Table.COILS: ReadCoils,
-    Table.DISCRETE_INPUTS: ReadDiscreteInputs,
-    Table.INPUT_REGISTERS: ReadInputRegisters,
-    Table.HOLDING_REGISTERS: ReadHoldingRegisters,
-}
 _FUNCTIONS: Final[Mapping[Table, frozenset[int]]] = {
     Table.COILS: frozenset({5, 15}),
     Table.HOLDING_REGISTERS: frozenset({6, 16, 22}),
@@ -62,19 +57,16 @@ class PointWrite:
         value: the value.
         exponents: what the points of ``scale_from`` hold, by name.
         function: the function that writes it.
-        reads_before: whether the register is read first, because the point is a part of it.
+        before: the read that comes first, because the point is a part of its register; None where none is needed.
+        shown: the read of the place where the device shows the value; None where the rule does not ask for it.
     """
 
     point: Point
     value: CommandValue
     exponents: Mapping[str, int]
     function: int
-    reads_before: bool
-
-    @property
-    def question(self) -> Request:
-        """The request that reads the point."""
-        return _question(self.point)
+    before: PointRead | None = None
+    shown: PointRead | None = None
 
     def request(self, held: bytes = b"") -> Request:
         """The request that writes the value; ``held`` is what the register holds, where it is read before.
@@ -101,51 +93,35 @@ class PointWrite:
         return self.point.encode(self.value, held, exponent)
 
     def held_value(self, held: bytes) -> CommandValue | None:
-        """What the point holds by what its register holds. Raises `InvalidRequest` for another number of bytes."""
-        return _plain(decode_point(self.point, held, self.exponents).value)
+        """What the point holds by what its register holds."""
+        return plain(decode_point(self.point, held, self.exponents).value)
 
     # Confirming.
 
-    @property
-    def shown_at(self) -> Point | None:
-        """The point as it stands where the device shows the value; None where the rule does not ask for it."""
-        rule = self.point.writing
-        assert rule is not None
-        if rule.verify == "none":
-            return None
-        if rule.verify == "read-back":
-            return self.point
-        return _moved(self.point, rule.verify)
-
-    def confirmation(self) -> Request | None:
-        """The request that reads what was written; None where the rule does not ask for it."""
-        place = self.shown_at
-        return None if place is None else _question(place)
-
-    def confirmed(self, data: bytes) -> tuple[bool, CommandValue | None]:
-        """Whether the reply to `confirmation` shows the value, and what it shows."""
-        place = self.shown_at
-        assert place is not None
+    def shows(self, data: bytes) -> tuple[bool, Reading]:
+        """Whether the items at `shown` are the value, and what they say."""
+        assert self.shown is not None
+        place = self.shown.point
         found = decode_point(place, data, self.exponents)
-        return found.value is not None and self._expected(place) == found.value, _plain(found.value)
-
-    def _expected(self, place: Point) -> Any:  # what the point's type says
-        if place.type == "bit" and self.point.type != "bit":
-            return self.value
-        return self.reading().value
+        is_switch = place.type == "bit" and self.point.type != "bit"
+        expected = self.value if is_switch else self.reading().value
+        return found.value is not None and expected == found.value, found
 
     def reading(self) -> Reading:
         """What a read of the point gives after the write."""
         return decode_point(self.point, self._encoded(b""), self.exponents)
 
 
-def point_write(point: Point, value: CommandValue, exponents: Mapping[str, int]) -> PointWrite:
+def point_write(
+    point: Point, value: CommandValue, exponents: Mapping[str, int], rules: ReadRules | None = None
+) -> PointWrite:
     """A value that may be written to a point.
 
     Args:
         point: the point.
         value: in the unit of measure, or a name of a number.
         exponents: what the points of ``scale_from`` hold, by name.
+        rules: how the device lets itself be read; None for without limits.
 
     Raises:
         InvalidRequest: against the rule of the point, with a sentence; nothing was sent.
@@ -158,14 +134,17 @@ def point_write(point: Point, value: CommandValue, exponents: Mapping[str, int])
     scale_from = point.conversion.scale_from
     if scale_from and scale_from not in exponents:
         raise InvalidRequest(f"{scale_from}, the scale of {point.name}, has not been read yet")
-    is_part = point.form is not None and point.form.is_part
-    made = PointWrite(point, value, exponents, _function_of(point), is_part and rule.function != 22)
+    made = PointWrite(point, value, exponents, _function_of(point))
     made.request()
     _check_number(made)
-    place = made.shown_at
-    if place is not None and not place.table.holds_bits and place.end > 65_536:
-        raise InvalidRequest(f"{point.name} is confirmed beyond the last register")
-    return made
+    rules = rules or ReadRules()
+    is_part = point.form is not None and point.form.is_part and made.function != 22
+    place = point if rule.verify == "read-back" else None if rule.verify == "none" else _moved(point, rule.verify)
+    return replace(
+        made,
+        before=point_read(point, rules) if is_part else None,
+        shown=None if place is None else point_read(place, rules),
+    )
 
 
 def _check_number(made: PointWrite) -> None:
@@ -203,12 +182,9 @@ def _function_of(point: Point) -> int:
     return chosen
 
 
-def _plain(value: Any) -> CommandValue | None:  # what the point's type says
+def plain(value: Any) -> CommandValue | None:  # what the point's type says
+    """A decoded value as a command has it."""
     return list(value) if isinstance(value, tuple) else value
-
-
-def _question(point: Point) -> Request:
-    return _READS[point.table](point.start, point.width)
 
 
 def _moved(point: Point, address: Address) -> Point:

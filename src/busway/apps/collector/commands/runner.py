@@ -20,13 +20,14 @@ import math
 import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, Protocol, TypeVar
 
 from ....access.audit_log import AuditLog
 from ....errors import InvalidRequest, ModbusError, Overloaded
 from ....pdu.message import Request
 from ....points.point import Point
+from ....points.point_rules import ReadRules
 from ....points.quality import Quality
 from ....values.refusal import shown
 from ..poller import LinkPoller
@@ -43,7 +44,8 @@ from .command import (
     new_key,
 )
 from .journal import CommandJournal
-from .point_write import PointWrite, judged, point_write
+from .point_read import PointRead
+from .point_write import PointWrite, judged, plain, point_write
 
 MOST_OPEN: Final = 16
 """Commands of one device that wait or run."""
@@ -73,12 +75,14 @@ class WriteTarget:
     Attributes:
         point: the point.
         poller: polls its device.
+        rules: how its device lets itself be read.
         is_broadcast: whether its device has the unit that all devices of a line listen to.
         is_absent: whether the point belongs to a group that the device says it has not.
     """
 
     point: Point
     poller: LinkPoller
+    rules: ReadRules = field(default_factory=ReadRules)
     is_broadcast: bool = False
     is_absent: bool = False
 
@@ -215,11 +219,13 @@ class CommandRunner:
         """Check a command, and keep it for `ARMED_SECONDS` until `confirm`. Nothing is sent.
 
         Raises:
+            NoSuchPoint: there is no such point.
             InvalidRequest: it is against a rule, with the sentence.
             Overloaded: too many wait to be confirmed.
         """
         now = self._now()
         command = PointCommand(new_key(now), device, point, value, by, origin, now + ARMED_SECONDS)
+        unit = self._targets.target(device, point).point.unit_of_measure
         refusal = self._refusal(command)
         if refusal:
             self.refused(self._result(command), refusal)
@@ -229,7 +235,6 @@ class CommandRunner:
         if len(self._armed) >= MOST_ARMED:
             raise Overloaded(f"{MOST_ARMED} commands wait to be confirmed; try again in a minute")
         old = self._targets.last(device, point)
-        unit = self._targets.target(device, point).point.unit_of_measure
         is_now = f", now {_text(old.value, unit)} ({old.quality})" if old is not None else ""
         armed = ArmedCommand(command, old, f"Write {_text(value, unit)} to {device}/{point}{is_now}?")
         self._armed[command.key] = armed
@@ -388,7 +393,7 @@ class CommandRunner:
         if scheduled is not None and scheduled.lives is False:
             error = f": {device.last_error}" if device.last_error else ""
             raise InvalidRequest(f"{command.device} does not answer; nothing was sent{error}")
-        return point_write(target.point, command.value, device.scale_factors), target.poller
+        return point_write(target.point, command.value, device.scale_factors, target.rules), target.poller
 
     # Sending.
 
@@ -415,7 +420,7 @@ class CommandRunner:
                 return result.finished(CommandState.UNKNOWN, "the link was closed before the answer came")
             return result.finished(CommandState.FAILED, "the link was closed; nothing was sent")
         result = result.finished(state, reason, old=self._held_before(turn))
-        if state is not CommandState.DONE or write.confirmation() is None:
+        if state is not CommandState.DONE or write.shown is None:
             return result
         return await self._confirmed(result, write, poller)
 
@@ -468,11 +473,11 @@ class _WriteTurn:
         scheduled = self._poller.schedule.devices.get(self._device)
         if scheduled is not None and scheduled.is_paused:
             return CommandState.FAILED, f"{self._device} is in maintenance; nothing was sent"
-        if self._write.reads_before:
-            held_or_error = await _asked(self._poller, self._device, self._write.question, self._left)
-            if isinstance(held_or_error, ModbusError):
-                return CommandState.FAILED, f"the register could not be read before; nothing was sent: {held_or_error}"
-            held = held_or_error.data
+        if self._write.before is not None:
+            try:
+                held = await _read(self._poller, self._device, self._write.before, self._left)
+            except ModbusError as error:
+                return CommandState.FAILED, f"the register could not be read before; nothing was sent: {error}"
             self.before = self._write.held_value(held)
             if self._left <= 0:
                 return CommandState.EXPIRED, "its time was over while the register was read; nothing was sent"
@@ -492,12 +497,21 @@ class _ReadTurn:
 
     async def make(self) -> tuple[bool, CommandValue | None]:
         """Whether the device shows the value, and what it shows. Raises `ModbusError`."""
-        question = self._write.confirmation()
-        assert question is not None
-        reply = await _asked(self._poller, self._device, question, math.inf)
-        if isinstance(reply, ModbusError):
-            raise reply
-        return self._write.confirmed(reply.data)
+        write = self._write
+        assert write.shown is not None
+        began = asyncio.get_running_loop().time()
+        is_shown, found = write.shows(await _read(self._poller, self._device, write.shown, math.inf))
+        if write.shown.point is write.point:
+            self._poller.note_reading(self._device, write.point, found, began)
+        return is_shown, plain(found.value)
+
+
+async def _read(poller: LinkPoller, device: str, read: PointRead, seconds: float) -> bytes:
+    """The items of a point. Raises `ModbusError`."""
+    reply = await _asked(poller, device, read.request, seconds)
+    if isinstance(reply, ModbusError):
+        raise reply
+    return read.own(reply.data)
 
 
 async def _asked(poller: LinkPoller, device: str, request: Request, seconds: float) -> Any:  # a reply or an error

@@ -46,7 +46,9 @@ class CollectedTargets:
             raise NoSuchPoint(error.message) from error
         derived = poller.devices[device].derived
         is_absent = bool(named.exists) and derived is not None and named in derived.absent()
-        return WriteTarget(named, poller, is_broadcast=_obeys_broadcasts(configuration, found), is_absent=is_absent)
+        return WriteTarget(
+            named, poller, found.rules, is_broadcast=_obeys_broadcasts(configuration, found), is_absent=is_absent
+        )
 
     def last(self, device: str, point: str) -> OldValue | None:
         """The last committed value of a point."""

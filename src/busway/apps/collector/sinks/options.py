@@ -33,13 +33,13 @@ class _Kind:
     """What one kind of sink takes: its keys, and how it is made."""
 
     keys: frozenset[str]
-    make: Callable[[SplitResult, "_Table"], Sink]
+    make: Callable[[SplitResult, "SinkTable"], Sink]
 
 
-class _Table:
+class SinkTable:
     """The table of one sink: each value with its type, in a sentence where it has another."""
 
-    def __init__(self, name: str, values: Mapping[str, Any], folder: Path | None) -> None:  # whatever TOML has
+    def __init__(self, name: str, values: Mapping[str, Any], folder: Path | None = None) -> None:  # TOML
         self._name, self._values, self._folder = name, values, folder
 
     def kept_file(self, kind: str) -> Path | None:
@@ -47,9 +47,11 @@ class _Table:
         return None if self._folder is None else self._folder / f"{kind}-{self._name}.json"
 
     def refuse(self, key: str, what: str) -> ConfigError:
+        """The error for one key."""
         return ConfigError(f"sink {self._name}: {what}", key=key)
 
     def get(self, key: str, kind: type | tuple[type, ...], default: Any = None) -> Any:
+        """A value of a type. Raises `ConfigError` for another."""
         value = self._values.get(key, default)
         if value is default:
             return default
@@ -119,7 +121,7 @@ def make_sink(name: str, values: Mapping[str, Any], folder: Path | None = None) 
         ConfigError: a key or value cannot be, or a secret cannot be had; names the sink.
         MissingExtra: a package that the sink needs is not installed.
     """
-    table = _Table(name, values, folder)
+    table = SinkTable(name, values, folder)
     url = table.get("url", str)
     if url is None:
         raise table.refuse("url", "needs a url, such as mqtt://broker:1883")
@@ -147,7 +149,7 @@ _PASSWORD: Final = frozenset({"password_file", "password_variable"})
 _TOKEN: Final = frozenset({"token_file", "token_variable"})
 
 
-def _delivery(table: _Table) -> DeliveryOptions:
+def _delivery(table: SinkTable) -> DeliveryOptions:
     points = table.get("points", list, ["*"])
     if not points or not all(isinstance(each, str) for each in points):
         raise table.refuse("points", "a list of patterns such as meter-7/* is needed")
@@ -175,12 +177,12 @@ def _delivery(table: _Table) -> DeliveryOptions:
         raise table.refuse(error.key or "sink", error.message) from error
 
 
-def _mqtt(parts: SplitResult, table: _Table) -> Sink:
+def _mqtt(parts: SplitResult, table: SinkTable) -> Sink:
     from .mqtt import MqttSink
 
     encrypts = parts.scheme == "mqtts"
     return MqttSink(
-        _host(parts, table),
+        host_of(parts, table),
         parts.port or (8883 if encrypts else 1883),
         topic=table.get("topic", str, "busway/{device}"),
         per_point=table.get("per_point", bool, False),
@@ -193,7 +195,7 @@ def _mqtt(parts: SplitResult, table: _Table) -> Sink:
     )
 
 
-def _sparkplug(parts: SplitResult, table: _Table) -> Sink:
+def _sparkplug(parts: SplitResult, table: SinkTable) -> Sink:
     from .sparkplug import SparkplugSink
 
     encrypts = parts.scheme.endswith("mqtts")
@@ -202,7 +204,7 @@ def _sparkplug(parts: SplitResult, table: _Table) -> Sink:
         if name is None:
             raise table.refuse(key, "Sparkplug needs the names of a group and an edge node")
     return SparkplugSink(
-        _host(parts, table),
+        host_of(parts, table),
         parts.port or (8883 if encrypts else 1883),
         **names,
         primary_host=table.get("primary_host", str),
@@ -214,7 +216,7 @@ def _sparkplug(parts: SplitResult, table: _Table) -> Sink:
     )
 
 
-def _postgresql(parts: SplitResult, table: _Table) -> Sink:
+def _postgresql(parts: SplitResult, table: SinkTable) -> Sink:
     from .postgresql import PostgresqlSink
 
     encrypts = "sslmode=" in parts.query and "sslmode=disable" not in parts.query
@@ -228,7 +230,7 @@ def _postgresql(parts: SplitResult, table: _Table) -> Sink:
     )
 
 
-def _influxdb(parts: SplitResult, table: _Table) -> Sink:
+def _influxdb(parts: SplitResult, table: SinkTable) -> Sink:
     from .influxdb import InfluxSink
 
     scheme = parts.scheme.removeprefix("influxdb+")
@@ -240,11 +242,11 @@ def _influxdb(parts: SplitResult, table: _Table) -> Sink:
     )
 
 
-def _nats(parts: SplitResult, table: _Table) -> Sink:
+def _nats(parts: SplitResult, table: SinkTable) -> Sink:
     from .nats import NatsSink
 
     return NatsSink(
-        parts._replace(netloc=f"{_host(parts, table)}:{parts.port or 4222}").geturl(),
+        parts._replace(netloc=f"{host_of(parts, table)}:{parts.port or 4222}").geturl(),
         subject=table.get("subject", str, "busway.{device}"),
         stream=table.get("stream", str),
         user=None if parts.username is None else unquote(parts.username),
@@ -254,19 +256,20 @@ def _nats(parts: SplitResult, table: _Table) -> Sink:
     )
 
 
-def _file(parts: SplitResult, table: _Table) -> Sink:
+def _file(parts: SplitResult, table: SinkTable) -> Sink:
     from .files import FileSink
 
     return FileSink(unquote(parts.netloc + parts.path), table.get("format", str))
 
 
-def _host(parts: SplitResult, table: _Table) -> str:
+def host_of(parts: SplitResult, table: SinkTable) -> str:
+    """The host of a URL. Raises `ConfigError` where it names none."""
     if not parts.hostname:
         raise table.refuse("url", "names no host")
     return parts.hostname
 
 
-def _check_port(parts: SplitResult, table: _Table) -> None:
+def _check_port(parts: SplitResult, table: SinkTable) -> None:
     try:
         _ = parts.port
     except ValueError as error:

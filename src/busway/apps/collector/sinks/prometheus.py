@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
@@ -20,6 +20,9 @@ from ....options.text import host_and_port
 from ..samples import NANOSECONDS, PointGroup, Quality, SampleBatch, Value, quality_of
 from ..store.writer import Commit
 
+_FORGET_ABOVE: Final = 10_000
+"""Batches that are kept before those are looked for that later ones cover."""
+
 
 class LastValues:
     """The last committed samples of all points, one batch for each group. Subscribe `update` to a committer."""
@@ -27,14 +30,16 @@ class LastValues:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._batches: dict[PointGroup, SampleBatch] = {}
+        self._forget_above = _FORGET_ABOVE
 
     def update(self, commit: Commit) -> None:
         """Take in a commit."""
         with self._lock:
             for batch in commit.batches:
                 self._batches[batch.group] = batch
-            if len(self._batches) > 10_000:
+            if len(self._batches) > self._forget_above:
                 self._forget_covered()
+                self._forget_above = max(_FORGET_ABOVE, 2 * len(self._batches))
 
     def _forget_covered(self) -> None:
         """Forget batches all of whose points have a later sample. The lock is held."""

@@ -1,0 +1,281 @@
+"""Commands that come by messages: which points may be written, what a message says, and what is answered.
+
+Knows messages and the runner of commands; knows no broker.
+
+1. Nothing is taken unless the file names where commands come from and the points that they may write. That stands for
+   the role of the sender: brokers do not say who sends.
+2. A message is JSON: the value alone, or ``{"value": 21.5, "key": "…", "expires": 1800000000, "by": "…"}``. What is no
+   JSON is a text: a name of a number. One that does not say until when it may be sent is sent within ``seconds``.
+3. A retained message is refused: a broker would hand it on again at every connection.
+4. A name as one level of a topic stands for one point; where it stands for two, neither is written.
+"""
+
+import json
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any, Final, Protocol
+
+from ....access.repeats import Repeats, so_often
+from ....errors import InvalidRequest
+from ....points.point import Point
+from ....values.refusal import shown
+from .command import CommandResult, CommandState, PointCommand, new_key
+from .runner import CommandRunner
+
+LONGEST_REQUEST: Final = 16_384
+"""Bytes of a message."""
+MOST_AT_ONCE: Final = 32
+"""Messages of one input that are worked on."""
+PAUSE: Final = 0.5
+PAUSE_LIMIT: Final = 30.0
+_LONGEST_NAME: Final = 100
+_KNOWN: Final = frozenset({"value", "key", "expires", "by"})
+
+_log = logging.getLogger("busway.collector.commands")
+
+
+@dataclass(frozen=True, slots=True)
+class InputRights:
+    """What commands of one input may do.
+
+    Attributes:
+        where: topic or subject, with ``{device}`` and ``{point}`` as levels of their own.
+        points: patterns ``device/point`` of what may be written.
+        seconds: how long a command may wait that does not say until when.
+    """
+
+    where: str
+    points: tuple[str, ...]
+    seconds: float = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class InputMessage:
+    """A message, as its protocol gives it.
+
+    Attributes:
+        where: its topic or subject.
+        payload: its content.
+        by: who has sent it, as it says itself; empty where it does not.
+        seconds_left: until it expires; None where it does not.
+        is_retained: whether a broker keeps it for later subscribers.
+    """
+
+    where: str
+    payload: bytes
+    by: str = ""
+    seconds_left: float | None = None
+    is_retained: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class InputStatus:
+    """How an input does.
+
+    Attributes:
+        name: of the sink that it belongs to.
+        taken: messages that came.
+        refused: those of them that were no command for a point that may be written.
+        error: why it is not connected; None where it is.
+    """
+
+    name: str
+    taken: int
+    refused: int
+    error: str | None
+
+
+class DescribedDevice(Protocol):
+    """A device, as a configuration describes it."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def points(self) -> Sequence[Point]:
+        """All its points."""
+
+
+class DescribedPlant(Protocol):
+    """What a configuration says of devices."""
+
+    @property
+    def devices(self) -> Mapping[str, DescribedDevice]:
+        """The devices by name."""
+
+
+class CommandInput(Protocol):
+    """Receives messages from one server."""
+
+    kind: str
+    rights: InputRights
+    separator: str
+
+    def level(self, name: str) -> str:
+        """A name as one level of a topic or subject."""
+
+    async def run(self, receiver: "CommandReceiver") -> None:
+        """Hand messages to `CommandReceiver.take` until it is cancelled; connect again after a while."""
+
+
+class CommandReceiver:
+    """Turns the messages of one input into commands.
+
+    Args:
+        name: of the sink that it belongs to.
+        made: the input.
+        runner: takes the commands.
+        configuration: gives what the file says now.
+        now: seconds since 1970 UTC.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        made: CommandInput,
+        runner: CommandRunner,
+        configuration: Callable[[], "DescribedPlant"],
+        *,
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        self._name, self._input, self._runner = name, made, runner
+        self._configuration, self._now = configuration, now
+        self._places: tuple[DescribedPlant, dict[str, tuple[str, str] | None]] | None = None
+        self._taken = self._refused = 0
+        self._error: str | None = "not connected yet"
+        self._repeats = Repeats()
+
+    def status(self) -> InputStatus:
+        """How it does."""
+        return InputStatus(self._name, self._taken, self._refused, self._error)
+
+    async def run(self) -> None:
+        """Receive until cancelled."""
+        await self._input.run(self)
+
+    def connected(self) -> None:
+        """Note that messages come from now on."""
+        self._error = None
+
+    def down(self, error: str) -> None:
+        """Note why no messages come."""
+        if self._error != error:
+            _log.warning("commands of %s: %s", self._name, error)
+        self._error = error
+
+    def is_for_commands(self, where: str) -> bool:
+        """Whether commands come on a topic: nothing is answered there."""
+        return overlap(self._input.rights.where, where, self._input.separator)
+
+    async def take(self, message: InputMessage) -> bytes:
+        """Do what a message says; gives the answer, as JSON. Raises nothing."""
+        self._taken += 1
+        try:
+            given = parsed(message.payload)
+            command = self._command(message, given)
+        except InvalidRequest as error:
+            return self._refuse(message, error.message)
+        if message.is_retained:
+            refused = CommandResult(command, CommandState.OPEN, self._now())
+            self._refused += 1
+            return _encoded(
+                self._runner.refused(
+                    refused, "retained commands are not executed: the broker would send them again"
+                ).content()
+            )
+        try:
+            result = await self._runner.write(
+                command.device,
+                command.point,
+                command.value,
+                by=command.by,
+                origin=command.origin,
+                expires=command.expires,
+                key=given.get("key"),
+            )
+        except InvalidRequest as error:
+            return self._refuse(message, error.message)
+        return _encoded(result.content())
+
+    def _command(self, message: InputMessage, given: dict[str, Any]) -> PointCommand:
+        place = self._place(message.where)
+        now = self._now()
+        expires = given.get("expires", now + self._input.rights.seconds)
+        if message.seconds_left is not None and isinstance(expires, int | float):
+            expires = min(expires, now + message.seconds_left)
+        said = given.get("by", message.by)
+        name = f"{self._name}: {said[:_LONGEST_NAME]}" if isinstance(said, str) and said else self._name
+        key = given.get("key", new_key(now))
+        return PointCommand(key, *place, given["value"], name, self._input.kind, expires)
+
+    def _place(self, where: str) -> tuple[str, str]:
+        """The point of a topic. Raises `InvalidRequest`."""
+        configuration = self._configuration()
+        if self._places is None or self._places[0] is not configuration:
+            self._places = configuration, self._places_of(configuration)
+        found = self._places[1].get(where, ())
+        if not found:
+            why = "stands for more than one point" if found is None else "is no point that may be written from here"
+            raise InvalidRequest(f"{shown(where)} {why}")
+        return found
+
+    def _places_of(self, configuration: DescribedPlant) -> dict[str, tuple[str, str] | None]:
+        rights, level = self._input.rights, self._input.level
+        found: dict[str, tuple[str, str] | None] = {}
+        for device in configuration.devices.values():
+            for point in device.points:
+                name = f"{device.name}/{point.name}"
+                if point.writing is None or not any(fnmatchcase(name, pattern) for pattern in rights.points):
+                    continue
+                where = rights.where.replace("{device}", level(device.name)).replace("{point}", level(point.name))
+                found[where] = None if where in found else (device.name, point.name)
+        return found
+
+    def _refuse(self, message: InputMessage, reason: str) -> bytes:
+        self._refused += 1
+        repeated = self._repeats.again(message.where[:_LONGEST_NAME], time.monotonic())
+        if repeated is not None:
+            _log.warning(
+                "commands of %s: %s is refused: %s%s", self._name, shown(message.where), reason, so_often(repeated)
+            )
+        return _encoded({"state": CommandState.REFUSED.value, "reason": reason})
+
+
+def parsed(payload: bytes) -> dict[str, Any]:
+    """What a message says, with ``value`` at least. Raises `InvalidRequest`."""
+    if len(payload) > LONGEST_REQUEST:
+        raise InvalidRequest(f"a command has at most {LONGEST_REQUEST} bytes, not {len(payload)}")
+    try:
+        text = payload.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise InvalidRequest(f"a command is UTF-8; byte {error.start} is not") from error
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        found = text.strip()
+        if not found or found[0] in "{[":
+            raise InvalidRequest("the message is neither JSON nor a name") from None
+    if not isinstance(found, dict):
+        return {"value": found}
+    unknown = sorted(found.keys() - _KNOWN)
+    if unknown:
+        raise InvalidRequest(f"unknown key {shown(unknown[0])}; there are value, key, expires and by")
+    if "value" not in found:
+        raise InvalidRequest("value is missing")
+    return found
+
+
+def overlap(one: str, other: str, separator: str) -> bool:
+    """Whether two topics can be the same, where ``{…}`` stands for any level."""
+    left, right = one.split(separator), other.split(separator)
+    return len(left) == len(right) and all(
+        a == b or a.startswith("{") or b.startswith("{") for a, b in zip(left, right, strict=True)
+    )
+
+
+def _encoded(content: dict[str, Any]) -> bytes:
+    return json.dumps(content, ensure_ascii=False).encode("utf-8", "backslashreplace")

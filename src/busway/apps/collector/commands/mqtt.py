@@ -1,0 +1,143 @@
+"""Commands by MQTT 5.
+
+Knows topics and properties; the protocol is aiomqtt's (``busway[mqtt]``).
+
+1. The session is clean: a broker keeps no command for the time in which this collector is away.
+2. The answer goes to the response topic of the message, with its correlation data; without one, to the topic of the
+   command with ``/result`` behind it. No answer goes to a topic of commands.
+3. A message that was published with the retain flag comes with it, also while connected, and is refused.
+"""
+
+import asyncio
+import logging
+import ssl
+from importlib import import_module
+from typing import Any, Final
+
+from ....extras import require
+from ..sinks.mqtt import topic_level
+from .inputs import LONGEST_REQUEST, MOST_AT_ONCE, PAUSE, PAUSE_LIMIT, CommandReceiver, InputMessage, InputRights
+
+_LONGEST_TOPIC: Final = 500
+_log = logging.getLogger("busway.collector.commands")
+
+
+class MqttCommands:
+    """Receives commands from a broker.
+
+    Args:
+        host, port: the broker.
+        rights: topic, and what may be written.
+        user, password: for the broker.
+        tls: how to encrypt; None for not at all.
+        client_id: names this client to the broker; None for one that the library makes.
+        timeout: seconds for connecting, and for an acknowledgement.
+
+    Raises:
+        MissingExtra: aiomqtt is not installed.
+    """
+
+    kind: str = "mqtt"
+    separator: str = "/"
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        rights: InputRights,
+        *,
+        user: str | None = None,
+        password: str | None = None,
+        tls: ssl.SSLContext | None = None,
+        client_id: str | None = None,
+        timeout: float = 10.0,
+    ) -> None:
+        require("aiomqtt", "commands by MQTT")
+        self.rights: InputRights = rights
+        self._where = f"{host}:{port}"
+        self._address: dict[str, Any] = {"hostname": host, "port": port, "username": user, "password": password}
+        self._address |= {"tls_context": tls, "identifier": client_id, "timeout": timeout}
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def level(self, name: str) -> str:
+        """A name as one level of a topic."""
+        return topic_level(name)
+
+    async def run(self, receiver: CommandReceiver) -> None:
+        """Receive until cancelled; connect again after a pause that grows."""
+        mqtt = import_module("aiomqtt")
+        wait = PAUSE
+        while True:
+            try:
+                async with self._client(mqtt) as client:
+                    await self._subscribe(client)
+                    receiver.connected()
+                    wait = PAUSE
+                    await self._receive(client, receiver)
+            except (mqtt.MqttError, OSError) as error:
+                receiver.down(f"the broker {self._where} cannot be reached: {error}")
+            await asyncio.sleep(wait)
+            wait = min(2 * wait, PAUSE_LIMIT)
+
+    def _client(self, mqtt: Any) -> Any:  # the library is loaded when it is used
+        properties = import_module("paho.mqtt.properties").Properties(
+            import_module("paho.mqtt.packettypes").PacketTypes.CONNECT
+        )
+        properties.SessionExpiryInterval = 0
+        properties.ReceiveMaximum = MOST_AT_ONCE
+        properties.MaximumPacketSize = 2 * LONGEST_REQUEST
+        return mqtt.Client(
+            **self._address,
+            protocol=mqtt.ProtocolVersion.V5,
+            clean_start=True,
+            properties=properties,
+            max_queued_incoming_messages=4 * MOST_AT_ONCE,
+        )
+
+    async def _subscribe(self, client: Any) -> None:
+        options = import_module("paho.mqtt.subscribeoptions").SubscribeOptions(
+            qos=1, noLocal=True, retainAsPublished=True, retainHandling=2
+        )
+        wildcards = self.rights.where.replace("{device}", "+").replace("{point}", "+")
+        await client.subscribe(wildcards, options=options)
+
+    async def _receive(self, client: Any, receiver: CommandReceiver) -> None:
+        places = asyncio.Semaphore(MOST_AT_ONCE)
+        async for message in client.messages:
+            await places.acquire()
+            task = asyncio.create_task(self._handle(client, message, receiver))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+            task.add_done_callback(lambda _: places.release())
+
+    async def _handle(self, client: Any, message: Any, receiver: CommandReceiver) -> None:
+        properties = message.properties
+        where = str(message.topic)
+        payload = message.payload if isinstance(message.payload, bytes) else b""
+        answer = await receiver.take(
+            InputMessage(
+                where,
+                payload,
+                by=dict(getattr(properties, "UserProperty", ())).get("by", ""),
+                seconds_left=getattr(properties, "MessageExpiryInterval", None),
+                is_retained=bool(message.retain),
+            )
+        )
+        try:
+            await self._answer(client, where, properties, answer, receiver)
+        except (import_module("aiomqtt").MqttError, OSError, ValueError) as error:  # ValueError: no topic
+            _log.warning("an answer to a command could not be sent: %s", error)
+
+    @staticmethod
+    async def _answer(client: Any, where: str, properties: Any, answer: bytes, receiver: CommandReceiver) -> None:
+        topic = getattr(properties, "ResponseTopic", None) or f"{where}/result"
+        if receiver.is_for_commands(topic) or len(topic) > _LONGEST_TOPIC or topic[0] == "$" or set(topic) & set("+#"):
+            _log.warning("nothing is answered on %.100r, which is no topic for answers", topic)
+            return
+        sent = import_module("paho.mqtt.properties").Properties(
+            import_module("paho.mqtt.packettypes").PacketTypes.PUBLISH
+        )
+        if hasattr(properties, "CorrelationData"):
+            sent.CorrelationData = properties.CorrelationData
+        sent.ContentType = "application/json"
+        await client.publish(topic, answer, qos=1, retain=False, properties=sent)

@@ -1,0 +1,134 @@
+"""Commands by NATS request and reply.
+
+Knows subjects and headers; the protocol is nats-py's (``busway[nats]``). The header ``by`` says who sends.
+
+1. Plain subscription: nothing is kept for the time in which this collector is away.
+2. A request gets its answer; a message without a reply subject is done and not answered.
+"""
+
+import asyncio
+import contextlib
+import logging
+import ssl
+from importlib import import_module
+from typing import Any
+
+from ....extras import require
+from ..sinks.nats import subject_token
+from .inputs import LONGEST_REQUEST, MOST_AT_ONCE, PAUSE, PAUSE_LIMIT, CommandReceiver, InputMessage, InputRights
+
+_log = logging.getLogger("busway.collector.commands")
+
+
+class NatsCommands:
+    """Receives commands from a server.
+
+    Args:
+        url: ``nats://host:4222``.
+        rights: subject, and what may be written.
+        user, password, token: for the server.
+        tls: how to encrypt; None for not at all.
+        timeout: seconds for connecting.
+
+    Raises:
+        MissingExtra: nats-py is not installed.
+    """
+
+    kind: str = "nats"
+    separator: str = "."
+
+    def __init__(
+        self,
+        url: str,
+        rights: InputRights,
+        *,
+        user: str | None = None,
+        password: str | None = None,
+        token: str | None = None,
+        tls: ssl.SSLContext | None = None,
+        timeout: float = 5.0,
+    ) -> None:
+        require("nats", "commands by NATS")
+        self.rights: InputRights = rights
+        self._url, self._timeout = url, timeout
+        given = {"user": user, "password": password, "token": token, "tls": tls}
+        self._options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._cause = ""
+
+    def level(self, name: str) -> str:
+        """A name as one token of a subject."""
+        return subject_token(name)
+
+    async def run(self, receiver: CommandReceiver) -> None:
+        """Receive until cancelled; connect again after a pause that grows."""
+        nats = import_module("nats")
+        wait = PAUSE
+        while True:
+            ended, client = asyncio.Event(), None
+            self._cause = ""
+            try:
+                client = await nats.connect(
+                    self._url,
+                    allow_reconnect=False,
+                    max_reconnect_attempts=1,  # 0 would try for ever
+                    reconnect_time_wait=0.1,
+                    connect_timeout=self._timeout,
+                    error_cb=self._note,
+                    closed_cb=_setter(ended),
+                    disconnected_cb=_setter(ended),
+                    **self._options,
+                )
+                await self._subscribe(client, receiver)
+                receiver.connected()
+                wait = PAUSE
+                await ended.wait()
+                receiver.down(f"the server has closed the connection {self._cause}".rstrip())
+            except (nats.errors.Error, OSError, TimeoutError) as error:
+                receiver.down(f"the server cannot be used: {self._cause or error or type(error).__name__}")
+            finally:
+                if client is not None:
+                    with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone already
+                        await client.close()
+            await asyncio.sleep(wait)
+            wait = min(2 * wait, PAUSE_LIMIT)
+
+    async def _note(self, error: Exception) -> None:
+        """Keep why a connection failed: what `connect` raises does not say it."""
+        self._cause = str(error) or type(error).__name__
+
+    async def _subscribe(self, client: Any, receiver: CommandReceiver) -> None:  # the library's own
+        places = asyncio.Semaphore(MOST_AT_ONCE)
+
+        async def came(message: Any) -> None:
+            await places.acquire()
+            task = asyncio.create_task(self._handle(message, receiver))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+            task.add_done_callback(lambda _: places.release())
+
+        wildcards = self.rights.where.replace("{device}", "*").replace("{point}", "*")
+        await client.subscribe(
+            wildcards,
+            cb=came,
+            pending_msgs_limit=4 * MOST_AT_ONCE,
+            pending_bytes_limit=8 * MOST_AT_ONCE * LONGEST_REQUEST,
+        )
+        await client.flush()
+
+    async def _handle(self, message: Any, receiver: CommandReceiver) -> None:
+        by = (message.headers or {}).get("by", "")
+        answer = await receiver.take(InputMessage(message.subject, message.data, by=by))
+        if not message.reply or receiver.is_for_commands(message.reply):
+            return
+        try:
+            await message.respond(answer)
+        except (import_module("nats").errors.Error, OSError) as error:
+            _log.warning("an answer to a command could not be sent: %s", error)
+
+
+def _setter(event: asyncio.Event) -> Any:  # what the library calls
+    async def told() -> None:
+        event.set()
+
+    return told

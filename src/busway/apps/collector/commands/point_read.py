@@ -1,0 +1,74 @@
+"""The request that reads one point alone, as its device lets itself be read.
+
+Pure: knows points, rules and requests; knows no link.
+
+1. A block that is read whole or not at all is read whole; the point's part is cut out of the reply.
+2. What no read may touch is not read.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+from ....codes import Table
+from ....errors import InvalidRequest
+from ....pdu.message import Request
+from ....pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
+from ....points.point import Point
+from ....points.point_rules import ItemRange, ReadRules
+
+_READS: Final = {
+    Table.COILS: ReadCoils,
+    Table.DISCRETE_INPUTS: ReadDiscreteInputs,
+    Table.INPUT_REGISTERS: ReadInputRegisters,
+    Table.HOLDING_REGISTERS: ReadHoldingRegisters,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PointRead:
+    """A read of one point.
+
+    Attributes:
+        point: the point.
+        span: the items that are read.
+    """
+
+    point: Point
+    span: ItemRange
+
+    @property
+    def request(self) -> Request:
+        """The request."""
+        return _READS[self.point.table](self.span.start, self.span.width)
+
+    def own(self, data: bytes) -> bytes:
+        """The items of the point in the data of a reply. Raises `InvalidRequest` for another number of bytes."""
+        first, bits = self.point.start - self.span.start, self.point.table.holds_bits
+        size = (self.span.width + 7) // 8 if bits else 2 * self.span.width
+        if len(data) != size:
+            raise InvalidRequest(f"{len(data)} bytes came where {size} were asked for")
+        if bits:
+            return bytes([data[first // 8] >> first % 8 & 1])
+        return data[2 * first : 2 * (first + self.point.width)]
+
+
+def point_read(point: Point, rules: ReadRules) -> PointRead:
+    """The read of one point.
+
+    Args:
+        point: the point.
+        rules: how its device lets itself be read.
+
+    Raises:
+        InvalidRequest: no read may touch it.
+    """
+    span = ItemRange(point.start, point.end)
+    for block in rules.exact.get(point.table, ()):
+        if span in block:
+            span = block
+    for each in rules.forbidden.get(point.table, ()):
+        if each.start < span.end and span.start < each.end:
+            raise InvalidRequest(f"{point.name} is written by what a read says, and no read may touch it")
+    if span.end > 65_536:
+        raise InvalidRequest(f"{point.name} is confirmed beyond the last item")
+    return PointRead(point, span)

@@ -1,0 +1,282 @@
+"""Commands and the configuration over HTTP: arm and confirm, write in one step, list; read and replace the file.
+
+Knows a running collector and the roles of callers; judges no value.
+
+1. Nothing is sent by `arm_command`. `confirm_command` sends it once; the same again gives the result of the first time.
+2. An answer says what became of a command, also where it was refused; what cannot be a command at all is 422, and a
+   point or key that is not there 404.
+3. A configuration is refused as a whole, with all that is wrong, or holds when the answer comes. It names the revision
+   that it is a change of, where it has one, so that no change of someone else is lost.
+"""
+
+from typing import Annotated, Any, Final
+
+from fastapi import Depends, FastAPI, Query
+from fastapi import Path as InPath
+from pydantic import Field
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+
+from ...config.files.problems import FileError
+from ...errors import ConfigError, Overloaded
+from ..collector.collector import Collector
+from ..collector.commands.command import CommandResult, CommandValue, OldValue
+from ..collector.commands.runner import NoSuchCommand, NoSuchPoint
+from .access import Caller, Role, require
+from .messages import Answer, Asked, Failure, Plain, plain_value
+
+MOST_LISTED: Final = 1000
+_LONGEST_NAME: Final = 200
+
+Operator = Annotated[Caller, Depends(require(Role.OPERATE))]
+Configurer = Annotated[Caller, Depends(require(Role.CONFIGURE))]
+Viewer = Annotated[Caller, Depends(require(Role.VIEW))]
+
+Name = Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME)]
+
+
+class NewCommand(Asked):
+    """A value for a point."""
+
+    device: Name
+    point: Name
+    value: Plain = Field(description="In the unit of measure, or a name of a number; numbers are no texts.")
+
+
+class DirectCommand(NewCommand):
+    """A value for a point, to be written at once."""
+
+    key: str | None = Field(None, max_length=100, description="Names the command for ever; none: a new one is made.")
+    expires: float = Field(description="Until when it may be sent, seconds since 1970 UTC.")
+
+
+class OldAnswer(Answer):
+    """What a point was known to be."""
+
+    value: Plain
+    quality: str
+    time: float = Field(description="Seconds since 1970 UTC.")
+
+
+class ArmedAnswer(Answer):
+    """A command that waits to be confirmed."""
+
+    key: str
+    device: str
+    point: str
+    value: Plain
+    old: OldAnswer | None
+    expires: float = Field(description="Until when it may be confirmed, seconds since 1970 UTC.")
+    confirm: str = Field(description="What to ask the person.")
+
+
+class CommandAnswer(Answer):
+    """What became of a command."""
+
+    key: str
+    at: float = Field(description="When it was taken, seconds since 1970 UTC.")
+    by: str
+    origin: str = Field(description="page, api, program, mqtt or nats")
+    device: str
+    point: str
+    old: Plain
+    value: Plain
+    state: str = Field(description="open, done, failed, unknown, expired or refused")
+    read_back: Plain
+    reason: str | None
+
+
+class CommandsAnswer(Answer):
+    """Commands, the newest first."""
+
+    commands: list[CommandAnswer]
+
+
+class ConfigurationAnswer(Answer):
+    """The configuration that holds."""
+
+    revision: str
+    text: str = Field(description="The file, in TOML. Secrets are in other files.")
+
+
+class ReplacedAnswer(Answer):
+    """A configuration that holds now."""
+
+    revision: str
+    done: list[str] = Field(description="What changed, each a sentence.")
+
+
+class ProblemAnswer(Answer):
+    """Something that is wrong with a configuration."""
+
+    file: str | None
+    line: int | None
+    key: str | None
+    message: str
+
+
+class ProblemsAnswer(Failure):
+    """Why a configuration was refused as a whole."""
+
+    problems: list[ProblemAnswer]
+
+
+class CommandsApi:
+    """The resources for commands and the configuration of one collector."""
+
+    def __init__(self, collector: Collector) -> None:
+        self._collector = collector
+
+    def add_to(self, application: FastAPI) -> None:
+        """Add the resources to an application."""
+        add = application.add_api_route
+        missing: dict[int | str, dict[str, Any]] = {
+            404: {"model": Failure, "description": "There is no such point or command."}
+        }
+        full: dict[int | str, dict[str, Any]] = {
+            503: {"model": Failure, "description": "Too many wait to be confirmed."}
+        }
+        add(
+            "/api/commands/arm",
+            self.arm_command,
+            methods=["POST"],
+            summary="Check a command; nothing is sent",
+            responses={**missing, **full},
+        )
+        add(
+            "/api/commands/{key}/confirm",
+            self.confirm_command,
+            methods=["POST"],
+            summary="Send an armed command, once",
+            responses=missing,
+        )
+        add(
+            "/api/commands",
+            self.send_command,
+            methods=["POST"],
+            summary="Write a value to a point, at most once for each key",
+            responses=missing,
+        )
+        add("/api/commands", self.list_commands, methods=["GET"], summary="The last commands, the newest first")
+        add("/api/configuration", self.get_configuration, methods=["GET"], summary="The configuration that holds")
+        add(
+            "/api/configuration",
+            self.replace_configuration,
+            methods=["POST"],
+            response_model=ReplacedAnswer,
+            summary="Replace the configuration",
+            responses={422: {"model": ProblemsAnswer, "description": "It is refused as a whole."}},
+            openapi_extra={
+                "requestBody": {"content": {"application/toml": {"schema": {"type": "string"}}}, "required": True}
+            },
+        )
+
+    async def arm_command(self, asked: NewCommand, caller: Operator) -> ArmedAnswer:
+        """Check a command against the rule of its point, and keep it for a minute until it is confirmed."""
+        value = _given(asked.value)
+        try:
+            armed = self._collector.commands.arm(asked.device, asked.point, value, by=caller.name, origin="page")
+        except NoSuchPoint as error:
+            raise HTTPException(404, error.message) from error
+        except Overloaded as error:
+            raise HTTPException(503, error.message) from error
+        command = armed.command
+        return ArmedAnswer(
+            key=command.key,
+            device=command.device,
+            point=command.point,
+            value=_plain(command.value),
+            old=_old(armed.old),
+            expires=command.expires,
+            confirm=armed.sentence,
+        )
+
+    async def confirm_command(self, key: Annotated[str, InPath(max_length=100)], caller: Operator) -> CommandAnswer:
+        """Send an armed command, and wait for what becomes of it."""
+        try:
+            return _answer(await self._collector.commands.confirm(key, by=caller.name))
+        except NoSuchCommand as error:
+            raise HTTPException(404, error.message) from error
+
+    async def send_command(self, asked: DirectCommand, caller: Operator) -> CommandAnswer:
+        """Check a command, send it, and wait for what becomes of it."""
+        try:
+            result = await self._collector.write(
+                asked.device,
+                asked.point,
+                _given(asked.value),
+                by=caller.name,
+                expires=asked.expires,
+                key=asked.key,
+                origin="api",
+            )
+        except NoSuchPoint as error:
+            raise HTTPException(404, error.message) from error
+        return _answer(result)
+
+    async def list_commands(
+        self, caller: Viewer, limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100
+    ) -> CommandsAnswer:
+        """Commands that were recorded, with what became of them."""
+        return CommandsAnswer(commands=[_answer(each) for each in await self._collector.commands.newest(limit)])
+
+    async def get_configuration(self, caller: Configurer) -> ConfigurationAnswer:
+        """The text that holds, and its revision."""
+        return ConfigurationAnswer(revision=self._collector.revision, text=self._collector.configuration.text)
+
+    async def replace_configuration(
+        self,
+        request: Request,
+        caller: Configurer,
+        revision: Annotated[
+            str | None, Query(max_length=64, description="Of the text that it is a change of; none: any.")
+        ] = None,
+    ) -> Response | ReplacedAnswer:
+        """Replace the file, link by link: links that are the same miss no round."""
+        try:
+            text = (await request.body()).decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise HTTPException(422, f"the body is no UTF-8: byte {error.start}") from error
+        try:
+            done = await self._collector.replace_configuration(text, by=caller.name, revision=revision)
+        except ConfigError as error:
+            problems = error.problems if isinstance(error, FileError) else [error]
+            answer = ProblemsAnswer(error=str(error), problems=[_problem(each) for each in problems])
+            return JSONResponse(answer.model_dump(), 422)
+        return ReplacedAnswer(revision=self._collector.revision, done=done)
+
+
+def _given(value: Plain) -> CommandValue:
+    if value is None or (isinstance(value, list) and None in value):
+        raise HTTPException(422, "value: null is no value to write")
+    return value  # type: ignore[return-value]  # a list without None
+
+
+def _answer(result: CommandResult) -> CommandAnswer:
+    command = result.command
+    return CommandAnswer(
+        key=command.key,
+        at=result.at,
+        by=command.by,
+        origin=command.origin,
+        device=command.device,
+        point=command.point,
+        old=None if result.old is None else _plain(result.old.value),
+        value=_plain(command.value),
+        state=result.state.value,
+        read_back=_plain(result.read_back),
+        reason=result.reason or None,
+    )
+
+
+def _old(old: OldValue | None) -> OldAnswer | None:
+    return None if old is None else OldAnswer(value=_plain(old.value), quality=old.quality, time=old.time)
+
+
+def _plain(value: CommandValue | None) -> Plain:
+    return plain_value(value)
+
+
+def _problem(error: ConfigError) -> ProblemAnswer:
+    return ProblemAnswer(file=error.file, line=error.line, key=error.key, message=error.message)

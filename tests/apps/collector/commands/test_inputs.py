@@ -1,0 +1,249 @@
+"""Commands by MQTT and NATS: from real servers, only to points that the file names, never from retained messages."""
+
+import asyncio
+import contextlib
+import json
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commanded_plant import RecordedDevice, commanded_plant
+from foreign_servers import ForeignServer, mosquitto, nats_server
+from waiting import until
+
+import busway
+from busway.apps.collector.commands.input_options import make_input
+from busway.apps.collector.commands.inputs import overlap, parsed
+from busway.errors import ConfigError, InvalidRequest
+
+MQTT = """
+[[sink]]
+name = "broker"
+url = "mqtt://127.0.0.1:{port}"
+topic = "samples/{{device}}"
+commands = {{ points = ["boiler/setpoint", "boiler/mode", "boiler/level"], topic = "plant/{{device}}/{{point}}/set" }}
+"""
+NATS = """
+[[sink]]
+name = "stream"
+url = "nats://127.0.0.1:{port}"
+subject = "samples.{{device}}"
+stream = "SAMPLES"
+commands = {{ points = ["boiler/setpoint", "boiler/mode"], subject = "plant.{{device}}.{{point}}.set" }}
+"""
+
+
+@contextlib.asynccontextmanager
+async def plant(folder: Path, more: str) -> AsyncIterator[tuple[busway.Collector, RecordedDevice]]:
+    boiler = RecordedDevice()
+    async with (
+        boiler.server() as server,
+        busway.collect(commanded_plant(folder, server.endpoints[0], more=more)) as collector,
+    ):
+        await until(lambda: collector.status()[0].state == "polled", 20)
+        await until(lambda: all(each.error is None for each in collector.input_statuses()), 20)
+        yield collector, boiler
+
+
+class MqttUser:
+    """A client of the broker that sends commands and hears the answers."""
+
+    def __init__(self, server: ForeignServer) -> None:
+        self.answers: asyncio.Queue[tuple[str, bytes, dict[str, Any]]] = asyncio.Queue()
+        self._port = server.port
+
+    async def __aenter__(self) -> "MqttUser":
+        import aiomqtt
+
+        self.client = aiomqtt.Client("127.0.0.1", self._port, protocol=aiomqtt.ProtocolVersion.V5)
+        await self.client.__aenter__()
+        await self.client.subscribe("answers/#", qos=1)
+        await self.client.subscribe("plant/+/+/set/result", qos=1)
+        self._task = asyncio.create_task(self._listen())
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        self._task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await self._task
+        await self.client.__aexit__(None, None, None)
+
+    async def _listen(self) -> None:
+        async for message in self.client.messages:
+            correlation = getattr(message.properties, "CorrelationData", b"")
+            assert isinstance(message.payload, bytes)
+            await self.answers.put((str(message.topic), correlation, json.loads(message.payload)))
+
+    async def send(self, topic: str, payload: str, *, retain: bool = False, **properties: Any) -> None:
+        from paho.mqtt.packettypes import PacketTypes
+        from paho.mqtt.properties import Properties
+
+        made = Properties(PacketTypes.PUBLISH)
+        for name, value in properties.items():
+            setattr(made, name, value)
+        await self.client.publish(topic, payload, qos=1, retain=retain, properties=made)
+
+    async def ask(self, topic: str, payload: str, **properties: Any) -> dict[str, Any]:
+        """Send a command with a response topic, and give its answer."""
+        await self.send(topic, payload, ResponseTopic="answers/me", CorrelationData=b"7", **properties)
+        where, correlation, content = await asyncio.wait_for(self.answers.get(), 20)
+        assert (where, correlation) == ("answers/me", b"7")
+        return content
+
+
+async def test_commands_by_mqtt_are_written_and_answered_on_the_response_topic(tmp_path: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    with mosquitto(tmp_path) as server:
+        async with plant(tmp_path, MQTT.format(port=server.port)) as (collector, boiler), MqttUser(server) as user:
+            answer = await user.ask("plant/boiler/setpoint/set", "21.5", UserProperty=("by", "anna"))
+            assert (answer["state"], answer["read_back"], answer["by"]) == ("done", 21.5, "broker: anna")
+            answer = await user.ask("plant/boiler/mode/set", "hand")
+            assert (answer["state"], answer["value"]) == ("done", "hand")
+            order = json.dumps({"value": 30, "key": "order-1", "expires": time.time() + 20})
+            first = await user.ask("plant/boiler/setpoint/set", order)
+            again = await user.ask("plant/boiler/setpoint/set", order)
+            assert (first["state"], again) == ("done", first)
+            assert [items for _, _, items in boiler.writes] == [[215], [2], [300]]
+            await user.send("plant/boiler/setpoint/set", "40")
+            where, _, content = await asyncio.wait_for(user.answers.get(), 20)
+            assert (where, content["state"]) == ("plant/boiler/setpoint/set/result", "done")
+            assert {each.command.origin for each in await collector.commands.newest(9)} == {"mqtt"}
+
+
+async def test_what_may_not_come_by_mqtt_is_refused_with_a_sentence_and_not_sent(tmp_path: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    with mosquitto(tmp_path) as server:
+        async with plant(tmp_path, MQTT.format(port=server.port)) as (collector, boiler), MqttUser(server) as user:
+            for topic, payload, sentence in (
+                ("plant/boiler/pump/set", "true", "is no point that may be written from here"),
+                ("plant/boiler/level/set", "1", "is no point that may be written from here"),
+                ("plant/other/setpoint/set", "1", "is no point that may be written from here"),
+                ("plant/boiler/setpoint/set", "21,5", "a number is needed"),
+                ("plant/boiler/setpoint/set", "101", "must be 0…100"),
+                ("plant/boiler/setpoint/set", '{"value": 1', "neither JSON"),
+                ("plant/boiler/setpoint/set", '{"valeu": 1}', "unknown key"),
+                ("plant/boiler/setpoint/set", '{"value": 1, "expires": "now"}', "seconds since 1970"),
+                ("plant/boiler/setpoint/set", '{"value": 1, "key": "busway-1"}', "made here"),
+                ("plant/boiler/setpoint/set", "[" * 9000, "neither JSON"),
+            ):
+                answer = await user.ask(topic, payload)
+                assert answer["state"] == "refused"
+                assert sentence in answer["reason"]
+            late = await user.ask("plant/boiler/setpoint/set", json.dumps({"value": 1, "expires": time.time() - 1}))
+            assert late["state"] == "expired"
+            # An answer never goes to a topic of commands: it would be one.
+            await user.send("plant/boiler/setpoint/set", "[]", ResponseTopic="plant/boiler/mode/set")
+            assert (await user.ask("plant/boiler/mode/set", "auto"))["state"] == "done"
+            assert boiler.writes == [("holding_registers", 1, [1])]
+            (status,) = collector.input_statuses()
+            assert (status.name, status.taken) == ("broker", 13)
+            assert status.refused == 8
+
+
+async def test_retained_commands_are_refused_at_each_connection(tmp_path: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    with mosquitto(tmp_path) as server:
+        async with MqttUser(server) as user:
+            await user.send("plant/boiler/setpoint/set", "10", retain=True)
+            async with plant(tmp_path, MQTT.format(port=server.port)) as (collector, boiler):
+                await user.send("plant/boiler/setpoint/set", "20", retain=True)
+                _, _, content = await asyncio.wait_for(user.answers.get(), 20)
+                assert content["state"] == "refused"
+                assert "retained commands are not executed" in content["reason"]
+                assert (await user.ask("plant/boiler/setpoint/set", "30"))["state"] == "done"
+                assert boiler.writes == [("holding_registers", 0, [300])]
+                assert await collector.commands.newest(9)
+
+
+async def test_commands_come_again_after_the_broker_was_away(tmp_path: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    with mosquitto(tmp_path) as server:
+        async with plant(tmp_path, MQTT.format(port=server.port)) as (collector, boiler):
+            server.stop()
+            await until(lambda: collector.input_statuses()[0].error is not None, 20)
+            server.start()
+            await until(lambda: collector.input_statuses()[0].error is None, 30)
+            async with MqttUser(server) as user:
+                assert (await user.ask("plant/boiler/setpoint/set", "30"))["state"] == "done"
+            assert len(boiler.writes) == 1
+
+
+async def test_commands_by_nats_are_requests_with_a_reply(tmp_path: Path) -> None:
+    nats = pytest.importorskip("nats")
+    with nats_server(tmp_path) as server:
+        async with plant(tmp_path, NATS.format(port=server.port)) as (collector, boiler):
+            client = await nats.connect(f"nats://127.0.0.1:{server.port}")
+            try:
+
+                async def ask(subject: str, payload: str) -> dict[str, Any]:
+                    reply = await client.request(subject, payload.encode(), timeout=20, headers={"by": "anna"})
+                    return json.loads(reply.data)  # type: ignore[no-any-return]
+
+                answer = await ask("plant.boiler.setpoint.set", "21.5")
+                assert (answer["state"], answer["by"], answer["origin"]) == ("done", "stream: anna", "nats")
+                assert (await ask("plant.boiler.setpoint.set", "1000"))["state"] == "refused"
+                answer = await ask("plant.boiler.pump.set", "true")
+                assert "is no point that may be written from here" in answer["reason"]
+                order = json.dumps({"value": "auto", "key": "order-1"})
+                assert (await ask("plant.boiler.mode.set", order)) == (await ask("plant.boiler.mode.set", order))
+                assert [items for _, _, items in boiler.writes] == [[215], [1]]
+                server.stop()
+                await until(lambda: collector.input_statuses()[0].error is not None, 20)
+                server.start()
+                await until(lambda: collector.input_statuses()[0].error is None, 30)
+            finally:
+                await client.close()
+
+
+@pytest.mark.parametrize(
+    ("payload", "value"),
+    [(b"21.5", 21.5), (b"true", True), (b'"auto"', "auto"), (b"auto", "auto"), (b"21,5", "21,5"), (b"[1, 2]", [1, 2])],
+)
+def test_a_message_is_json_or_the_name_of_a_number(payload: bytes, value: Any) -> None:
+    assert parsed(payload) == {"value": value}
+
+
+@pytest.mark.parametrize("payload", [b"", b"  ", b"\xff", b"{", b"{}", b'{"value": 1, "valeu": 2}', b"x" * 20_000])
+def test_a_message_that_says_nothing_is_refused(payload: bytes) -> None:
+    with pytest.raises(InvalidRequest):
+        parsed(payload)
+
+
+@pytest.mark.parametrize(
+    ("commands", "sentence"),
+    [
+        (True, "a table is needed"),
+        ({}, "points names what may be written"),
+        ({"points": []}, "points names what may be written"),
+        ({"points": ["*"]}, "points names what may be written"),
+        ({"points": ["a/b"], "topics": "x"}, "unknown key topics"),
+        ({"points": ["a/b"], "topic": "plant/set"}, "each once and as a level of its own"),
+        ({"points": ["a/b"], "topic": "plant/{device}/{device}/{point}"}, "each once and as a level of its own"),
+        ({"points": ["a/b"], "topic": "plant/{device}/x{point}"}, "each once and as a level of its own"),
+        ({"points": ["a/b"], "topic": "#/{device}/{point}"}, "no wildcards"),
+        ({"points": ["a/b"], "topic": "/{device}/{point}"}, "no wildcards"),
+        ({"points": ["a/b"], "topic": "busway/{device}/{point}"}, "on which samples are sent"),
+        ({"points": ["a/b"], "seconds": 0}, "seconds are above 0"),
+    ],
+)
+def test_a_table_of_commands_that_cannot_be_is_refused(commands: Any, sentence: str) -> None:
+    pytest.importorskip("aiomqtt")
+    with pytest.raises(ConfigError, match=sentence):
+        make_input("broker", {"url": "mqtt://127.0.0.1", "per_point": True}, commands)
+
+
+def test_commands_come_by_mqtt_and_nats_alone(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="come by MQTT or NATS"):
+        make_input("lines", {"url": "file://lines.jsonl"}, {"points": ["a/b"]})
+    file = commanded_plant(tmp_path, "tcp://127.0.0.1:1", more='[[sink]]\nname = "l"\nurl = "file://l.jsonl"\n')
+    file.write_text(file.read_text() + 'commands = { points = ["boiler/mode"] }\n')
+    with pytest.raises(ConfigError, match="come by MQTT or NATS"):
+        busway.collect(file)
+
+
+def test_topics_overlap_where_a_name_may_stand() -> None:
+    assert overlap("a/{device}/{point}", "a/x/{point}", "/")
+    assert not overlap("a/{device}/{point}/set", "a/{device}/{point}", "/")
+    assert not overlap("a.{device}.set", "a.{device}.get", ".")

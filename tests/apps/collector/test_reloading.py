@@ -1,0 +1,134 @@
+"""Another configuration while the collector runs: untouched links go on, the audit log has revision and difference."""
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commanded_plant import RecordedDevice, commanded_plant
+from waiting import until
+
+import busway
+from busway.apps.collector.commands.audit import LONGEST_DIFFERENCE, configuration_line, revision_of
+from busway.apps.collector.configuration import parse_collector
+from busway.apps.collector.reloading import left_for_the_next_start, replace_file
+from busway.config.files.problems import FileError
+from busway.errors import ConfigError
+
+
+def changes(collector: busway.Collector, folder: Path) -> list[dict[str, Any]]:
+    collector._audit.flush()  # type: ignore[union-attr]
+    lines = [json.loads(line) for line in (folder / "data" / "audit.log").read_text().splitlines()]
+    return [line for line in lines if line["event"] == "configuration"]
+
+
+@pytest.mark.real_time
+async def test_links_that_did_not_change_miss_no_round(tmp_path: Path) -> None:
+    one, two = RecordedDevice(), RecordedDevice()
+    asked: list[float] = []
+    loop = asyncio.get_running_loop()
+    one.device.on_read("holding_registers", lambda read: asked.append(loop.time()))
+    async with one.server() as first, two.server() as second:
+        file = commanded_plant(tmp_path, first.endpoints[0], period=0.25)
+        begun = file.read_text()
+        async with busway.collect(file) as collector:
+            await until(lambda: collector.status()[0].rounds >= 2, 20)
+            asked.clear()
+            for turn in range(1, 9):
+                other = f'[[link]]\nname = "b"\nurl = "{second.endpoints[0]}"\n' + "".join(
+                    f'[[device]]\nname = "d{number}"\nlink = "b"\nunit = 1\nprofile = "valve.toml"\n'
+                    for number in range(20 * (turn % 3))
+                )
+                text = begun + (other if turn % 3 else "")
+                done = await collector.replace_configuration(text, by="anna")
+                assert all(each.startswith("link b ") for each in done)
+                await asyncio.sleep(0.25)
+            (status,) = [each for each in collector.status() if each.name == "boiler"]
+            assert status.skipped == 0
+            assert len({round(each / 0.25) for each in asked}) >= 6
+            intervals = busway.Store(tmp_path / "data").read("boiler/*", since="1m").intervals
+            assert not intervals
+
+
+async def test_the_audit_log_has_who_revision_and_difference_of_each_change(tmp_path: Path) -> None:
+    boiler = RecordedDevice()
+    async with boiler.server() as server:
+        file = commanded_plant(tmp_path, server.endpoints[0])
+        old = file.read_text()
+        async with busway.collect(file) as collector:
+            new = old.replace("all.period = 0.1", "all.period = 0.2")
+            file.write_text(new)
+            assert await collector.read_again() == ["link hall began anew"]
+            file.write_text(new.replace("unit = 1", "unit = 256"))
+            with pytest.raises(FileError, match=r"plant\.toml:\d+: device\[0\]\.unit"):
+                await collector.read_again()
+            with pytest.raises(ConfigError, match="restart it"):
+                await collector.replace_configuration(new.replace('"data"', '"other"'), by="bernd")
+            assert collector.revision == revision_of(new)
+            applied, wrong, other = changes(collector, tmp_path)
+            assert (applied["outcome"], applied["origin"]) == ("applied", "signal")
+            assert (applied["before"], applied["revision"]) == (revision_of(old), revision_of(new))
+            assert applied["difference"][-2:] == ["-all.period = 0.1", "+all.period = 0.2"]
+            assert applied["done"] == ["link hall began anew"]
+            assert (wrong["outcome"], wrong["before"]) == ("refused", revision_of(new))
+            assert "device[0].unit" in wrong["done"][0]
+            assert (other["outcome"], other["by"], other["origin"]) == ("refused", "bernd", "api")
+
+
+async def test_the_audit_log_is_opened_anew_when_the_file_is_read_again(tmp_path: Path) -> None:
+    boiler = RecordedDevice()
+    async with boiler.server() as server:
+        file = commanded_plant(tmp_path, server.endpoints[0])
+        async with busway.collect(file) as collector:
+            log = tmp_path / "data" / "audit.log"
+            log.rename(log.with_suffix(".1"))
+            assert await collector.read_again() == ["nothing changed"]
+            assert [each["outcome"] for each in changes(collector, tmp_path)] == ["applied"]
+            assert log.with_suffix(".1").read_text() == ""
+
+
+async def test_what_holds_after_the_next_start_is_said(tmp_path: Path) -> None:
+    boiler = RecordedDevice()
+    async with boiler.server() as server:
+        file = commanded_plant(tmp_path, server.endpoints[0])
+        text = file.read_text().replace('page = "off"', 'page = "127.0.0.1:8599"\nkeep_days = 3')
+        text += f'[audit]\npath = "{tmp_path}/other.log"\n'
+        async with busway.collect(file) as collector:
+            assert await collector.replace_configuration(text, by="anna") == [
+                "[collector] keep_days holds after the next start",
+                "[collector] page holds after the next start",
+                "[audit] holds after the next start",
+            ]
+
+
+def test_a_configuration_without_a_change_leaves_nothing(tmp_path: Path) -> None:
+    file = commanded_plant(tmp_path, "tcp://127.0.0.1:1")
+    text = file.read_text()
+    one, other = (parse_collector(each, str(file)) for each in (text, text + "# a remark\n"))
+    assert left_for_the_next_start(one, other) == []
+
+
+def test_a_file_is_replaced_whole_with_its_rights_and_behind_its_link(tmp_path: Path) -> None:
+    (tmp_path / "real.toml").write_text("old")
+    (tmp_path / "real.toml").chmod(0o640)
+    (tmp_path / "plant.toml").symlink_to("real.toml")
+    replace_file(str(tmp_path / "plant.toml"), "new")
+    assert (tmp_path / "plant.toml").is_symlink()
+    assert (tmp_path / "real.toml").read_text() == "new"
+    assert (tmp_path / "real.toml").stat().st_mode & 0o777 == 0o640
+    assert {each.name for each in tmp_path.iterdir()} == {"real.toml", "plant.toml"}
+    with pytest.raises(ConfigError, match="cannot be replaced"):
+        replace_file(str(tmp_path / "missing.toml"), "new")
+
+
+def test_a_line_of_the_audit_log_is_bounded() -> None:
+    old, new = "", "".join(f"key{number} = {'x' * 1000}\n" for number in range(5000))
+    line = json.loads(
+        configuration_line(
+            old, new, ["done"] * 5000, is_applied=True, by="a", origin="api", time="2026-01-01T00:00:00Z"
+        )
+    )
+    assert (len(line["difference"]), line["more"]) == (LONGEST_DIFFERENCE, 5000 + 3 - LONGEST_DIFFERENCE)
+    assert max(map(len, line["difference"])) <= 300
+    assert len(line["done"]) <= LONGEST_DIFFERENCE

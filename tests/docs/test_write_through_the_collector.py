@@ -1,0 +1,27 @@
+"""The tables of the page about commands make what receives commands."""
+
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from busway.apps.collector.commands.input_options import make_input
+from busway.apps.collector.sinks.options import make_sink
+
+PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "write-through-the-collector.md").read_text("utf-8")
+TABLES = [
+    table for block in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL) for table in tomllib.loads(block)["sink"]
+]
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table["name"])
+def test_each_table_takes_commands(table: dict[str, Any]) -> None:
+    for package in ("aiomqtt", "nats"):
+        pytest.importorskip(package)
+    values = {key: value for key, value in table.items() if key != "commands"}
+    assert make_sink(table["name"], values)
+    made = make_input(table["name"], values, table["commands"])
+    assert made.rights.where == table["commands"].get("topic", table["commands"].get("subject"))
+    assert "heater/setpoint" in made.rights.points
