@@ -22,7 +22,7 @@ from ..transport.tcp import peer_has_ended
 from .connection_management import ConnectionManagement
 from .connection_slots import Pool
 from .peers import host_of, peer_name
-from .responder_failures import answer_later
+from .responder_failures import begin_late_answers
 from .rtu_over_tcp import Session
 from .status import ServedConnectionState
 
@@ -394,10 +394,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         deferred, session.deferred = session.deferred, []
         if self._tasks is None:
             self._tasks = set()
-        for one in deferred:
-            task = self._management.loop.create_task(answer_later(one))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+        begin_late_answers(deferred, self._management.loop, self._tasks)
 
     def _report(self, session: Session) -> None:
         failures, session.failures = session.failures, []

@@ -32,7 +32,7 @@ from ..transport.serial.reopen import open_when_there
 from .connection_tap import ConnectionTap, TappedConnection, stay
 from .counters import ServerCounters
 from .listener_settings import ListenerSettings
-from .responder_failures import answer_later, report_failures
+from .responder_failures import begin_late_answers, report_failures
 from .status import ListenerStatus
 from .status_indicators import Diagnosis
 
@@ -255,10 +255,7 @@ class SerialListener:
             self._schedule(emissions[-1])
         if session.deferred:
             deferred, session.deferred = session.deferred, []
-            for one in deferred:
-                task = self._loop.create_task(answer_later(one))
-                self._tasks.add(task)
-                task.add_done_callback(self._tasks.discard)
+            begin_late_answers(deferred, self._loop, self._tasks)
         if session.failures:
             failures, session.failures = session.failures, []
             self.diagnosis.internal_fault = time.monotonic()

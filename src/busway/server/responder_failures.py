@@ -29,6 +29,16 @@ def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
         )
 
 
+def begin_late_answers(
+    deferred: Iterable[Deferred], loop: asyncio.AbstractEventLoop, tasks: set[asyncio.Task[None]]
+) -> None:
+    """Make a task of each deferred reply; ``tasks`` holds those that have not ended."""
+    for one in deferred:
+        task = loop.create_task(answer_later(one))
+        tasks.add(task)
+        task.add_done_callback(tasks.discard)
+
+
 async def answer_later(deferred: Deferred) -> None:
     """Await the reply of a responder that needed time, and hand it to the connection."""
     context = deferred.context

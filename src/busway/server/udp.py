@@ -29,7 +29,7 @@ from .connection_slots import Pool, PoolLimits, Pools
 from .counters import ServerCounters
 from .listener_context import ListenerContext, add_living
 from .peers import host_of, peer_name
-from .responder_failures import answer_later
+from .responder_failures import begin_late_answers
 from .rtu_over_tcp import Session
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
@@ -276,10 +276,7 @@ class _Peer:
         session = self.session
         if session.deferred:
             deferred, session.deferred = session.deferred, []
-            for one in deferred:
-                task = self._listener_context.loop.create_task(answer_later(one))
-                self._tasks.add(task)
-                task.add_done_callback(self._tasks.discard)
+            begin_late_answers(deferred, self._listener_context.loop, self._tasks)
         if session.failures:
             failures, session.failures = session.failures, []
             self._listener_context.failed(self.peer, failures)

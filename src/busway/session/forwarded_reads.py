@@ -11,7 +11,7 @@ Knows the layout of a read and its answer on TCP, and the slots of a connection;
 4. Answers and counters are the same as on the generic path.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from struct import Struct
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -21,7 +21,7 @@ from ..pdu.message import Message, Request
 
 if TYPE_CHECKING:
     from .diagnostics import LineDiagnostics
-    from .responder import ClientIdentity, RequestContext
+    from .responder import ClientIdentity, ForwardingTarget, RequestContext
     from .transaction_slots import TransactionSlots
 
 READ_SIZE = 12
@@ -35,23 +35,6 @@ LAST_READ = 4
 _PLAN_LIMIT = 4096
 DeliverTogether = Callable[[list[bytes]], None]
 """Takes the bytes of late replies to the connection."""
-
-
-class ReadTarget(Protocol):
-    """A unit of an upstream, as the destination of reads that clients send to one unit of the gateway."""
-
-    def ask(self, asker: "ForwardedReads", transactions: Sequence[bytes], plans: "Sequence[ForwardPlan]") -> None:
-        """Forward reads. ``asker`` is given the reply to each, perhaps before this returns."""
-
-
-class ForwardedBatch(Protocol):
-    """Requests to an upstream whose replies answer forwarded reads."""
-
-    def owed(self, asker: "ForwardedReads") -> "Iterable[ForwardPlan]":
-        """The forwarding plans of those reads of a connection that have not been answered yet."""
-
-    def asker_gone(self, asker: "ForwardedReads") -> None:
-        """Drop the reads of a client that has disconnected."""
 
 
 class ForwardPlan:
@@ -73,8 +56,8 @@ class ForwardPlan:
     __slots__ = ("head", "key", "requests", "target")
     place = None
 
-    def __init__(self, target: ReadTarget, unit: int, request: Request) -> None:
-        self.target: ReadTarget = target
+    def __init__(self, target: "ForwardingTarget", unit: int, request: Request) -> None:
+        self.target: ForwardingTarget = target
         self.requests: tuple[Request, ...] = (request,)
         self.key: bytes = request.wire
         # The data follow the head: the answer is as long as the reply that is expected from upstream.
@@ -104,7 +87,7 @@ class ForwardPlans:
     def __init__(self) -> None:
         self._first_unit: int | None = None
         self.several_units: bool = False
-        self.sole_target: ReadTarget | None = None
+        self.sole_target: ForwardingTarget | None = None
         self.known: dict[bytes, ForwardPlan] = {}
         self.others: set[bytes] = set()
 
@@ -208,7 +191,7 @@ class ForwardedReads:
         self._is_open = True
         self._ready: list[bytes] = []
         self.waiting: int = 0
-        self.batches: dict[ForwardedBatch, None] = {}
+        self.batches: dict[Any, None] = {}  # Any: batches are the gateway's
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
         """Forward the known reads in a buffer from ``at`` on, while slots are free. Returns the offset of the first
@@ -264,7 +247,7 @@ class ForwardedReads:
 
     def _ask_each(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan]) -> None:
         """Forward reads to several upstream units, those of each unit together."""
-        by_target: dict[ReadTarget, tuple[list[bytes], list[ForwardPlan]]] = {}
+        by_target: dict[ForwardingTarget, tuple[list[bytes], list[ForwardPlan]]] = {}
         for transaction, plan in zip(transactions, plans, strict=True):
             those = by_target.setdefault(plan.target, ([], []))
             those[0].append(transaction)

@@ -229,7 +229,7 @@ class RequestContext:
 class ForwardingTarget(Protocol):
     """A unit of another server that requests are forwarded to."""
 
-    def ask(self, asker: "Forwarding", tags: Sequence[None], asked: Sequence[Any]) -> None:  # Any: `ForwardedMessage`
+    def ask(self, asker: Any, tags: Sequence[Any], asked: Sequence[Any]) -> None:  # Any: of `Forwarding`, or of reads
         """Forward a request. ``asker`` gets its answer, perhaps before this returns."""
 
 

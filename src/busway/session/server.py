@@ -17,11 +17,10 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no dev
    the second alone, a known read would take half as many instructions again (67 instead of 45).
 """
 
-from collections.abc import Awaitable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from operator import itemgetter
 from struct import Struct
-from typing import Protocol
 
 from ..codes import ExceptionCode, FunctionCode
 from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
@@ -47,13 +46,8 @@ _LEAST_SIZE = 8
 """Bytes of the shortest request."""
 _NO_SHARE = 1 << 62
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
-
-
-class Deliver(Protocol):
-    """Callback that sends the bytes of a late reply; called with no bytes if a request gets no reply."""
-
-    def __call__(self, adu: bytes, /) -> None:
-        """Send the bytes of a late reply."""
+Deliver = Callable[[bytes], None]
+"""Sends the bytes of a late reply; called with no bytes if a request gets no reply."""
 
 
 @dataclass(frozen=True, slots=True)

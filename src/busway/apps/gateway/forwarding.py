@@ -17,15 +17,17 @@ from collections.abc import Iterator, Mapping, MutableMapping, Sequence, Set
 from functools import partial
 from itertools import chain
 from types import MappingProxyType
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from ...client.link import AsyncLinkDriver
 from ...codes import BROADCAST_UNIT
 from ...errors import ModbusError, NoReply, Overloaded
-from ...pdu.message import Message, Request
+from ...pdu.message import Message
 from ...pdu.read_items import ReadBits, ReadRegisters
 from ...session.call import Call, Outcome
 from ...session.client import TcpClientSession
+from ...session.forwarded_reads import ForwardedReads
+from ...session.responder import Forwarding
 from .exception_codes import NO_PATH
 from .read_cache import Key, Place, ReadCache
 from .upstream import Upstream
@@ -37,59 +39,10 @@ _GOOD: Final = {bytes}
 _REPLIES: Final = (ReadRegisters.Reply, ReadBits.Reply)
 
 
-class ForwardedRequest(Protocol):
-    """A client's request in the form in which it is sent upstream.
-
-    Attributes:
-        requests: what is sent for it; several if it was split, and then it is asked alone.
-        key: the bytes that identical reads have in common; empty if it must not be shared.
-        place: what it reads, if its data are to be remembered; otherwise None.
-    """
-
-    # Read-only, so that any object with these attributes fits.
-
-    @property
-    def requests(self) -> tuple[Request, ...]: ...
-    @property
-    def key(self) -> Key: ...
-    @property
-    def place(self) -> Place | None: ...
-
-    def whole(self, replies: Sequence[Message]) -> Message:
-        """The reply to the client's request, put together if it was split."""
-
-
-class ForwardingClient(Protocol):
-    """Interface of the client side of forwarded requests: a connection with its reads, or a single request.
-
-    ``tag`` is what it finds a request by; here nothing looks into it.
-
-    Attributes:
-        peer: ``host:port`` of the client.
-        is_priority: whether it is a priority host.
-        batches: the batches that work for it; they add and remove themselves.
-    """
-
-    @property
-    def peer(self) -> str: ...
-    @property
-    def is_priority(self) -> bool: ...
-    @property
-    def batches(self) -> dict[Any, None]: ...  # Any: see `ForwardedReads`
-
-    def answer(self, tags: Sequence[Any], asked: Sequence[Any], data: Sequence[bytes]) -> None:
-        """Answer reads with their data; `send` transmits the replies."""
-
-    def reply(self, tag: Any, asked: Any, reply: Message) -> None:
-        """Answer a forwarded request with the reply from upstream."""
-
-    def refuse(self, tag: Any, asked: Any, code: int) -> None:
-        """Answer a forwarded request with an exception code."""
-
-    def send(self) -> None:
-        """Transmit all finished replies together."""
-
-
+ForwardingClient = ForwardedReads | Forwarding
+"""Who gets the answers to forwarded requests: a connection with its reads, or a single request."""
+ForwardedRequest = Any
+"""A `ForwardPlan` of `ForwardedReads`, or a `Translated` of a `Forwarding`; each client gets its own back."""
 Waiter = tuple[ForwardingClient, Any, ForwardedRequest]
 """An asker, and which of its requests waits."""
 _NO_POSITIONS: frozenset[int] = frozenset()
