@@ -1,11 +1,15 @@
-"""``busway`` with a store whose segments are small, so that they end and are sealed all the time.
+"""``busway`` with a store whose segments are small, so that they end, are sealed and dropped all the time.
+
+A day of ``keep_days`` has nine seconds.
 
 python small_segments.py BYTES ARGUMENT…
 """
 
 import sys
 
+from busway.apps.collector import collector
 from busway.apps.collector.store import writer
+from busway.apps.collector.store.retention import Retention
 from busway.cli import main
 
 
@@ -16,6 +20,12 @@ def with_segments_of(size: int) -> None:
     writer.StoreOptions.__init__.__defaults__ = tuple(defaults)
 
 
+def small_retention(age: float | None, size: int | None) -> Retention:
+    """A ten-thousandth of the age that is wanted."""
+    return Retention(None if age is None else age / 10_000, size)
+
+
 if __name__ == "__main__":
     with_segments_of(int(sys.argv.pop(1)))
+    collector.Retention = small_retention  # type: ignore[assignment,misc]
     main()

@@ -88,6 +88,7 @@ class Walk:
         self.shown: set[tuple[str, str, int]] = set()
         self.restored: list[tuple[dict[Key, Any], set[Key]]] = []
         self.ends: list[int] = []
+        self.drops = bool(collector)
         self.out = folder / "out"
         self.out.mkdir()
         self._text = self._configured(world, collector)
@@ -267,21 +268,25 @@ class Walk:
         kept, wrong = good_samples(table)
         lines = self.lines()
         wrong += lines.problems()
-        wrong += self._same("a file", {key: values for key, values in lines.values.items() if values != {None}}, kept)
+        handed = {key: values for key, values in lines.values.items() if values != {None}}
+        oldest = min(key[2] for key in kept) if self.drops else 0
+        everything = {**{key: min(values) for key, values in handed.items()}, **kept}  # type: ignore[type-var]
+        wrong += self._same("a file", {key: values for key, values in handed.items() if key[2] >= oldest}, kept)
         wrong += [f"{key} never reached the file" for key in kept if key not in lines.values]
         for name, seen in self.seen:
-            wrong += [f"{key} was in a {name} and is {kept.get(key)}" for key in seen if kept.get(key) != seen[key]]
+            late = [key for key in seen if key[2] >= oldest]
+            wrong += [f"{key} was in a {name} and is {kept.get(key)}" for key in late if kept.get(key) != seen[key]]
         wrong += self._queries_that_differ(kept)
-        held = {(device, point, value) for (device, point, _), value in kept.items()}
+        held = {(device, point, value) for (device, point, _), value in everything.items()}
         wrong += [f"{value} was shown and is not in the store" for value in self.shown - held]
         for number, (restored, before) in enumerate(self.restored):
-            wrong += self._no_prefix(f"backup {number}", restored, before, kept, lines)
+            wrong += self._no_prefix(f"backup {number}", restored, before, everything, lines)
         answers = {name: self._world.answers[device.number] for name, device in self.devices.items()}
-        wrong += missing_answers(kept, bad_samples(table), answers, self.excused)
+        wrong += missing_answers(everything, bad_samples(table), answers, self.excused)
         wrong += [
             f"no gap has the end at {end}"
             for end in self.ends
-            if not any(gap.begin <= end <= gap.end for gap in table.gaps)
+            if end >= oldest and not any(gap.begin <= end <= gap.end for gap in table.gaps)
         ]
         print(
             f"{len(kept)} samples kept, {lines.copies} handed on, {len(self.ends)} ends, {len(self.restored)} backups"
@@ -316,9 +321,14 @@ class Walk:
     ) -> list[str]:
         wrong = [f"{key} of {name} is another" for key, value in restored.items() if kept.get(key) != value]
         last = max((min(lines.commits[key]) for key in restored if key in lines.commits), default=0)
-        due = {key for key in kept if key in lines.commits and min(lines.commits[key]) <= last}
+        oldest = min((key[2] for key in restored), default=0)
+        due = {key for key in kept if key[2] >= oldest and key in lines.commits and min(lines.commits[key]) <= last}
         wrong += [f"{key} of commit {min(lines.commits[key])} is missing in {name}" for key in due - restored.keys()]
-        wrong += [f"{key} was handed on before {name}" for key in before & kept.keys() if key not in restored]
+        wrong += [
+            f"{key} was handed on before {name}"
+            for key in before & kept.keys()
+            if key not in restored and key[2] >= oldest
+        ]
         return wrong
 
 
@@ -365,11 +375,11 @@ def stream_problems(found: list[dict[str, Any]], lines: Delivered) -> list[str]:
     return wrong + [f"{key} never reached the stream" for key in wanted - samples]
 
 
-def check_a_walk(folder: Path, seed: int, seconds: float) -> None:
+def check_a_walk(folder: Path, seed: int, seconds: float, collector: str = "") -> None:
     """Walk, and fail with what was lost, doubled or changed."""
     print(f"seed {seed}, {seconds:g} seconds")
     with Field(seed) as world, nats_where_there(folder) as nats:
-        walk = Walk(folder, world, seed, segment=60_000, nats=nats)
+        walk = Walk(folder, world, seed, segment=60_000, nats=nats, collector=collector)
         try:
             walk.run(seconds)
             walk.settle()
@@ -399,3 +409,10 @@ def test_what_was_shown_or_handed_on_is_kept_once_and_sinks_have_it_all(tmp_path
 @pytest.mark.parametrize("seed", range(SEED, SEED + 5))
 def test_the_same_over_long_walks(tmp_path: Path, seed: int) -> None:
     check_a_walk(tmp_path, seed, 120.0)
+
+
+@pytest.mark.soak
+@pytest.mark.timeout(600)
+def test_retention_takes_the_oldest_and_nothing_that_sinks_lack(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    check_a_walk(tmp_path, SEED, 60.0, "keep_days = 2\n")

@@ -143,18 +143,27 @@ class CommitReader:
         """The parts that have commits after a number, in order; parts of late rows come with their segment."""
         found = []
         for part in self._manifest.parts():
-            known = open_part_facts(self._folder, part) if part.kind == "open" and self._exists(part) else part
+            known = self._facts_of_open(part) if part.kind == "open" else part
             if known.last_commit is not None and known.last_commit > after:
                 found.append(known)
         return sorted(found, key=lambda part: (part.segment, part.id))
 
-    def _exists(self, part: StorePart) -> bool:
-        return (self._folder / SEGMENTS / part.file).exists()
+    def _facts_of_open(self, part: StorePart) -> StorePart:
+        """What an open segment holds. Raises `FileNotFoundError` where it was sealed since it was listed."""
+        try:
+            return open_part_facts(self._folder, part)
+        except FileNotFoundError:
+            if part in self._manifest.parts():
+                return part  # its file is not made yet
+            raise
 
     def _read(self, after: int, most: int) -> CommitRange | None:
         parts = self._parts(after)
         if not parts:
-            return self._of_intervals_alone(after)
+            found = self._of_intervals_alone(after)
+            if found is not None and self._parts(after):
+                raise FileNotFoundError("samples were committed and sealed since the parts were listed")
+            return found
         segment = [part for part in parts if part.segment == parts[0].segment]
         if segment[0].kind == "sealed":
             last, rows = self._sealed_rows(segment, after, most)
