@@ -321,7 +321,7 @@ class Walk:
     ) -> list[str]:
         wrong = [f"{key} of {name} is another" for key, value in restored.items() if kept.get(key) != value]
         last = max((min(lines.commits[key]) for key in restored if key in lines.commits), default=0)
-        oldest = min((key[2] for key in restored), default=0)
+        oldest = min((key[2] for key in restored), default=0) if self.drops else 0
         due = {key for key in kept if key[2] >= oldest and key in lines.commits and min(lines.commits[key]) <= last}
         wrong += [f"{key} of commit {min(lines.commits[key])} is missing in {name}" for key in due - restored.keys()]
         wrong += [
