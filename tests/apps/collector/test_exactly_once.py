@@ -42,7 +42,7 @@ import busway
 SEED = int(os.environ.get("BUSWAY_WALK_SEED", "20261122"))
 PLACES = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin"])
 SUPPORT = Path(__file__).parents[2] / "support"
-LIMIT = 30.0
+LIMIT = 60.0
 
 
 class Collecting:
