@@ -64,7 +64,7 @@ _log = logging.getLogger("busway.collector")
 
 @dataclass(frozen=True, slots=True)
 class CollectedDeviceStatus:
-    """How a device does.
+    """The status of a polled device.
 
     Attributes:
         name, link: its name and that of its link.

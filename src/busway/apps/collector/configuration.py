@@ -75,7 +75,7 @@ class CollectedDevice:
     fixed: bool
 
     def book(self, known: DeviceKnowledge) -> PlanBook:
-        """Its plans, with what is known of it."""
+        """The read plans of the device, starting with what was learnt about it."""
         return PlanBook(self.items, self.rules, self.cost, fixed=self.fixed, knowledge=known)
 
     def descriptions(self) -> list[PointDescription]:

@@ -1,4 +1,4 @@
-"""Cost of a read on the wire: a base for each request, and a price for each register or bit.
+"""The cost of reads on the wire in seconds: a base for each request, and a price for each register or bit.
 
 Knows characters, silences and turnaround; knows no clock, no device and no plan.
 
@@ -27,7 +27,7 @@ _ASCII_CHARACTERS: Final = 28  # request: ':', 7 bytes in 14, CR LF; reply: ':',
 
 @dataclass(frozen=True, slots=True)
 class ReadCost:
-    """What reads of one device cost.
+    """Cost of the reads of one device, in seconds.
 
     Attributes:
         base: seconds of any read, above 0.
@@ -44,7 +44,7 @@ class ReadCost:
             raise ValueError(f"costs are above 0, not {self.base}, {self.per_register} and {self.per_bit}")
 
     def per_item(self, table: Table) -> float:
-        """Seconds of one item of a table."""
+        """Seconds for one item of a table."""
         return self.per_bit if table.holds_bits else self.per_register
 
     def of(self, table: Table, width: int) -> float:
@@ -52,7 +52,7 @@ class ReadCost:
         return self.base + self.per_item(table) * width
 
     def with_base(self, base: float) -> "ReadCost":
-        """The same line with another device."""
+        """A copy with another base, for another device on the same line."""
         return replace(self, base=base)
 
 

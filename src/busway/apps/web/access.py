@@ -1,4 +1,4 @@
-"""Access to a page: Host, Origin, caller and size of every request, checked before the application sees it.
+"""Access control of a page: checks host, origin, caller and size of every request before the application sees it.
 
 Knows headers, roles and sizes; knows no resource. It wraps the whole application, HTTP and WebSocket.
 
@@ -56,7 +56,7 @@ _log = logging.getLogger("busway.apps.web")
 
 
 class Role(IntEnum):
-    """What a caller may do; each role may do what those before it may."""
+    """Roles of callers of a page; each role may do what those before it may."""
 
     VIEW = 1
     """See values, history and states."""
@@ -67,7 +67,7 @@ class Role(IntEnum):
 
     @property
     def label(self) -> str:
-        """The word for it in files, messages and sentences: ``operate``."""
+        """The role as a word in files, messages and sentences: ``operate``."""
         return self.name.lower()
 
 
@@ -77,7 +77,7 @@ ROLES: Final = MappingProxyType({role.label: role for role in Role})
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """The one that a request comes from.
+    """The caller of a request: its name and role.
 
     Attributes:
         name: name of the token, subject of the certificate, or ``loopback``; for records of what was changed.
@@ -90,7 +90,7 @@ class Caller:
 
 @dataclass(frozen=True, slots=True)
 class AccessToken:
-    """A token, by its digest alone.
+    """An access token of a caller, stored as its digest alone.
 
     Attributes:
         caller: whose it is, and what it permits.
@@ -102,13 +102,13 @@ class AccessToken:
 
     @classmethod
     def of(cls, token: str, name: str, role: Role) -> "AccessToken":
-        """That of a token in plain text."""
+        """Create an access token from its plain text."""
         return cls(Caller(name, role), _digest(token))
 
 
 @dataclass(frozen=True, slots=True)
 class PageAccessRules:
-    """Rules of one listener.
+    """Access rules of one listener of a page.
 
     Attributes:
         tokens: gives all that are taken now.
@@ -124,7 +124,7 @@ class PageAccessRules:
 
 
 class Refused(HTTPException):
-    """A request that goes no further: a status and a sentence."""
+    """Error of a refused request: an HTTP status and a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,7 +138,7 @@ class RequiredRole:
     role: Role
 
     async def __call__(self, connection: HTTPConnection) -> Caller:
-        """The caller. Raises `Refused`."""
+        """The caller of a request, if its role suffices. Raises `Refused`."""
         return _permitted(caller_of(connection.scope), self.role)
 
 
@@ -166,7 +166,7 @@ def _permitted(caller: Caller, least: Role) -> Caller:
 
 
 class PageAccess:
-    """ASGI middleware that refuses requests against the rules.
+    """ASGI middleware that refuses requests which break the access rules.
 
     Args:
         inner: the application.
@@ -215,7 +215,7 @@ class PageAccess:
                 raise Refused(415, f"the body must be {' or '.join(_BODY_KINDS)}")
 
     def _caller(self, scope: Scope, headers: dict[str, list[str]]) -> Caller:
-        """Rule 5."""
+        """The caller of a request by its token, certificate or address (rule 5)."""
         given, tokens = _token(scope, headers), self._rules.tokens()
         if given is not None and tokens:
             return self._holder(given, tokens, scope)
@@ -266,7 +266,7 @@ def _names_loopback(host: str) -> bool:
 
 
 def _token(scope: Scope, headers: dict[str, list[str]]) -> str | None:
-    """The token that is shown; None where there is none at all."""
+    """The token in a request; None if there is none."""
     if scope["type"] == "websocket":
         for protocol in scope.get("subprotocols", ()):
             if protocol.startswith(BEARER_PROTOCOL):
@@ -283,7 +283,7 @@ def _has_body(headers: dict[str, list[str]]) -> bool:
 
 
 def _bounded(receive: Receive, headers: dict[str, list[str]]) -> Receive:
-    """Limit what is received to `BODY_LIMIT` bytes, announced or not."""
+    """Limit the received body of a request to `BODY_LIMIT` bytes, announced or not."""
     announced = _single(headers, "content-length")
     if announced and (not announced.isdecimal() or int(announced) > BODY_LIMIT):
         raise Refused(413, f"the body exceeds {BODY_LIMIT} bytes")

@@ -1,4 +1,4 @@
-"""The resources of the control API: requests to the simulation, and its state as messages.
+"""The HTTP resources of the control API of a simulation.
 
 Knows a simulation by `busway.apps.web.subject`; knows no socket and no page.
 
@@ -59,7 +59,7 @@ _NO_FAULT: Final[_Responses] = {404: {"model": Failure, "description": "There is
 
 @dataclass(slots=True)
 class Api:
-    """The resources of one simulation.
+    """The HTTP resources of one simulation.
 
     Attributes:
         subject: the simulation.
@@ -87,7 +87,7 @@ class Api:
         return cast("ServedUnits", inner)
 
     def add_to(self, application: FastAPI) -> None:
-        """Add the resources to an application, which takes what they need and return from their signatures."""
+        """Add the resources to a FastAPI application."""
         get, put, post, patch, delete = ([name] for name in ("GET", "PUT", "POST", "PATCH", "DELETE"))
         add = application.add_api_route
         add("/api/simulation", self.get_simulation, methods=get, summary="The simulation")
@@ -183,7 +183,7 @@ class Api:
                 yield index
 
     def shown(self, index: int) -> PointAnswer:
-        """The point with this number."""
+        """The message about the point with this index."""
         point = self.order[index]
         return PointAnswer(
             index=index,
@@ -253,7 +253,7 @@ class Api:
 
     @property
     def board(self) -> Board:
-        """The switchboard of its faults."""
+        """The switchboard of the simulation's faults."""
         return self.subject.board
 
     def faults(self) -> list[FaultAnswer]:

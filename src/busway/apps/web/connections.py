@@ -1,4 +1,4 @@
-"""Connections of the page: their number, and the time each has to send a request.
+"""Limits the connections of a page: their number, and the time each has to send a request.
 
 Knows connections of uvicorn and their limits; knows no request. uvicorn limits neither the number of connections that
 have sent nothing, nor the time of a head, so that is here.
@@ -57,7 +57,7 @@ _http_log.addFilter(Throttle())
 
 
 class SharedConnections:
-    """State that the connections of one page share.
+    """State that all connections of one page share.
 
     Attributes:
         waiting: connections that have not sent their request, the oldest first.
@@ -96,7 +96,7 @@ class SharedConnections:
 
 
 class PageConnection(H11Protocol):
-    """A connection of the page, until it becomes a WebSocket.
+    """An HTTP connection of the page, until it becomes a WebSocket.
 
     Args:
         shared: state shared with the other connections.
@@ -137,7 +137,7 @@ class PageConnection(H11Protocol):
         super().connection_lost(exc)
 
     def close_unheard(self) -> None:
-        """Close it before it has sent its request."""
+        """Close a connection that has not sent its request in time."""
         self._heard()
         self.connections.discard(self)
         self.transport.abort()
@@ -158,7 +158,7 @@ class PageConnection(H11Protocol):
 
 
 class SecuringConnection(asyncio.Protocol):
-    """An accepted connection until its TLS handshake has ended; then a `PageConnection` takes its place.
+    """An accepted connection during its TLS handshake; then a `PageConnection` takes its place.
 
     Args:
         shared: state shared with the other connections.
@@ -208,7 +208,7 @@ class SecuringConnection(asyncio.Protocol):
                 page.data_received(b"".join(self._early))
 
     def data_received(self, data: bytes) -> None:
-        """Keep what came together with the end of the handshake."""
+        """Keep bytes that arrived together with the end of the TLS handshake."""
         self._early.append(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -218,7 +218,7 @@ class SecuringConnection(asyncio.Protocol):
         self._connections.discard(self)
 
     def close_unheard(self) -> None:
-        """Close it before the handshake has ended."""
+        """Close a connection whose TLS handshake has not ended in time."""
         if self._handshake is not None:
             self._handshake.cancel()
         self.connection_lost(None)
@@ -226,7 +226,7 @@ class SecuringConnection(asyncio.Protocol):
             self._transport.abort()
 
     def shutdown(self) -> None:
-        """End, because the page does."""
+        """Close the connection because the page is stopped."""
         self.close_unheard()
 
 

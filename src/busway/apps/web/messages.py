@@ -293,7 +293,7 @@ class SimulationChange(Asked):
 
 
 def plain_value(value: Any) -> Plain:
-    """A value as `Plain`."""
+    """A value as JSON can represent it (`Plain`)."""
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return value
     if isinstance(value, int):
@@ -310,7 +310,7 @@ def plain_value(value: Any) -> Plain:
 
 
 def plain_values(values: Mapping[str, Any]) -> dict[str, Plain]:
-    """Each of them as `Plain`."""
+    """Several values as JSON can represent them (`Plain`)."""
     return {str(name): plain_value(value) for name, value in values.items()}
 
 

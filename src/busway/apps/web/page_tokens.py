@@ -1,4 +1,5 @@
-"""The file with the tokens of a page: made at the first start, for its owner alone, and read again when it changes.
+"""The file with the access tokens of a page: created at the first start, for its owner alone, and read again when it
+changes.
 
 Knows the file and its lines; knows no request.
 
@@ -44,12 +45,12 @@ def new_token() -> str:
 
 
 def is_token(text: str) -> bool:
-    """Whether a text can be a token in a header, in a subprotocol and behind ``#``, and is long enough."""
+    """Whether a text is long enough as a token, and valid in a header, in a subprotocol and behind ``#``."""
     return len(text) >= SHORTEST_TOKEN and text.isascii() and all(one.isalnum() or one in "-._~" for one in text)
 
 
 class KeptTokens:
-    """The tokens in a file.
+    """The access tokens in a file.
 
     Args:
         path: the file; where there is none it is made, with a token for each role.
@@ -65,7 +66,7 @@ class KeptTokens:
         self._tokens = read_tokens(path)
 
     def current(self) -> tuple[AccessToken, ...]:
-        """The tokens of now; it never raises."""
+        """The current access tokens; never raises."""
         state = self._look()
         if state != self._state:
             self._state = state
@@ -84,7 +85,7 @@ class KeptTokens:
 
 
 def read_tokens(path: Path) -> tuple[AccessToken, ...]:
-    """The tokens in a file. Raises `ConfigError`."""
+    """Read the access tokens from a file. Raises `ConfigError`."""
     text = read_safely(path, most=_LONGEST_FILE).decode("utf-8", "replace")
     if os.name != "nt" and path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise ConfigError("holds tokens and can be read by others; chmod 600 it", file=str(path))

@@ -1,4 +1,4 @@
-"""``/stream``: one WebSocket of JSON texts that reports changes to clients as they happen.
+"""The WebSocket ``/stream``: reports changes of a simulation to clients as JSON texts.
 
 Knows clients and what they subscribed to; knows no page.
 
@@ -45,7 +45,7 @@ Index = Annotated[int, Field(ge=0)]
 
 
 class Wish(Asked):
-    """What a client wants from now on; a key that is left out stays as it was.
+    """A client's message that selects what it is sent from now on; a key that is left out stays unchanged.
 
     Attributes:
         points: their numbers, as ``/api/points`` gives them, or ``all``.
@@ -59,7 +59,7 @@ class Wish(Asked):
 
 
 class Client:
-    """One WebSocket: what it wants, and what of that has not been sent yet."""
+    """One WebSocket client: what it has selected, and the changes that it was not sent yet."""
 
     def __init__(self, api: Api) -> None:
         self._api = api
@@ -74,7 +74,7 @@ class Client:
         self.skipped: int = 0
 
     def wish(self, wish: Wish) -> str:
-        """Take a wish. The reason if it is impossible, else an empty text."""
+        """Apply a client's selection. Returns the reason if it is impossible, else an empty text."""
         count = len(self._api.order)
         if wish.points == "all":
             if count > MOST_POINTS:
@@ -124,7 +124,7 @@ class Client:
     # What is sent.
 
     async def next(self) -> dict[str, Any]:  # Any: JSON
-        """The next message; waits until there is one."""
+        """Wait for the next message to send to the client."""
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(self._status_due - time.monotonic(), 0.0)):
@@ -176,7 +176,7 @@ class Client:
 
 
 class Streams:
-    """All clients of the stream.
+    """All WebSocket clients of the page.
 
     Args:
         api: the resources that they watch.
@@ -274,7 +274,7 @@ class Streams:
         self._tell(Client.switched)
 
     def _tell(self, say: Callable[[Client], None]) -> None:
-        """Call a function with each client, in the thread of the event loop."""
+        """Call a function with each WebSocket client, in the thread of the event loop."""
         if threading.get_ident() == self._thread:
             self._say(say)
         elif self._loop is not None and not self._loop.is_closed():

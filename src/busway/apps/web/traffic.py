@@ -1,4 +1,4 @@
-"""The last frames on the wire: a bounded tail, dissected only when it is shown.
+"""Keeps the last frames on the wire for the page; they are dissected only when shown.
 
 Knows frames and times; knows no page. It takes the place of a capture file (`busway.observe.trace`), and passes
 everything on to the file if there is one.
@@ -35,7 +35,7 @@ _ASKED: Final = 16
 
 
 class Passed:
-    """A frame, or damaged bytes.
+    """A recorded frame, or damaged bytes.
 
     Attributes:
         number: counts up by one.
@@ -87,7 +87,7 @@ class Passed:
 
 
 class Traffic:
-    """The tail of the traffic, from `start` to `stop`.
+    """Records the last frames, from `start` to `stop`.
 
     Args:
         ports: returns the ports that the server listens on; called for each new connection.
@@ -117,7 +117,7 @@ class Traffic:
         self._is_on = False
 
     def start(self) -> None:
-        """Record connections made from now on. Raises `ConfigError` if it already does."""
+        """Record connections opened from now on. Raises `ConfigError` if it is recording already."""
         if self._is_on:
             raise ConfigError("the traffic is recorded already", key="traffic")
         self._is_on = True
@@ -125,7 +125,7 @@ class Traffic:
         TRACE.capture_into(self)
 
     def stop(self) -> None:
-        """Record nothing more; the frames kept stay."""
+        """Stop recording; the recorded frames stay."""
         self._is_on = False
         if TRACE.capture is self:
             below = self._before
@@ -159,7 +159,7 @@ class Traffic:
         return self._tail[0].number if self._tail else self.last + 1
 
     def shown(self, passed: Passed) -> FrameAnswer:
-        """A frame, dissected."""
+        """A recorded frame, dissected for the page."""
         if passed.shown is None:
             passed.shown = self._described(passed)
         return passed.shown
@@ -167,7 +167,7 @@ class Traffic:
     # The interface of a recorder of the trace.
 
     def connection(self, ends: SocketAddresses) -> "ConnectionRecorder":
-        """A connection between these ends."""
+        """Start to record a connection between these addresses."""
         onward = None if self._before is None else self._before.connection(ends)
         local = ends.local
         port = local[1] if isinstance(local, tuple) and len(local) > 1 else None
@@ -176,7 +176,7 @@ class Traffic:
         return _Connection(self, peer_name(ends.peer), onward)
 
     def line(self, name: str) -> "LineRecorder":
-        """A serial line, or a connection with its framing."""
+        """Start to record a serial line, or a connection with its framing."""
         onward = None if self._before is None else self._before.line(name)
         if not self._is_on:
             return onward if onward is not None else _NOTHING
@@ -193,7 +193,7 @@ class Traffic:
         reason: str = "",
         at: float | None = None,
     ) -> Passed:
-        """Keep a frame."""
+        """Record a frame."""
         self.last += 1
         passed = Passed(
             self.last,
@@ -251,7 +251,7 @@ class Traffic:
 
 
 class _Requests:
-    """Requests of one connection that were not answered yet."""
+    """The unanswered requests of one connection, to match their replies."""
 
     __slots__ = ("_asked",)
 
@@ -271,7 +271,7 @@ class _Requests:
 
 
 class _Connection:
-    """A connection of Modbus over TCP, TLS or UDP."""
+    """Recorder of a connection of Modbus over TCP, TLS or UDP."""
 
     __slots__ = ("_incoming", "_onward", "_outgoing", "_peer", "_requests", "_traffic")
 
@@ -284,14 +284,14 @@ class _Connection:
         self._requests = _Requests()
 
     def received(self, data: bytes) -> None:
-        """Bytes that came in."""
+        """Record received bytes."""
         if self._onward is not None:
             self._onward.received(data)
         for passed in self._frames(self._incoming, data, is_reply=False):
             self._requests.asked(passed.transaction, passed)
 
     def sent(self, data: bytes) -> None:
-        """Bytes that went out."""
+        """Record sent bytes."""
         if self._onward is not None:
             self._onward.sent(data)
         for passed in self._frames(self._outgoing, data, is_reply=True):
@@ -312,7 +312,7 @@ class _Connection:
 
 
 class _Line:
-    """A serial line, or a connection with its framing."""
+    """Recorder of a serial line, or of a connection with its framing."""
 
     __slots__ = ("_onward", "_peer", "_requests", "_traffic")
 
@@ -323,7 +323,7 @@ class _Line:
         self._requests = _Requests()
 
     def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
-        """A frame or damaged chunk."""
+        """Record a frame or damaged chunk."""
         if self._onward is not None:
             self._onward.heard(found, at=at, is_outgoing=is_outgoing)
         if isinstance(found, Damaged):
@@ -344,13 +344,13 @@ class _Nothing:
     __slots__ = ()
 
     def received(self, data: bytes) -> None:
-        """Bytes that came in."""
+        """Ignore received bytes."""
 
     def sent(self, data: bytes) -> None:
-        """Bytes that went out."""
+        """Ignore sent bytes."""
 
     def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
-        """A frame or damaged chunk."""
+        """Ignore a frame or damaged chunk."""
 
 
 _NOTHING: Final = _Nothing()

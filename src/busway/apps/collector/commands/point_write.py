@@ -1,4 +1,4 @@
-"""The request that writes a value to a point, and whether the device shows it afterwards.
+"""Builds the request that writes a value to a point, and checks whether the device shows the value afterwards.
 
 Pure: knows points, requests and replies; knows no link and no clock.
 
@@ -50,7 +50,7 @@ _FUNCTIONS: Final[Mapping[Table, frozenset[int]]] = {
 
 @dataclass(frozen=True, slots=True)
 class PointWrite:
-    """A value that may be written to a point.
+    """A checked write of a value to a point.
 
     Attributes:
         point: the point.
@@ -108,7 +108,7 @@ class PointWrite:
         return found.value is not None and expected == found.value, found
 
     def reading(self) -> Reading:
-        """What a read of the point gives after the write."""
+        """The reading of the point that follows from the write."""
         return decode_point(self.point, self._encoded(b""), self.exponents)
 
 
@@ -148,7 +148,7 @@ def point_write(
 
 
 def _check_number(made: PointWrite) -> None:
-    """Refuse a number beyond the rule, or one that stands for no value."""
+    """Refuse a number outside the rule's limits, or one that means "no value"."""
     point, conversion, rule = made.point, made.point.conversion, made.point.writing
     assert rule is not None
     if rule.on is not None or not point.is_number:
@@ -188,7 +188,7 @@ def plain(value: Any) -> CommandValue | None:  # what the point's type says
 
 
 def _moved(point: Point, address: Address) -> Point:
-    """A point as it stands at another address."""
+    """A copy of a point at another address."""
     table = address.table or point.table
     if table.holds_bits:
         return Point(point.name, table, address.offset)
@@ -200,13 +200,13 @@ def _moved(point: Point, address: Address) -> Point:
 
 
 def _own_bits(over_zeros: bytes, over_ones: bytes) -> int:
-    """The bits of its register that a point has: those that are the same over whatever the register held."""
+    """The bits of its register that belong to a point: those that do not depend on the register's old content."""
     kept = int.from_bytes(over_zeros, "big") ^ int.from_bytes(over_ones, "big")
     return 0xFFFF & ~kept
 
 
 def judged(outcome: object) -> tuple[CommandState, str]:
-    """What became of a write: `CommandState.DONE` where the device has answered it; else with the reason.
+    """The state of a command after a write: `CommandState.DONE` if the device answered; else with the reason.
 
     Args:
         outcome: a reply, or the error that came instead of one.
@@ -225,7 +225,7 @@ def judged(outcome: object) -> tuple[CommandState, str]:
 
 
 def was_not_sent(error: ModbusError) -> bool:
-    """Whether an error says that no byte of a write has left."""
+    """Whether an error says that no byte of a write was sent."""
     if isinstance(error, LinkDown):
         return not error.sent
     if isinstance(error, BadReply):

@@ -1,4 +1,4 @@
-"""The points of a running collector as targets of commands, and what they are known to be.
+"""Finds points of a running collector as targets of commands, and their last values.
 
 Knows the configuration, pollers and last values; decides nothing.
 """
@@ -15,7 +15,7 @@ from .runner import NoSuchPoint, WriteTarget
 
 
 class CollectedTargets:
-    """Finds points.
+    """Finds the points of a running collector for commands.
 
     Args:
         configuration: gives what the file says now.
@@ -32,7 +32,7 @@ class CollectedTargets:
         self._configuration, self._poller_of, self._values = configuration, poller_of, values
 
     def target(self, device: str, point: str) -> WriteTarget:
-        """Where a point is. Raises `NoSuchPoint`."""
+        """The point to write, and the poller of its link. Raises `NoSuchPoint`."""
         configuration = self._configuration()
         found = configuration.devices.get(device)
         if found is None:
@@ -60,7 +60,7 @@ class CollectedTargets:
 
 
 def _obeys_broadcasts(configuration: CollectorConfiguration, device: CollectedDevice) -> bool:
-    """Whether its unit is the one that all devices of a line obey: 0, on a line or behind a gateway."""
+    """Whether a device has unit 0, the broadcast address on a serial line or behind a gateway."""
     if device.unit != 0:
         return False
     endpoint = configuration.links[device.link].settings.endpoint

@@ -1,4 +1,4 @@
-"""What a query gives: columns of samples or of buckets; as Arrow, pandas or polars where those are installed.
+"""Results of queries: columns of samples or buckets, also as Arrow, pandas or polars tables if those are installed.
 
 Knows columns; knows no file.
 """
@@ -75,7 +75,7 @@ class SampleTable(ColumnTable):
 
     @property
     def quality(self) -> list[Quality]:
-        """How sure each value is."""
+        """Quality of each value."""
         return [quality_of(reason) for reason in self.reason]
 
     def columns(self) -> dict[str, list[Any]]:  # columns have different types
@@ -164,7 +164,7 @@ def _arrow_table(columns: dict[str, list[Any]]) -> Any:
 
 
 def _numbers(pa: Any, values: list[Any]) -> Any:
-    """A column of numbers: integers where all are, else floats."""
+    """A column of numbers: integers if all of them are, else floats."""
     if {type(value) for value in values} == {int} and max(values) < 2**63:
         return pa.array(values, pa.int64())
     return pa.array([None if value is None else float(value) for value in values], pa.float64())

@@ -1,4 +1,4 @@
-"""A sealed part: the rows of a segment as a Parquet file. Run as a program of its own, it writes those of one segment.
+"""Writes a sealed part: the rows of a segment as Parquet files. Runs as a program of its own for one segment.
 
     python -m busway.apps.collector.store.sealed_part   < a request in JSON   > what was written, in JSON
 
@@ -96,7 +96,7 @@ def _facts(table: Any) -> dict[str, int]:
 
 
 def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int, int]]:
-    """The names of the files and the times they cover: late rows by their ten minutes, then the rest."""
+    """The names of the files and the periods they cover: late rows by ten minutes each, then the rest."""
     begin = first_time_of(database)
     if begin is None:
         return
@@ -117,7 +117,7 @@ def first_time_of(database: sqlite3.Connection) -> int | None:
 
 
 def _table(segment: Path, kinds: set[str], low: int, high: int) -> Any:
-    """The rows from ``low`` up to ``high``, sorted by point and time."""
+    """The rows of a segment from ``low`` up to ``high``, sorted by point and time."""
     pa = arrow()
     from adbc_driver_sqlite import dbapi  # with its own SQLite: not beside an open connection of Python's
 
@@ -137,7 +137,7 @@ def _table(segment: Path, kinds: set[str], low: int, high: int) -> Any:
 
 
 def _query(kinds: set[str]) -> str:
-    """Rows with a column for each type of value, NULL where another holds."""
+    """The SQL query for rows with one column per type of value, NULL in the others."""
     samples, values = [], []
     for name, (kind, sample) in _KINDS.items():
         samples.append(f"{sample} AS {name}")
@@ -153,7 +153,7 @@ def _query(kinds: set[str]) -> str:
 
 
 def _named(table: Any, points: PointTexts) -> Any:
-    """The table with times as such and the names of its points, for those who read the file with another program."""
+    """A table with timestamps and the names of its points, for people who read the file with another program."""
     pa = arrow()
     known = pa.array([id for id, *_ in points], pa.int32())
     indices = arrow("compute").index_in(table["point"].combine_chunks(), value_set=known)
@@ -164,7 +164,7 @@ def _named(table: Any, points: PointTexts) -> Any:
 
 
 def main() -> None:
-    """Write the files of the segment that standard input names, and say on standard output what was written."""
+    """Write the files of the segment that standard input names, and list them on standard output."""
     asked = json.load(sys.stdin)
     os.nice(_NICENESS)
     written = write_parts(Path(asked["segment"]), asked["points"], asked["parent"])

@@ -1,4 +1,4 @@
-"""Check, backup and restore of a store, also while it is written.
+"""Checks, backs up and restores a store, also while it is being written.
 
 Knows files and what the manifest says of them; changes nothing in the store that it looks at.
 
@@ -25,7 +25,7 @@ _TRIES = 10
 
 
 def check_store_files(folder: Path) -> list[str]:
-    """What is wrong with a store, one sentence each; empty where all is well.
+    """The problems of a store, one sentence each; empty if there are none.
 
     Raises:
         ConfigError: there is no store, or its manifest cannot be read.
@@ -89,7 +89,9 @@ def _problems_of_segment(path: Path, part: StorePart, manifest: Manifest) -> Ite
 
 
 def _unlisted(part: StorePart, found: set[int], manifest: Manifest) -> Iterator[str]:
-    """Points of samples that the manifest lacks; it is read after them, because a point is listed before it has any."""
+    """Points with samples that the manifest does not list; it is read last, because points are listed before their
+    samples.
+    """
     unlisted = found - {point.id for point in manifest.points()}
     if unlisted:
         yield f"{part.file} has samples of points that are not listed: {sorted(unlisted)[:5]}"
@@ -113,7 +115,7 @@ def _problems_of_sealed(path: Path, part: StorePart, manifest: Manifest) -> Iter
 
 
 def back_up(folder: Path, target: Path) -> int:
-    """Copy a store, also while it is written, into a folder that is not there yet; how many parts there are.
+    """Copy a store into a new folder, also while it is being written. Returns the number of parts.
 
     Raises:
         ConfigError: there is no store, or the target exists or cannot be written.
@@ -176,7 +178,7 @@ def _copy_database(source: Path, target: Path) -> None:
 
 
 def restore(backup: Path, folder: Path) -> int:
-    """Make a store of a backup, in a folder that is not there yet or is empty; how many parts there are.
+    """Restore a store from a backup into a new or empty folder. Returns the number of parts.
 
     Raises:
         ConfigError: the backup is none or is damaged, or the folder is in use.

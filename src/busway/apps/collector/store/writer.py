@@ -1,4 +1,4 @@
-"""The writer of a store: one commit after the other, each into the open segment.
+"""The writer of a store: writes one commit after the other into the open segment.
 
 Knows the order of steps that keeps a store whole; knows no thread and no clock. Times come as arguments.
 
@@ -36,7 +36,7 @@ Durability = Literal["process", "power"]
 
 @dataclass(frozen=True, slots=True)
 class StoreOptions:
-    """How a store is written.
+    """Options of writing a store: segments, retention and durability.
 
     Attributes:
         durability: ``process``: what was committed survives the end of the process, and a power failure costs the last
@@ -54,7 +54,7 @@ class StoreOptions:
 
 @dataclass(frozen=True, slots=True)
 class Commit:
-    """What became part of the store at once.
+    """A commit: the samples, intervals and alarms that became part of the store together.
 
     Attributes:
         number: greater than that of every commit before.
@@ -72,7 +72,7 @@ class Commit:
 
 
 def no_step(name: str) -> None:
-    """Nothing happens between the steps."""
+    """Do nothing between two steps; tests replace this."""
 
 
 class StoreWriter:
