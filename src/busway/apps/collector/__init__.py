@@ -21,5 +21,6 @@
 `reloading`       what another configuration may change while a collector runs
 `sinks`           other systems that get what a store keeps
 `alarms`          alarms of points: limits and states, with delay, hysteresis, acknowledgement and a journal
+`dashboards`      dashboards for Grafana: one for the collector's page for Prometheus
 ================  ==========================================================================================
 """
