@@ -57,3 +57,28 @@ def test_a_time_before_the_program_was_written_is_not_right() -> None:
     clock.adjust(1.0, START)
     assert clock.is_right
     assert clock.time_ns(1.0) == START
+
+
+def test_a_clock_that_was_never_set_is_not_followed_and_the_difference_is_told_once_when_it_is_set() -> None:
+    clock = SampleClock(100.0, 5 * NANOSECONDS)
+    assert clock.time_ns(110.0) == 15 * NANOSECONDS
+    assert clock.adjust(110.0, 3000 * NANOSECONDS) == 0, "a wrong time for another is no mend"
+    assert clock.time_ns(120.0) == 25 * NANOSECONDS
+    shift = clock.adjust(130.0, START)
+    assert 35 * NANOSECONDS + shift == START
+    assert clock.time_ns(130.0) == START
+    assert clock.is_right
+    assert clock.adjust(140.0, START + 11 * NANOSECONDS) == 0
+    assert clock.adjust(150.0, 7 * NANOSECONDS) == 0
+    assert not clock.is_right
+    assert clock.adjust(160.0, START + 31 * NANOSECONDS) == 0
+
+
+def test_steps_of_an_hour_reorder_nothing_and_mend_nothing() -> None:
+    clock, times = SampleClock(0.0, START), []
+    for second in range(20_000):
+        step = HOUR if 1000 <= second < 3000 or second >= 15_000 else -HOUR if 4000 <= second < 14_000 else 0
+        if second % 5 == 0:
+            assert clock.adjust(second, START + second * NANOSECONDS + step) == 0
+        times.append(clock.time_ns(second + 0.5))
+    assert all(a < b for a, b in pairwise(times))

@@ -27,6 +27,7 @@ from ...client.aio import AsyncLink, open_link
 from ...config.reading import read_text
 from ...errors import ConfigError
 from ...points.point import Point
+from ...points.point_rules import ReportRule
 from .alarms.collected import CollectorAlarms
 from .commands.audit import configuration_line, revision_of
 from .commands.command import CommandResult, CommandValue
@@ -37,6 +38,7 @@ from .commands.targets import CollectedTargets
 from .configuration import CollectedDevice, CollectorConfiguration, load_collector, parse_collector
 from .derived_points import DerivedPoints
 from .knowledge import Knowledge, read_knowledge
+from .maintenance import MaintenanceBook
 from .poller import LinkPoller
 from .reloading import left_for_the_next_start, refuse_what_cannot_change, replace_file
 from .sample_clock import SampleClock
@@ -47,6 +49,7 @@ from .sinks.prometheus import LastValues, PrometheusPage
 from .sinks.running import SinkThread
 from .store.commit_thread import Committer, StoreStatus
 from .store.journal import alarm_events, alarm_rows, counters_by_device
+from .store.manifest import MaintenanceRow
 from .store.retention import Retention
 from .store.writer import Commit, StoreOptions, StoreWriter
 
@@ -148,6 +151,7 @@ class Collector:
         self._commands: CommandRunner | None = None
         self._receivers: list[CommandReceiver] = []
         self._receiving: list[asyncio.Task[None]] = []
+        self._maintenance: MaintenanceBook | None = None
         self._reloading = asyncio.Lock()
 
     async def __aenter__(self) -> Self:
@@ -223,10 +227,12 @@ class Collector:
         """Hand samples on. Raises `ConfigError` for a name of a sink that cannot be, `LinkDown` for a page."""
         configuration = self.configuration
         if configuration.sinks:
-            self._sinks = SinkThread(writer, configuration.sinks)
+            self._sinks = SinkThread(writer, configuration.sinks, _report_rules(configuration))
         if configuration.pages:
             for page in configuration.pages.values():
-                self._pages.append(PrometheusPage(page.where, page.points, self.values, stale=page.stale))
+                self._pages.append(
+                    PrometheusPage(page.where, page.points, self.values, stale=page.stale, alarms=self.alarms.active)
+                )
 
     def _start_commands(self) -> None:
         """Open the audit log and the journal, and end what an earlier process has left open. Raises `ConfigError`."""
@@ -238,6 +244,9 @@ class Collector:
         targets = CollectedTargets(lambda: self.configuration, self._poller_of, self.values)
         journal = CommandJournal(Path(configuration.store))
         self._commands = CommandRunner(targets, journal, self._audit)
+        assert self._committer is not None
+        self._maintenance = MaintenanceBook(self._committer.writer.manifest, self._audit)
+        self._end_maintenance_of_others()
 
     def _receive_commands(self) -> None:
         """Take commands from the servers of sinks that may give some."""
@@ -292,9 +301,34 @@ class Collector:
             self._readers.remove(reader)
             self.readers_lost += reader.lost
 
-    def maintenance(self, device: str, *, begins: bool) -> None:
-        """Begin or end the maintenance of a device: it is not polled meanwhile. Raises `ConfigError`."""
-        self._poller_of(device).pause(device, paused=begins)
+    def maintenance(self, device: str, *, begins: bool, by: str = "program", why: str = "") -> None:
+        """Begin or end the maintenance of a device: it is not polled meanwhile, also after a restart.
+
+        Its last values are bad for the reason maintenance, and the store has one interval for the whole time.
+
+        Args:
+            device: its name.
+            begins: whether it begins or ends.
+            by, why: who wants it and why, for the log and the audit log.
+
+        Raises:
+            ConfigError: there is no such device, or the store cannot be written.
+        """
+        poller, book = self._poller_of(device), self._maintenance
+        assert book is not None, "the collector does not run"
+        at = self._clock.time_ns(asyncio.get_running_loop().time())
+        if begins:
+            is_new = device not in book.devices
+            row = book.begin(device, at, by, why)
+            if is_new:
+                poller.pause(device, paused=True, since=row.begin)
+        elif device in book.devices:
+            book.end(device, at, by, why)
+            poller.pause(device, paused=False)
+
+    def in_maintenance(self) -> Mapping[str, MaintenanceRow]:
+        """The devices that are in maintenance, by name: since when, by whom and why."""
+        return {} if self._maintenance is None else self._maintenance.devices
 
     def watch(self, device: str, points: Iterable[str], *, period: float = 1.0, seconds: float = 10.0) -> None:
         """Read some points of a device every ``period`` seconds for ``seconds``, before everything but writes.
@@ -509,6 +543,8 @@ class Collector:
         assert self._committer is not None
         self.configuration = configuration
         self.alarms.configure(self._points())
+        if self._sinks is not None:
+            self._sinks.set_point_rules(_report_rules(configuration))
         done: list[str] = []
         changed = [name for name, link in self._links.items() if link.key != _key_of(configuration, name)]
         for name in changed:
@@ -520,7 +556,18 @@ class Collector:
             if name not in self._links:
                 self._start_link(name, configuration)
                 done.append(f"link {name} {'began anew' if name in changed else 'began'}")
+        self._end_maintenance_of_others()
         return done
+
+    def _end_maintenance_of_others(self) -> None:
+        """End the maintenance of devices that are no longer in the file."""
+        for device in list(self.in_maintenance()):
+            if device not in self.configuration.devices:
+                assert self._maintenance is not None
+                assert self._committer is not None
+                at = self._clock.time_ns(asyncio.get_running_loop().time())
+                why = "the device is no longer in the file"
+                self._committer.add_interval(self._maintenance.end(device, at, "collector", why))
 
     # Links.
 
@@ -556,6 +603,9 @@ class Collector:
                 None if derived.is_empty else derived,
                 device.rules.pause,
             )
+            row = self.in_maintenance().get(device.name)
+            if row is not None:
+                poller.pause(device.name, paused=True, since=row.begin)
         task = asyncio.create_task(poller.run(), name=f"busway collector link {name}")
         task.add_done_callback(_log_defect)
         self._links[name] = _RunningLink(_key_of(configuration, name), link, poller, task)
@@ -576,12 +626,24 @@ class Collector:
         write_at = loop.time() + LEARNT_EVERY
         while True:
             await asyncio.sleep(CLOCK_EVERY)
-            self._clock.adjust(loop.time(), time.time_ns())
+            self._mend(self._clock.adjust(loop.time(), time.time_ns()))
             if loop.time() >= write_at:
                 write_at = loop.time() + LEARNT_EVERY
                 for running in self._links.values():
                     self._learn_from(running.poller)
                 self._write_learnt()
+
+    def _mend(self, shift: int) -> None:
+        """Move what has a time from before the wall clock was set; 0 for nothing."""
+        if not shift:
+            return
+        assert self._committer is not None
+        self._committer.mend(shift)
+        self.alarms.mend(shift)
+        for running in self._links.values():
+            running.poller.mend(shift)
+        if self._maintenance is not None:
+            self._maintenance.mend(shift)
 
     def _learn_from(self, poller: LinkPoller) -> None:
         for name, device in poller.devices.items():
@@ -651,6 +713,16 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
         return None
     devices: list[CollectedDevice] = configuration.devices_of(link)
     return configuration.links[link].settings, tuple(devices), tuple(configuration.periods.items())
+
+
+def _report_rules(configuration: CollectorConfiguration) -> dict[tuple[str, str], ReportRule]:
+    """By device and point, when the samples of points are handed on that do not hand on all."""
+    return {
+        (device.name, point.name): point.reporting
+        for device in configuration.devices.values()
+        for point in device.points
+        if point.reporting != ReportRule()
+    }
 
 
 def _renamed(counters: Iterable[CounterState], points: Sequence[Point]) -> list[CounterState]:

@@ -12,7 +12,7 @@ Knows the schedule, a link of asyncio and the decoders of points; knows no store
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable, Container, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Protocol
 
 from ...codes import ExceptionCode, Table
@@ -27,7 +27,7 @@ from .learning import ReadOutcome, outcome_of
 from .plan import PlannedRead
 from .plan_cache import PlanBook
 from .reply_timeout import ReplyTimeout
-from .sample_clock import SampleClock
+from .sample_clock import EARLIEST, SampleClock
 from .samples import PointGroup, SampleBatch, StateInterval, failed_batch
 from .schedule import LinkSchedule, Turn, TurnKind, TurnOutcome
 
@@ -235,13 +235,22 @@ class LinkPoller:
             self._end_interval(device)
             self.schedule.remove(name)
 
-    def pause(self, name: str, *, paused: bool) -> None:
-        """Begin or end the maintenance of a device: it is not polled meanwhile."""
+    def pause(self, name: str, *, paused: bool, since: int | None = None) -> None:
+        """Begin or end the maintenance of a device: it is not polled meanwhile.
+
+        Args:
+            name: the device.
+            paused: whether it begins.
+            since: nanoseconds since 1970 UTC at which its interval began; None for now.
+        """
         device = self.devices[name]
-        self.schedule.pause(name, paused=paused, now=self._now())
+        if name in self.schedule.devices:
+            self.schedule.pause(name, paused=paused, now=self._now())
         self._end_interval(device)
         if paused:
-            self._begin_interval(device, Reason.MAINTENANCE, self._now())
+            begin = self._clock.time_ns(self._now()) if since is None else since
+            device.suspended = StateInterval(name, begin, None, Reason.MAINTENANCE)
+            self._intervals(device.suspended)
         self.wake()
 
     def lease(self, name: str, points: Sequence[str], period: float, seconds: float) -> None:
@@ -324,10 +333,18 @@ class LinkPoller:
         except TimeoutError:
             pass
 
-    def close(self) -> None:
-        """End the open intervals: the collector stops."""
+    def mend(self, shift: int) -> None:
+        """Move the begin of open intervals from before the wall clock was set."""
         for device in self.devices.values():
-            self._end_interval(device)
+            begun = device.suspended
+            if begun is not None and begun.begin < EARLIEST:
+                device.suspended = replace(begun, begin=begun.begin + shift)
+
+    def close(self) -> None:
+        """End the open intervals, since the link stops; maintenance goes on without it."""
+        for device in self.devices.values():
+            if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
+                self._end_interval(device)
 
     async def make(self, turn: Turn) -> None:
         """Make the reads or the write of one turn, and note what came of it."""

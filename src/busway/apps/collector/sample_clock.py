@@ -6,8 +6,9 @@ Pure: knows readings of two clocks; reads none itself.
 2. The offset follows the wall clock. A wall clock that was set forward is followed at once. One that was set back is
    followed by going at half speed, because a jump would put new samples before old ones; until that is done, the time
    is not known to be right.
-3. A wall clock that shows a time before this program was written is not known to be right either: many devices have no
-   battery, and begin in 1970.
+3. A wall clock that shows a time before this program was written is not right: many devices have no battery, and begin
+   in 1970. Until it is set it is not followed. Then the difference is that of all times given before, and they are
+   mended. Times while a clock that was set back is made up for are not: to move them would change their order.
 """
 
 from typing import Final
@@ -32,23 +33,30 @@ class SampleClock:
         self._behind = 0  # nanoseconds by which the wall clock is behind, still to be made up for
         self._since = monotonic
         self._wall_is_right = wall >= EARLIEST
+        self._was_never_set = not self._wall_is_right
 
     @property
     def is_right(self) -> bool:
         """Whether the time is known to be correct."""
         return self._wall_is_right and self._behind <= TOLERANCE
 
-    def adjust(self, monotonic: float, wall: int) -> None:
-        """Compare with the wall clock: ``wall`` is its time at ``monotonic``. Call it every few seconds."""
+    def adjust(self, monotonic: float, wall: int) -> int:
+        """Compare with the wall clock: ``wall`` is its time at ``monotonic``. Call it every few seconds.
+
+        Returns:
+            Nanoseconds by which all times before `EARLIEST` that were given so far were behind, once that is known,
+            when the wall clock has been set; else 0.
+        """
         self._offset += self._made_up(monotonic)
         self._since = monotonic
         self._wall_is_right = wall >= EARLIEST
+        if self._was_never_set and not self._wall_is_right:
+            return 0
         ahead = wall - int(monotonic * NANOSECONDS) - self._offset
-        if ahead >= 0:
-            self._offset += ahead
-            self._behind = 0
-        else:
-            self._behind = -ahead
+        self._offset += max(ahead, 0)
+        self._behind = max(-ahead, 0)
+        was_set_now, self._was_never_set = self._was_never_set, False
+        return max(ahead, 0) if was_set_now else 0
 
     def time_ns(self, monotonic: float) -> int:
         """Nanoseconds since 1970 at a time since the last `adjust`."""

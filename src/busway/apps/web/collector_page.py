@@ -29,6 +29,7 @@ from ..collector.store.frames import BucketTable
 from ..collector.store.reading import Store
 from ..collector.store.writer import Commit
 from .access import ROLES, Application, Caller, PageAccessRules, Role, require
+from .collector_alarms import AlarmApi
 from .collector_commands import CommandsApi
 from .collector_log import MOST_LINES, CollectorLog
 from .collector_messages import (
@@ -99,6 +100,7 @@ class CollectorPage(HostedPage):
             else Path(within(configuration.name, access.tokens))
         )
         self._subjects = {subject: ROLES[label] for subject, label in access.subjects.items()}
+        self._collector = collector
         self.api: CollectorApi = CollectorApi(collector)
         self.commands: CommandsApi = CommandsApi(collector)
 
@@ -114,6 +116,7 @@ class CollectorPage(HostedPage):
         inner = page_application("busway collector", "Last values, history, links, devices and sinks of a collector.")
         self.api.add_to(inner)
         self.commands.add_to(inner)
+        AlarmApi(self._collector).add_to(inner)
         return inner
 
     def application(self, rules: PageAccessRules) -> Application:
@@ -216,7 +219,9 @@ class CollectorApi:
         return CollectedValues(
             now=time.time_ns() // _MILLION,
             value=[plain_value(value) for value in values],
-            quality=[quality_of(reason).label if at else "" for reason, at in zip(reasons, times, strict=True)],
+            quality=[
+                quality_of(reason).label if at or reason else "" for reason, at in zip(reasons, times, strict=True)
+            ],
             reason=[reason_text(reason) if reason else "" for reason in reasons],
             time=[at or None for at in times],
         )

@@ -84,7 +84,7 @@ class CollectorStream:
         self.revision: int = 0
         self._configuration = collector.configuration
         self.points: list[tuple[str, str]] = _points_of(collector)
-        self.values: LiveValues = LiveValues(self.points)
+        self.values: LiveValues = LiveValues(self.points, collector.values.intervals())
         collector.subscribe(self._committed)
         collector.commands.subscribe(self._tell_command)
 
@@ -101,7 +101,7 @@ class CollectorStream:
             points = _points_of(self._collector)
             if points != self.points:
                 self.points = points
-                self.values = LiveValues(points)
+                self.values = LiveValues(points, self._collector.values.intervals())
                 self.revision += 1
         return self.values
 

@@ -5,16 +5,18 @@ the store, everything else by any other.
 
 1. A commit costs one entry for each read, whether somebody views or not. Points are looked at once a tick.
 2. A viewer that has seen tick 7 gets all that changed since tick 7, however many ticks it missed: nothing is queued.
-3. Neighbouring points are told together: those read at one time in three numbers, changed values as a run.
+3. A device that is not read (suspended, without connection, in maintenance) has bad values for that reason from then
+   on, until each point is read again.
+4. Neighbouring points are told together: those read at one time in three numbers, changed values as a run.
 """
 
 import json
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
-from ..collector.samples import PointGroup, SampleBatch, Value, quality_of, reason_text
+from ..collector.samples import PointGroup, Quality, Reason, SampleBatch, StateInterval, Value, quality_of, reason_text
 from ..collector.store.writer import Commit
 from .messages import plain_value
 
@@ -28,13 +30,14 @@ class LiveValues:
 
     Args:
         points: device and name of each point, in the order in which viewers have them.
+        intervals: by device, the last time in which it was not read.
 
     Attributes:
         tick: number of the last tick; 0 before the first.
         values, reasons, times: of each point; times are milliseconds since 1970 UTC, 0 for a point that was not read.
     """
 
-    def __init__(self, points: Sequence[tuple[str, str]]) -> None:
+    def __init__(self, points: Sequence[tuple[str, str]], intervals: Mapping[str, StateInterval] | None = None) -> None:
         self.tick: int = 0
         self.values: list[Value | None] = [None] * len(points)
         self.reasons: list[int] = [0] * len(points)
@@ -44,6 +47,11 @@ class LiveValues:
         self._places = {key: place for place, key in enumerate(points)}
         self._groups: WeakKeyDictionary[PointGroup, list[int]] = WeakKeyDictionary()
         self._waiting: dict[PointGroup, SampleBatch] = {}
+        self._by_device: dict[str, list[int]] = {}
+        for place, (device, _) in enumerate(points):
+            self._by_device.setdefault(device, []).append(place)
+        self._intervals: dict[str, StateInterval] = dict(intervals or {})
+        self._unapplied: set[str] = set(self._intervals)
         self._lock = threading.Lock()
         self._texts: dict[int, str] = {}
 
@@ -52,13 +60,17 @@ class LiveValues:
         with self._lock:
             for batch in commit.batches:
                 self._waiting[batch.group] = batch
+            for each in commit.intervals:
+                if isinstance(each, StateInterval) and each.reason != Reason.SKIPPED:
+                    self._intervals[each.device] = each
+                    self._unapplied.add(each.device)
             if len(self._waiting) > MOST_WAITING:
                 self._advance()
 
     def advance(self) -> bool:
         """Make a tick of what was committed since the last one; False, and no tick, where nothing was."""
         with self._lock:
-            if not self._waiting:
+            if not self._waiting and not self._unapplied:
                 return False
             self._advance()
             return True
@@ -69,6 +81,20 @@ class LiveValues:
         waiting, self._waiting = self._waiting, {}
         for batch in sorted(waiting.values(), key=lambda each: each.time):
             self._take(batch)
+        concerned, self._unapplied = self._unapplied | {batch.device for batch in waiting.values()}, set()
+        for device in concerned & self._intervals.keys():
+            self._apply(self._intervals[device])
+
+    def _apply(self, interval: StateInterval) -> None:
+        """Rule 3."""
+        always = interval.end is None and interval.reason == Reason.MAINTENANCE
+        begin = interval.begin // _MILLION
+        for place in self._by_device.get(interval.device, ()):
+            known = self.reasons[place]
+            is_older = always or self.times[place] <= begin
+            if is_older and known != interval.reason and (always or quality_of(known) is not Quality.BAD):
+                self.reasons[place] = interval.reason
+                self._changed_at[place] = self.tick
 
     def _take(self, batch: SampleBatch) -> None:
         tick, at = self.tick, batch.time // _MILLION

@@ -15,6 +15,7 @@ from collected import NOON, PUMP, at, filled, read_of
 from deliveries import commit_reads, delivery_to, run_until
 from foreign_servers import ForeignServer, PostgresqlServer, influxdb, mosquitto, nats_server, needed, victoria_metrics
 
+from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.samples import PointDescription, PointGroup, Reason, SampleBatch
 from busway.apps.collector.sinks.delivery import Delivery, DeliveryOptions
 from busway.apps.collector.sinks.interface import SinkDown
@@ -321,3 +322,34 @@ async def test_victoriametrics_takes_the_same_lines(tmp_path: Path) -> None:
 
 def test_the_pump_is_another_device() -> None:
     assert read_of(PUMP, 0, 1).device == "pump-1"
+
+
+ALARM = AlarmEvent("pump-1", "speed", "H", AlarmEventKind.RAISED, at(1), 90.0, "", True, "above 80 rpm")
+
+
+async def test_events_of_alarms_go_to_a_topic_of_their_own(tmp_path: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    with mosquitto(tmp_path) as server, StoreWriter(tmp_path / "store", now=NOON) as writer:
+        writer.commit([read_of(PUMP, 1, 90.0)], [], at(1), [ALARM])
+        delivery = delivery_to(MqttSink("127.0.0.1", server.port, topic="plant/{device}", timeout=2.0), writer)
+        async with heard(server, tmp_path) as messages:
+            await run_until(delivery, lambda: len(messages) >= 2)
+    assert [topic for topic, _ in messages] == ["plant/pump-1", "plant/alarms"]
+    assert (messages[1][1]["event"], messages[1][1]["limit"], messages[1][1]["value"]) == ("raised", "H", 90.0)
+
+
+@pytest.mark.parametrize("subject", ["busway.{device}", "plant.{device}.samples"])
+async def test_events_of_alarms_go_to_a_subject_that_the_stream_has(tmp_path: Path, subject: str) -> None:
+    nats = pytest.importorskip("nats")
+    with nats_server(tmp_path) as server, StoreWriter(tmp_path / "store", now=NOON) as writer:
+        writer.commit([read_of(PUMP, 1, 90.0)], [], at(1), [ALARM])
+        url = f"nats://127.0.0.1:{server.port}"
+        delivery = delivery_to(NatsSink(url, subject=subject, stream="plant"), writer)
+        await run_until(delivery, lambda: delivery.status().cursor >= 2)
+        assert delivery.status().set_aside == 0
+        client = await nats.connect(url)
+        stream = await client.jetstream().stream_info("plant")
+        assert stream.state.messages == 2
+        message = await client.jetstream().get_last_msg("plant", f"{subject.partition('.')[0]}.alarms")
+        assert json.loads(message.data)["text"] == "above 80 rpm"
+        await client.close()

@@ -15,6 +15,7 @@ from typing import Final, TypeVar
 
 from ....errors import InvalidRequest, Overloaded
 from ....points.point import Point
+from ..sample_clock import EARLIEST
 from ..samples import NANOSECONDS, SampleBatch
 from .book import AlarmBook
 from .events import AlarmEvent, AlarmKey, AlarmState, RaisedAlarm, alarms_after, fold_event
@@ -169,6 +170,11 @@ class CollectorAlarms:
         for reader in self._readers:
             reader.take(events)
 
+    def mend(self, shift: int) -> None:
+        """Move times from before the wall clock was set."""
+        self._raised = {key: _moved(alarm, shift) for key, alarm in self._raised.items()}
+        self._journal = deque((_moved(event, shift) for event in self._journal), maxlen=RECENT)
+
     def end(self) -> None:
         """End all consumers of alarm events."""
         self._ended = True
@@ -183,3 +189,10 @@ class CollectorAlarms:
     def _tell(self, events: Sequence[AlarmEvent]) -> None:
         if events:
             self._keep(events)
+
+
+def _moved(named: Named, shift: int) -> Named:
+    """An alarm or event whose times from before the wall clock was set are mended."""
+    names = ("at",) if isinstance(named, AlarmEvent) else ("since", "acknowledged_at", "cleared_at")
+    found = {name: getattr(named, name) for name in names}
+    return replace(named, **{name: at + shift for name, at in found.items() if at is not None and at < EARLIEST})

@@ -6,31 +6,40 @@ Knows when to send, to wait, to drop and to set aside; knows no receiver.
 2. A sink that is down is tried again after a pause that doubles up to `PAUSE_LIMIT`. Samples wait in the store.
 3. They wait for `keep` seconds at most. Older ones are dropped for this sink, oldest first, and counted. So are those
    that retention takes from the store before they were sent.
-4. Samples that the receiver refuses are found by halving the batch, and set aside in a file, up to `ASIDE_LIMIT` bytes;
+4. A sample is handed on where the rule of the sink and that of its point say so, each measured from the sample that
+   this sink got before; in any case where its quality has changed, or after the shorter ``max_silence`` of both.
+5. Samples that the receiver refuses are found by halving the batch, and set aside in a file, up to `ASIDE_LIMIT` bytes;
    then they are only counted. All others are sent.
+6. Samples from before the wall clock was set wait until they are mended, so that the receiver gets them once with their
+   right time; after `CLOCK_WAIT` seconds they are handed on as they are, and not again.
 """
 
 import asyncio
 import json
 import logging
 import time
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from ....errors import ConfigError
 from ....points.point_rules import ReportRule
+from ..sample_clock import EARLIEST
 from ..samples import NANOSECONDS, reason_text
-from ..store.committed_samples import CommitReader, CommittedSample
+from ..store.committed_samples import CommitReader, CommittedAlarm, CommittedSample
 from ..store.manifest import Manifest
-from .interface import Sink, SinkDown, SinkRefused
+from .documents import alarm_document
+from .interface import AlarmSink, Sink, SinkDown, SinkRefused
 
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 30.0
+CLOCK_WAIT: Final = 600.0
+"""Seconds for which samples from before the wall clock was set wait for it."""
 ASIDE: Final = "set-aside"
 ASIDE_LIMIT: Final = 16 * 1024 * 1024
+_EVERY: Final = ReportRule()
 
 _log = logging.getLogger("busway.sinks")
 
@@ -94,7 +103,9 @@ class Delivery:
         manifest: Manifest,
         options: DeliveryOptions | None = None,
         *,
+        point_rules: Mapping[tuple[str, str], ReportRule] | None = None,
         now: Callable[[], int] = time.time_ns,
+        monotonic: Callable[[], float] = time.monotonic,
         pause: Callable[[float], Awaitable[object]] = asyncio.sleep,
     ) -> None:
         """Continue at the sink's cursor; a new sink begins with the oldest samples of the store.
@@ -105,17 +116,21 @@ class Delivery:
             folder: the store.
             manifest: of the store, opened for writing.
             options: how samples are handed on.
+            point_rules: by device and point, when the samples of a point are handed on, as its file says.
             now: nanoseconds since 1970 UTC.
+            monotonic: seconds of a clock that nobody sets.
             pause: waits some seconds.
         """
         self.name = name
         self._sink, self._folder, self._manifest = sink, folder, manifest
         self.options: DeliveryOptions = options or DeliveryOptions()
-        self._now, self._pause = now, pause
+        self._now, self._pause, self._monotonic = now, pause, monotonic
+        self._unset_since: float | None = None
         self._reader = CommitReader(folder, manifest)
         self._cursor, self._lost = manifest.cursors().get(name, (0, 0))
         manifest.set_cursor(name, self._cursor, self._lost)
         self._named: dict[tuple[str, str], bool] = {}
+        self._point_rules: Mapping[tuple[str, str], ReportRule] = point_rules or {}
         self._reported: dict[tuple[str, str], CommittedSample] = {}
         self._sent = self._aside = 0
         self._error: str | None = None
@@ -124,6 +139,10 @@ class Delivery:
     def note_defect(self, error: Exception) -> None:
         """Show in the status why the delivery ended unexpectedly."""
         self._error = f"failed unexpectedly: {str(error) or type(error).__name__}"
+
+    def set_point_rules(self, rules: Mapping[tuple[str, str], ReportRule]) -> None:
+        """Go on with the rules of a file that was read again. Safe from any thread."""
+        self._point_rules = rules
 
     def status(self) -> SinkStatus:
         """The status of this delivery. Safe from any thread."""
@@ -154,17 +173,33 @@ class Delivery:
         found = await asyncio.to_thread(self._reader.read, self._cursor, self.options.most)
         if found is None:
             return False
+        if self._waits_for_the_clock(found.samples):
+            return False
         wanted = self._wanted(found.samples)
+        sink = self._sink
+        alarms = found.alarms if isinstance(sink, AlarmSink) else []
+        alarms = [each for each in alarms if self._is_named((each.event.device, each.event.point))]
+        if (wanted or alarms) and not self._is_open:
+            await sink.open()
+            self._is_open = True
         if wanted:
-            if not self._is_open:
-                await self._sink.open()
-                self._is_open = True
             await self._send(wanted)
+        if alarms and isinstance(sink, AlarmSink):
+            await self._send_alarms(sink, alarms)
         self._error = None if self._aside == 0 else self._error
         await asyncio.to_thread(self._move, found.last)
         for sample in wanted:
             self._reported[sample.device, sample.point] = sample
         return len(found.samples) >= self.options.most or not found.samples
+
+    def _waits_for_the_clock(self, samples: Sequence[CommittedSample]) -> bool:
+        """Whether samples wait to be mended (rule 6)."""
+        if all(sample.time >= EARLIEST for sample in samples):
+            self._unset_since = None
+            return False
+        if self._unset_since is None:
+            self._unset_since = self._monotonic()
+        return self._monotonic() - self._unset_since < CLOCK_WAIT
 
     def _move(self, cursor: int) -> None:
         # Retention may have counted losses meanwhile.
@@ -209,7 +244,11 @@ class Delivery:
     def _is_due(self, last: CommittedSample, sample: CommittedSample) -> bool:
         if last.reason != sample.reason:
             return True
-        return self.options.report.is_due(last.value, sample.value, (sample.time - last.time) / NANOSECONDS)
+        rules = (self.options.report, self._point_rules.get((sample.device, sample.point), _EVERY))
+        silence = (sample.time - last.time) / NANOSECONDS
+        if any(rule.max_silence is not None and silence >= rule.max_silence for rule in rules):
+            return True
+        return all(rule.is_due(last.value, sample.value, silence) for rule in rules)
 
     async def _send(self, samples: Sequence[CommittedSample]) -> None:
         """Send samples; those that the sink refuses are found and set aside."""
@@ -228,20 +267,36 @@ class Delivery:
             self._aside += 1
             await asyncio.to_thread(self._set_aside, samples[0], str(error))
 
+    async def _send_alarms(self, sink: AlarmSink, alarms: Sequence[CommittedAlarm]) -> None:
+        """Send events of alarms; those that are refused are set aside."""
+        try:
+            await sink.send_alarms(alarms)
+        except SinkRefused as error:
+            if self._aside == 0:
+                _log.error("sink %s refused events of alarms, which are set aside: %s", self.name, error)
+            self._error = str(error)
+            self._aside += len(alarms)
+            for each in alarms:
+                await asyncio.to_thread(self._write_aside, {**alarm_document(each).content, "error": str(error)})
+
     def _set_aside(self, sample: CommittedSample, error: str) -> None:
+        self._write_aside(
+            {
+                "device": sample.device,
+                "point": sample.point,
+                "time": sample.time,
+                "value": sample.value,
+                "reason": reason_text(sample.reason),
+                "error": error,
+            }
+        )
+
+    def _write_aside(self, line: dict[str, Any]) -> None:  # what JSON has
         folder = self._folder / ASIDE
         folder.mkdir(mode=0o700, exist_ok=True)
         path = folder / f"{self.name}.jsonl"
         if path.exists() and path.stat().st_size > ASIDE_LIMIT:
             return
-        line = {
-            "device": sample.device,
-            "point": sample.point,
-            "time": sample.time,
-            "value": sample.value,
-            "reason": reason_text(sample.reason),
-            "error": error,
-        }
         with path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
 

@@ -11,7 +11,7 @@ from itertools import groupby
 from typing import Any
 
 from ..samples import Quality, reason_text
-from ..store.committed_samples import CommittedSample
+from ..store.committed_samples import CommittedAlarm, CommittedSample
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +68,24 @@ def sample_document(sample: CommittedSample) -> dict[str, Any]:
         "quality": sample.quality.name.lower(),
         "reason": reason_text(sample.reason),
     }
+
+
+def alarm_document(alarm: CommittedAlarm) -> Document:
+    """An event of an alarm: ``event`` is raised, acknowledged, cleared or removed; times are nanoseconds since 1970."""
+    event = alarm.event
+    key = f"alarm-{alarm.commit}-{alarm.place}"
+    content = {
+        "device": event.device,
+        "point": event.point,
+        "limit": event.limit,
+        "event": event.kind.value,
+        "time": event.at,
+        "value": json_number(event.value),
+        "text": event.text,
+        "by": event.by,
+        "key": key,
+    }
+    return Document(event.device, key, content)
 
 
 def json_number(value: Any) -> Any:  # whatever a sample can be

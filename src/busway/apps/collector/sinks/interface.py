@@ -1,10 +1,10 @@
 """The interface of sinks. Knows samples and errors; knows no store and no receiver."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from ....errors import ModbusError
-from ..store.committed_samples import CommittedSample
+from ..store.committed_samples import CommittedAlarm, CommittedSample
 
 
 class SinkDown(ModbusError):
@@ -34,3 +34,11 @@ class Sink(Protocol):
 
     async def close(self) -> None:
         """Disconnect from the receiver; raises nothing."""
+
+
+@runtime_checkable
+class AlarmSink(Protocol):
+    """A sink that takes events of alarms too. They come after the samples of their commit, and again like those."""
+
+    async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
+        """Send events; when it returns, the receiver has taken them. Raises `SinkDown`, `SinkRefused`."""

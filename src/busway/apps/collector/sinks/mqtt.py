@@ -6,7 +6,8 @@ Knows topics and payloads; the protocol is aiomqtt's (``busway[mqtt]``).
    which is the same at a repetition.
 2. One message for each device and commit (`documents`), or with ``per_point`` one for each sample, in order.
 3. ``{prefix}/status`` is ``online``, retained, and by the last will ``offline``.
-4. Discovery needs a topic for each point; a configuration is sent, retained, when a point is first seen.
+4. Events of alarms go to ``{prefix}/alarms``, one message each.
+5. Discovery needs a topic for each point; a configuration is sent, retained, when a point is first seen.
 """
 
 import asyncio
@@ -20,8 +21,8 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
-from ..store.committed_samples import CommittedSample
-from .documents import documents, sample_document
+from ..store.committed_samples import CommittedAlarm, CommittedSample
+from .documents import alarm_document, documents, sample_document
 from .interface import SinkDown
 
 IN_FLIGHT: Final = 64
@@ -70,6 +71,7 @@ class MqttSink:
             raise ConfigError("discovery needs per_point = true: an entity has one topic", key="discovery")
         self._topic = topic if not per_point or "{point}" in topic else f"{topic}/{{point}}"
         self._status_topic = topic.partition("{")[0].rstrip("/") + "/status"
+        self._alarm_topic = topic.partition("{")[0].rstrip("/") + "/alarms"
         self._per_point, self._retain, self._discovery = per_point, retain, discovery
         self._address: dict[str, Any] = {"hostname": host, "port": port, "username": user, "password": password}
         self._address |= {"tls_context": tls, "identifier": client_id, "timeout": timeout}
@@ -110,6 +112,15 @@ class MqttSink:
         try:
             for begin in range(0, len(messages), IN_FLIGHT):
                 await asyncio.gather(*(self._publish(*each) for each in messages[begin : begin + IN_FLIGHT]))
+        except (mqtt.MqttError, OSError) as error:
+            raise SinkDown(f"the broker {self._where} does not answer: {error}") from error
+
+    async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
+        """Publish events of alarms, and wait for the acknowledgements. Raises `SinkDown`."""
+        mqtt = import_module("aiomqtt")
+        try:
+            for document in map(alarm_document, alarms):
+                await self._publish(self._alarm_topic, document.encode(), document.key, False)
         except (mqtt.MqttError, OSError) as error:
             raise SinkDown(f"the broker {self._where} does not answer: {error}") from error
 

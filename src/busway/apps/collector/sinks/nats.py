@@ -5,7 +5,8 @@ Knows subjects and messages; the protocol is nats-py's (``busway[nats]``).
 1. A message is one device and commit (`documents`). Its ``Nats-Msg-Id`` is the same at a repetition, so the server
    drops what it has already within its window (two minutes by default).
 2. `send` returns when the stream has acknowledged every message.
-3. With ``stream`` it is made where it is not there; else a stream must have the subjects.
+3. Events of alarms go to the subject ``alarms`` behind what stands before ``{device}``: ``busway.alarms``.
+4. With ``stream`` it is made where it is not there; else a stream must have the subjects.
 """
 
 import asyncio
@@ -18,9 +19,9 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
-from ..store.committed_samples import CommittedSample
-from .documents import documents
-from .interface import SinkDown
+from ..store.committed_samples import CommittedAlarm, CommittedSample
+from .documents import alarm_document, documents
+from .interface import SinkDown, SinkRefused
 
 IN_FLIGHT: Final = 64
 """Messages that are sent before the first is acknowledged."""
@@ -58,6 +59,8 @@ class NatsSink:
         require("nats", "a sink to NATS")
         if "{device}" not in subject or "*" in subject or ">" in subject:
             raise ConfigError(f"a subject has {{device}} and no wildcards, not {subject!r}", key="subject")
+        before = subject.partition("{")[0].rstrip(".")
+        self._alarm_subject = f"{before}.alarms" if before else "alarms"
         self._url, self._subject, self._stream, self._timeout = url, subject, stream, timeout
         given = {"user": user, "password": password, "token": token, "tls": tls}
         self._options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
@@ -96,7 +99,10 @@ class NatsSink:
         try:
             await self._jetstream.stream_info(stream)
         except missing:
-            await self._jetstream.add_stream(name=stream, subjects=[self._subject.replace("{device}", "*")])
+            subjects = [self._subject.replace("{device}", "*")]
+            if not self._subject.endswith("{device}") or self._subject.count(".") != self._alarm_subject.count("."):
+                subjects.append(self._alarm_subject)
+            await self._jetstream.add_stream(name=stream, subjects=subjects)
 
     async def close(self) -> None:
         """Disconnect from the server."""
@@ -121,6 +127,19 @@ class NatsSink:
                         for each in messages[begin : begin + IN_FLIGHT]
                     )
                 )
+        except (nats.errors.Error, OSError, TimeoutError) as error:
+            raise SinkDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
+
+    async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
+        """Publish events of alarms, and wait for the acknowledgements. Raises `SinkDown`, `SinkRefused`."""
+        nats = import_module("nats")
+        no_stream = import_module("nats.js.errors").NoStreamResponseError
+        try:
+            for document in map(alarm_document, alarms):
+                headers = {"Nats-Msg-Id": document.key}
+                await self._jetstream.publish(self._alarm_subject, document.encode(), headers=headers)
+        except no_stream as error:
+            raise SinkRefused(f"no stream has the subject {self._alarm_subject}") from error
         except (nats.errors.Error, OSError, TimeoutError) as error:
             raise SinkDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
 

@@ -5,6 +5,8 @@ Knows what was committed last; the format is prometheus-client's (``busway[metri
 1. Only points that the list names are shown: each is a time series that Prometheus keeps.
 2. Bad values, texts and values older than ``stale`` seconds are left out, so that a series ends instead of standing
    still.
+3. A device that is not read (suspended, without connection, in maintenance) has bad last values for that reason, from
+   the begin of that interval until each point is read again: no value stays good while it only grows old.
 """
 
 import threading
@@ -17,7 +19,8 @@ from ....errors import ConfigError
 from ....extras import require
 from ....observe.http import HttpRequest, HttpResponse, HttpService, bind_tcp
 from ....options.text import host_and_port
-from ..samples import NANOSECONDS, PointGroup, Quality, SampleBatch, Value, quality_of
+from ..alarms.events import RaisedAlarm
+from ..samples import NANOSECONDS, PointGroup, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
 from ..store.writer import Commit
 
 _FORGET_ABOVE: Final = 10_000
@@ -31,12 +34,16 @@ class LastValues:
         self._lock = threading.Lock()
         self._batches: dict[PointGroup, SampleBatch] = {}
         self._forget_above = _FORGET_ABOVE
+        self._intervals: dict[str, StateInterval] = {}
 
     def update(self, commit: Commit) -> None:
         """Take in a commit."""
         with self._lock:
             for batch in commit.batches:
                 self._batches[batch.group] = batch
+            for each in commit.intervals:
+                if isinstance(each, StateInterval) and each.reason != Reason.SKIPPED:
+                    self._intervals[each.device] = each
             if len(self._batches) > self._forget_above:
                 self._forget_covered()
                 self._forget_above = max(_FORGET_ABOVE, 2 * len(self._batches))
@@ -56,6 +63,25 @@ class LastValues:
                     found[batch.device, point] = (batch, index)
         return found
 
+    def _reason(self, device: str, reason: int, time: int) -> int:
+        """The reason of a last value: rule 3. The lock is held."""
+        interval = self._intervals.get(device)
+        if interval is None or (interval.end is not None and time > interval.begin):
+            return reason
+        keeps = quality_of(reason) is Quality.BAD and interval.reason != Reason.MAINTENANCE
+        return reason if keeps else interval.reason
+
+    def reason_of(self, device: str) -> int:
+        """Why a device is not read now; 0 while it is."""
+        with self._lock:
+            interval = self._intervals.get(device)
+        return 0 if interval is None or interval.end is not None else interval.reason
+
+    def intervals(self) -> dict[str, StateInterval]:
+        """By device, the last time in which it was not read; it may last."""
+        with self._lock:
+            return dict(self._intervals)
+
     def last(self, device: str, point: str) -> tuple[Value | None, int, int] | None:
         """Value, reason and time of the last sample of one point; None where there was none."""
         found: tuple[Value | None, int, int] | None = None
@@ -64,16 +90,17 @@ class LastValues:
                 if batch.device == device and point in batch.points and (found is None or batch.time >= found[2]):
                     index = batch.points.index(point)
                     reason = batch.reasons if isinstance(batch.reasons, int) else batch.reasons[index]
-                    found = batch.values[index], reason, batch.time
+                    found = batch.values[index], self._reason(device, reason, batch.time), batch.time
         return found
 
     def samples(self) -> Iterator[tuple[str, str, Value | None, int, int]]:
         """Device, point, value, reason and time of the last sample of each point."""
         with self._lock:
-            latest = self._latest()
-        for (device, point), (batch, index) in sorted(latest.items()):
-            reason = batch.reasons if isinstance(batch.reasons, int) else batch.reasons[index]
-            yield device, point, batch.values[index], reason, batch.time
+            found = []
+            for (device, point), (batch, index) in sorted(self._latest().items()):
+                reason = self._reason(device, batch.reason_column()[index], batch.time)
+                found.append((device, point, batch.values[index], reason, batch.time))
+        yield from found
 
 
 class PrometheusPage:
@@ -86,6 +113,7 @@ class PrometheusPage:
         values: LastValues,
         *,
         stale: float = 300.0,
+        alarms: Callable[[], Sequence[RaisedAlarm]] = tuple,
         now: Callable[[], int] = time.time_ns,
     ) -> None:
         """Listen.
@@ -95,6 +123,7 @@ class PrometheusPage:
             points: patterns ``device/point`` of what is shown; at least one.
             values: last values.
             stale: seconds after which a value is left out.
+            alarms: gives the alarms that are active or not acknowledged; from any thread.
             now: nanoseconds since 1970 UTC.
 
         Raises:
@@ -106,6 +135,7 @@ class PrometheusPage:
         if not points:
             raise ConfigError('names no point; points = ["meter-7/*"] shows those of a device', key="points")
         self._points, self._values, self._stale, self._now = tuple(points), values, stale, now
+        self._alarms = alarms
         self._service = HttpService(bind_tcp(*host_and_port(where, "url")), self._answer, name="busway prometheus")
         host, port = self._service.socket.getsockname()[:2]
         self.url: str = f"http://{host}:{port}/metrics"
@@ -140,6 +170,23 @@ class PrometheusPage:
                 moment.add_metric([device, point], at / NANOSECONDS)
         yield value
         yield moment
+        yield from self._alarm_families()
+
+    def _alarm_families(self) -> Iterator[Any]:
+        from prometheus_client.core import GaugeMetricFamily
+
+        names = ["device", "point", "limit"]
+        active = GaugeMetricFamily("busway_alarm_active", "1 for each active alarm.", labels=names)
+        waiting = GaugeMetricFamily(
+            "busway_alarm_unacknowledged", "1 for each alarm that waits for a person.", labels=names
+        )
+        for alarm in self._alarms():
+            if any(fnmatchcase(f"{alarm.device}/{alarm.point}", pattern) for pattern in self._points):
+                for family, holds in ((active, alarm.state.is_active), (waiting, alarm.state.is_unacknowledged)):
+                    if holds:
+                        family.add_metric(list(alarm.key), 1.0)
+        yield active
+        yield waiting
 
 
 class _Collected:

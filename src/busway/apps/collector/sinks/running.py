@@ -10,6 +10,7 @@ import threading
 from collections.abc import Mapping, Sequence
 
 from ....errors import ConfigError
+from ....points.point_rules import ReportRule
 from ..store.writer import StoreWriter
 from .delivery import PAUSE_LIMIT, Delivery, DeliveryOptions, SinkStatus
 from .interface import Sink
@@ -20,12 +21,18 @@ _log = logging.getLogger("busway.sinks")
 class SinkThread:
     """The thread that delivers to all sinks, until `close`."""
 
-    def __init__(self, writer: StoreWriter, sinks: Mapping[str, tuple[Sink, DeliveryOptions]]) -> None:
+    def __init__(
+        self,
+        writer: StoreWriter,
+        sinks: Mapping[str, tuple[Sink, DeliveryOptions]],
+        point_rules: Mapping[tuple[str, str], ReportRule] | None = None,
+    ) -> None:
         """Start the thread and the deliveries.
 
         Args:
             writer: the open store; cursors are in its manifest.
             sinks: by name; a name keeps its cursor over a restart.
+            point_rules: by device and point, when its samples are handed on.
 
         Raises:
             ConfigError: a name is empty or has a character that a file's name cannot have.
@@ -34,13 +41,19 @@ class SinkThread:
             if not name or not all(each.isalnum() or each in "-_." for each in name) or name.startswith("."):
                 raise ConfigError(f"{name!r} is no name of a sink: letters, digits, - _ . are possible", key="name")
         self._deliveries = [
-            Delivery(name, sink, writer.folder, writer.manifest, options) for name, (sink, options) in sinks.items()
+            Delivery(name, sink, writer.folder, writer.manifest, options, point_rules=point_rules)
+            for name, (sink, options) in sinks.items()
         ]
         self._loop = asyncio.new_event_loop()
         self._tasks: set[asyncio.Task[None]] = set()
         self._is_ending = False
         self._thread = threading.Thread(target=self._run, name="busway-sinks", daemon=True)
         self._thread.start()
+
+    def set_point_rules(self, rules: Mapping[tuple[str, str], ReportRule]) -> None:
+        """Go on with the rules of a file that was read again."""
+        for delivery in self._deliveries:
+            delivery.set_point_rules(rules)
 
     def statuses(self) -> Sequence[SinkStatus]:
         """The status of each sink. Safe from any thread."""

@@ -9,6 +9,7 @@
 `commit_thread`      the thread that commits for an event loop, every quarter of a second
 `retention`          which parts are too old or too many
 `journal`            the journal of alarms, and how far accumulators are
+`mending`            samples from before the wall clock was set
 `parts`              rows of one part, whatever its format
 `selection`          which points, which time
 `reading`            `Store`: rows and buckets of all parts as one

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from ..alarms.events import AlarmEvent
+from ..sample_clock import EARLIEST
 from ..samples import Gap, PointDescription, Reason, SampleBatch, StateInterval
 from .writer import Commit, StoreWriter
 
@@ -97,6 +98,8 @@ class Committer:
         self._alarms: deque[tuple[int, AlarmEvent]] = deque()
         self._descriptions: deque[tuple[int, list[PointDescription]]] = deque()
         self._described = 0
+        self._shift: int | None = None
+        self._is_mending = False
         self._taken = 0
         self._waiting = 0
         self._lost_now: Gap | None = None
@@ -190,8 +193,34 @@ class Committer:
 
     def _commit_until_closed(self) -> None:
         while self._wait_for_work():
-            if not self._commit_once():
+            if not self._commit_once() or not self._mend():
                 self._ended.wait(self._retry)
+
+    def mend(self, shift: int) -> None:
+        """Move what was added so far and has a time from before the wall clock was set, by ``shift`` nanoseconds."""
+        with self._changed:
+            self._shift = shift
+            self._changed.notify_all()
+
+    def _mend(self) -> bool:
+        """Mend the next segment, once all samples from before are committed; False where that failed."""
+        with self._changed:
+            shift = self._shift
+            if shift is None or any(batch.time < EARLIEST for batch in self._batches):
+                return True
+        try:
+            if not self._is_mending:
+                self.writer.begin_mending(shift)
+                self._is_mending = True
+            more = self.writer.mend_next()
+        except (sqlite3.Error, OSError) as error:
+            _log.error("samples from before the clock was set cannot be mended yet: %s", error)
+            return False
+        if not more:
+            _log.info("times from before the clock was set are mended: they were %.0f s behind", shift / 1e9)
+            with self._changed:
+                self._shift, self._is_mending = None, False
+        return True
 
     def _wait_for_work(self) -> bool:
         """Wait until a commit is due; False when the committer is to end."""
@@ -212,8 +241,9 @@ class Committer:
             return not self._ending
 
     def _is_due(self) -> bool:
-        """Whether anything waits to be committed. The lock is held."""
-        return bool(self._batches or self._intervals or self._descriptions or self._alarms)
+        """Whether anything waits to be committed or mended. The lock is held."""
+        waits = self._batches or self._intervals or self._descriptions or self._alarms
+        return bool(waits) or self._shift is not None
 
     def _note_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
         """Queue alarm events with the number of the point descriptions that apply to them. The lock is held."""

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ..alarms.events import AlarmEvent
+from ..sample_clock import EARLIEST
 from ..samples import Quality, Value, quality_of
 from .folder import SEGMENTS
 from .journal import alarm_events, alarm_rows
@@ -131,11 +132,13 @@ class CommitReader:
         last = after
         for part in self._parts(after):
             if part.kind == "sealed":
-                if (part.alive or 0) < moment:
+                if EARLIEST <= (part.alive or 0) < moment:
                     last = max(last, part.last_commit or 0)
                 continue
             with closing(open_for_reading(self._folder / SEGMENTS / part.file)) as database:
-                row = database.execute("SELECT max(number) FROM commits WHERE at < ?", (moment,)).fetchone()
+                row = database.execute(
+                    "SELECT max(number) FROM commits WHERE at >= ? AND at < ?", (EARLIEST, moment)
+                ).fetchone()
                 last = max(last, row[0] or 0)
         return last
 

@@ -25,6 +25,7 @@ from ..samples import Gap, Quality, Reason, SampleBatch, StateInterval, Value, q
 from .database import open_database
 from .folder import size_of, sync_file
 from .manifest import INSERT_ALARM, AlarmRow, CounterRow, IntervalRow, StorePart
+from .mending import mend_segment
 
 LOG_LIMIT: Final = 32 * 1024 * 1024
 """Bytes of the write-ahead log from which on it is moved into the file after each commit."""
@@ -130,6 +131,10 @@ class Segment:
     def size(self) -> int:
         """Size of the segment on disk in bytes."""
         return size_of(self.path)
+
+    def mend(self, first: int, shift: int) -> int:
+        """Move what was written before the wall clock was set (`mending`); how many samples."""
+        return mend_segment(self._database, first, shift)
 
     def sync(self) -> None:
         """Make all commits so far durable on disk."""

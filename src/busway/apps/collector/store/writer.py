@@ -21,14 +21,18 @@ from typing import Final, Literal, Self
 
 from ....errors import ConfigError
 from ..alarms.events import AlarmEvent
+from ..sample_clock import EARLIEST
 from ..samples import Gap, PointDescription, PointGroup, Reason, SampleBatch, StateInterval
+from .database import open_database
 from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
 from .journal import forget_old_alarms
 from .manifest import AlarmRow, CounterRow, Manifest, StorePart
+from .mending import mend_segment
 from .retention import Retention, parts_to_drop
 from .sealing import SLOT, Step, can_seal, remove_unfinished, remove_unlisted, seal
 from .segment import Segment, alarms_of, counters_of, facts_of, intervals_of, is_unmade, open_for_reading
 
+EVER: Final = 2**63 - 1
 SEGMENT_SIZE: Final = 256 * 1024 * 1024
 
 Durability = Literal["process", "power"]
@@ -112,6 +116,7 @@ class StoreWriter:
                 remove_unfinished(self.folder, self.manifest)
                 remove_unlisted(self.folder, self.manifest)
                 self._next, self._behind = self.manifest.reserve_numbers()
+                self._first = self._next
                 self._begin_again(now)
                 unless_open.pop_all()
         except (sqlite3.Error, OSError) as error:
@@ -142,6 +147,8 @@ class StoreWriter:
         for part in self.manifest.parts():
             if part.kind == "open":
                 self._finish_listing(part)
+        while self.manifest.fact("mend_from") is not None:
+            self.mend_next()
         alive = self.manifest.fact("alive")
         if alive is not None:
             end = max(alive, now)
@@ -180,6 +187,7 @@ class StoreWriter:
                 with closing(open_for_reading(self.folder / SEGMENTS / part.file)) as database:
                     rows += intervals_of(database)
         ended = {(row.device, row.begin, row.reason) for row in rows if row.end is not None}
+        ended |= {(row.device, row.begin, int(Reason.MAINTENANCE)) for row in self.manifest.maintenance()}  # it goes on
         return [
             StateInterval(row.device, row.begin, None, row.reason)
             for row in rows
@@ -224,6 +232,45 @@ class StoreWriter:
             unless_committed.pop_all()
         self._step("after-commit")
         return Commit(number, now, batches, intervals, alarms)
+
+    def begin_mending(self, shift: int) -> None:
+        """Begin to move what this process wrote before the wall clock was set, by ``shift`` nanoseconds."""
+        self.manifest.set_fact("mend_by", shift)
+        self.manifest.set_fact("mend_from", self._first)
+
+    def mend_next(self) -> bool:
+        """Mend one segment; whether there may be more. A crash in between is made good at the next start.
+
+        Raises:
+            sqlite3.Error, OSError: the segment is as it was.
+        """
+        first, shift = self.manifest.fact("mend_from"), self.manifest.fact("mend_by")
+        if first is None or shift is None:
+            return False
+        with self._files:
+            for part in self.manifest.parts():
+                if part.kind == "closed" and (part.low or EARLIEST) < EARLIEST and (part.last_commit or 0) >= first:
+                    self._mend_closed(part, first, shift)
+                    return True
+            if self._segment is not None:
+                self._segment.mend(first, shift)
+            elif self._part is not None:
+                return True  # the next commit opens it again
+        self.manifest.set_fact("mend_from", None)
+        return False
+
+    def _mend_closed(self, part: StorePart, first: int, shift: int) -> None:
+        path = self.folder / SEGMENTS / part.file
+        with closing(open_database(path, makes=False)) as database:
+            mend_segment(database, first, shift)
+            found = facts_of(database, part, path.stat().st_size)
+            if (found.low or EARLIEST) < EARLIEST:
+                found = replace(found, low=EARLIEST)  # of an earlier process; it is not looked at again
+            self.manifest.close_segment(found, alarms_of(database))
+
+    def _is_to_be_mended(self, part: StorePart) -> bool:
+        """Whether times of a part may move when the clock is set: it is neither sealed nor dropped for its age."""
+        return (part.low or EARLIEST) < EARLIEST and (part.last_commit or 0) >= self._first
 
     def sync(self) -> None:
         """Make what was committed survive a power failure, where not every commit does. Raises `OSError`."""
@@ -302,7 +349,8 @@ class StoreWriter:
         if not self.options.seals or not can_seal():
             return 0
         with self._files:
-            closed = [part for part in self.manifest.parts() if part.kind == "closed"]
+            parts = self.manifest.parts()
+            closed = [part for part in parts if part.kind == "closed" and not self._is_to_be_mended(part)]
             for part in closed:
                 seal(self.folder, self.manifest, part, self._step)
             return len(closed)
@@ -326,4 +374,5 @@ class StoreWriter:
     def _sized_parts(self) -> list[StorePart]:
         segment = self._segment
         size = 0 if segment is None else segment.size()
-        return [replace(part, bytes=size) if part.kind == "open" else part for part in self.manifest.parts()]
+        parts = [replace(part, bytes=size) if part.kind == "open" else part for part in self.manifest.parts()]
+        return [replace(part, high=EVER) if self._is_to_be_mended(part) else part for part in parts]

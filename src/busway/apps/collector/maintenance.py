@@ -1,0 +1,97 @@
+"""Devices in maintenance: which, since when, who began it, and why; kept in the manifest of the store.
+
+Knows the manifest, the audit log and sentences; pollers leave the devices alone.
+
+1. The manifest has it before polling stops, so a start after a crash goes on with it.
+2. It is one interval of the device, with begin and end, over restarts and files that are read again.
+3. Its begin and its end are a sentence in the log and a line of the audit log, with who and why.
+"""
+
+import json
+import logging
+import sqlite3
+from collections.abc import Mapping
+from dataclasses import replace
+
+from ...access.audit_log import AuditLog
+from ...errors import ConfigError
+from .sample_clock import EARLIEST
+from .samples import NANOSECONDS, Reason, StateInterval
+from .store.manifest import MaintenanceRow, Manifest
+
+_log = logging.getLogger("busway.collector")
+
+
+class MaintenanceBook:
+    """The devices of a collector that are in maintenance.
+
+    Args:
+        manifest: of the store, open for writing.
+        audit: the audit log.
+    """
+
+    def __init__(self, manifest: Manifest, audit: AuditLog) -> None:
+        self._manifest, self._audit = manifest, audit
+        self._rows = {row.device: row for row in manifest.maintenance()}
+
+    @property
+    def devices(self) -> Mapping[str, MaintenanceRow]:
+        """Those that are in maintenance, by name."""
+        return self._rows
+
+    def begin(self, device: str, at: int, by: str, why: str) -> MaintenanceRow:
+        """Note that a device is in maintenance; one that is already keeps its begin. Raises `ConfigError`."""
+        known = self._rows.get(device)
+        row = MaintenanceRow(device, at if known is None else known.begin, by, why)
+        try:
+            self._manifest.begin_maintenance(row)
+        except sqlite3.Error as error:
+            raise ConfigError(f"the maintenance of {device} cannot be noted: {error}", key="device") from error
+        self._rows[device] = row
+        _log.warning("device %s is in maintenance: %s, by %s", device, why or "no reason given", by)
+        self._tell(row, "begin", by, why, 0.0)
+        return row
+
+    def end(self, device: str, at: int, by: str, why: str) -> StateInterval:
+        """End the maintenance of a device that is in it; gives its whole interval. Raises `ConfigError`."""
+        row = self._rows[device]
+        try:
+            self._manifest.end_maintenance(device)
+        except sqlite3.Error as error:
+            raise ConfigError(f"the end of maintenance of {device} cannot be noted: {error}", key="device") from error
+        del self._rows[device]
+        end = max(at, row.begin)
+        seconds = (end - row.begin) / NANOSECONDS
+        _log.warning(
+            "maintenance of device %s has ended after %.0f s: %s, by %s; it began by %s: %s",
+            device,
+            seconds,
+            why or "no reason given",
+            by,
+            row.by,
+            row.why or "no reason given",
+        )
+        self._tell(row, "end", by, why, seconds)
+        return StateInterval(device, row.begin, end, Reason.MAINTENANCE)
+
+    def mend(self, shift: int) -> None:
+        """Move begins from before the wall clock was set."""
+        for row in list(self._rows.values()):
+            if row.begin < EARLIEST:
+                self._rows[row.device] = moved = replace(row, begin=row.begin + shift)
+                try:
+                    self._manifest.begin_maintenance(moved)
+                except sqlite3.Error as error:
+                    _log.error("the begin of maintenance of %s cannot be mended: %s", row.device, error)
+
+    def _tell(self, row: MaintenanceRow, what: str, by: str, why: str, seconds: float) -> None:
+        line = {
+            "time": self._audit.timestamp(),
+            "event": "maintenance",
+            "by": by,
+            "device": row.device,
+            "what": what,
+            "why": why,
+            "seconds": round(seconds, 3),
+        }
+        self._audit.append(json.dumps(line, ensure_ascii=True) + "\n")

@@ -1,0 +1,46 @@
+"""Mending: samples from before the wall clock was set get their right time when it is.
+
+Knows one segment and how far its times were behind; the writer says which segments, and when.
+
+1. A segment is mended by one transaction: samples, commits, intervals and alarms whose time is before `EARLIEST` move
+   by the measured difference, and samples that were uncertain for the clock alone become good. Numbers of commits stay.
+2. To mend a segment again changes nothing, so a crash in between is made good by doing all of it again.
+3. Only what one process wrote is moved by what it measured: commits of earlier ones had another difference.
+"""
+
+import sqlite3
+from typing import Final
+
+from ..sample_clock import EARLIEST
+from ..samples import Reason
+
+_MOVED: Final = "CASE WHEN {0} < :earliest THEN {0} + :shift ELSE {0} END"
+
+
+def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
+    """Move what commits from ``first`` on have from before `EARLIEST`; how many samples. Raises `sqlite3.Error`."""
+    known = {"earliest": EARLIEST, "shift": shift, "first": first, "clock": int(Reason.CLOCK)}
+    database.execute("BEGIN IMMEDIATE")
+    try:
+        moved = database.execute(
+            "UPDATE OR REPLACE samples SET time = time + :shift,"
+            " reason = CASE reason WHEN :clock THEN 0 ELSE reason END"
+            " WHERE time < :earliest AND commit_number >= :first",
+            known,
+        ).rowcount
+        columns = ", ".join(f"{name} = {_MOVED.format(name)}" for name in ("at", "low", "high"))
+        database.execute(f"UPDATE commits SET {columns} WHERE number >= :first", known)
+        columns = ", ".join(f"{name} = {_MOVED.format(name)}" for name in ("begin", '"end"'))
+        database.execute(f"UPDATE intervals SET {columns} WHERE commit_number >= :first", known)
+        database.execute(  # the time from the end of an earlier process to the first commit of this one
+            'UPDATE intervals SET "end" = max("end", (SELECT at FROM commits WHERE number = :first))'
+            " WHERE device IS NULL AND commit_number = :first",
+            known,
+        )
+        database.execute(f"UPDATE alarms SET at = {_MOVED.format('at')} WHERE commit_number >= :first", known)
+        database.execute("COMMIT")
+    except BaseException:
+        if database.in_transaction:
+            database.execute("ROLLBACK")
+        raise
+    return moved

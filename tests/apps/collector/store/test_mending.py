@@ -1,0 +1,160 @@
+"""Samples from before the wall clock was set: mended when it is, once, over crashes, and handed on with their time."""
+
+from pathlib import Path
+
+import pytest
+from collected import METER, NOON, SECOND, at
+from deliveries import RecordingSink, delivery_to, run_until
+
+from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
+from busway.apps.collector.sample_clock import SampleClock
+from busway.apps.collector.samples import Gap, Reason, SampleBatch, StateInterval
+from busway.apps.collector.sinks.delivery import CLOCK_WAIT
+from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.retention import Retention
+from busway.apps.collector.store.upkeep import check_store_files
+from busway.apps.collector.store.writer import StoreOptions, StoreWriter
+
+SHIFT = NOON - 100 * SECOND
+"""The clock was set at `NOON`, when it showed 100 s after 1970."""
+
+
+def early(second: float, *, is_right: bool = False) -> SampleBatch:
+    """A read of the meter so many seconds after 1970, or after `NOON` less 100 s."""
+    time = round(second * SECOND) + (SHIFT if is_right else 0)
+    reasons = (0, int(Reason.TIMEOUT), 0) if is_right else (int(Reason.CLOCK), int(Reason.TIMEOUT), int(Reason.CLOCK))
+    return SampleBatch(METER, time, 5, (second, None, "on"), reasons)
+
+
+def written(folder: Path, options: StoreOptions | None = None) -> StoreWriter:
+    """A store with three segments from before the clock was set, and one sample from after it."""
+    writer = StoreWriter(folder, options, now=10 * SECOND)
+    for second in range(11, 100):
+        writer.commit([early(second)], [], second * SECOND)
+        if second in (40, 70):
+            writer.roll()
+    raised = AlarmEvent("meter-7", "voltage", "H", AlarmEventKind.RAISED, 50 * SECOND, 1.0)
+    suspended = StateInterval("meter-7", 60 * SECOND, 61 * SECOND, Reason.SUSPENDED)
+    writer.commit([], [suspended], 99 * SECOND, [raised])
+    writer.commit([early(100.5, is_right=True)], [], at(1))
+    return writer
+
+
+def mend(writer: StoreWriter) -> None:
+    while writer.mend_next():
+        pass
+
+
+def wanted() -> list[tuple[int, float, int]]:
+    seconds = [*map(float, range(11, 100)), 100.5]
+    return [(SHIFT + round(second * SECOND), second, 0) for second in seconds]
+
+
+def voltages(folder: Path) -> list[tuple[int, object, int]]:
+    table = Store(folder).read("meter-7/voltage")
+    rows = zip(table.time, table.value, table.reason, strict=True)
+    return [row for row in rows if row[1] is not None]
+
+
+def test_times_move_by_the_difference_and_are_good(tmp_path: Path) -> None:
+    with written(tmp_path) as writer:
+        assert voltages(tmp_path)[0] == (11 * SECOND, 11, Reason.CLOCK)
+        writer.begin_mending(SHIFT)
+        mend(writer)
+        assert voltages(tmp_path) == wanted()
+        assert set(Store(tmp_path).read("meter-7/current").reason) == {Reason.TIMEOUT, Reason.SUSPENDED}
+        assert [each.begin for each in Store(tmp_path).read("meter-7").intervals] == [SHIFT + 60 * SECOND]
+        assert [each.at for each in Store(tmp_path).alarms()] == [SHIFT + 50 * SECOND]
+        assert check_store_files(tmp_path) == []
+        mend(writer)
+        assert voltages(tmp_path) == wanted()
+
+
+def test_a_crash_while_samples_are_mended_is_made_good_at_the_next_start(tmp_path: Path) -> None:
+    for segments in range(4):
+        folder = tmp_path / str(segments)
+        with written(folder) as writer:
+            writer.begin_mending(SHIFT)
+            for _ in range(segments):
+                assert writer.mend_next()
+        StoreWriter(folder, now=at(500)).close(at(500))
+        assert voltages(folder) == wanted()
+        gaps = [gap for gap in Store(folder).read().gaps if gap.end > at(10)]
+        assert gaps == [Gap(at(1), at(500), Reason.KILLED)]
+
+
+def test_nothing_is_sealed_or_dropped_for_its_age_before_it_is_mended(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    options = StoreOptions(retention=Retention(age=3600.0))
+    with written(tmp_path, options) as writer:
+        assert writer.apply_retention(at(1)) == []
+        assert writer.seal_closed() == 0
+        writer.begin_mending(SHIFT)
+        mend(writer)
+        assert writer.seal_closed() == 3
+        assert voltages(tmp_path) == wanted()
+
+
+def test_the_gap_before_a_start_without_the_time_ends_where_that_start_was(tmp_path: Path) -> None:
+    StoreWriter(tmp_path, now=NOON - 5000 * SECOND).close(NOON - 4000 * SECOND)
+    with written(tmp_path) as writer:
+        writer.begin_mending(SHIFT)
+        mend(writer)
+        (gap,) = Store(tmp_path).read().gaps
+        assert (gap.begin, gap.end) == (NOON - 5000 * SECOND, SHIFT + 10 * SECOND)
+
+
+def test_samples_of_an_earlier_process_stay_as_they_are(tmp_path: Path) -> None:
+    first = StoreWriter(tmp_path, now=3 * SECOND)
+    first.commit([early(5)], [], 5 * SECOND)
+    first.close(6 * SECOND)
+    with written(tmp_path) as writer:
+        writer.begin_mending(SHIFT)
+        mend(writer)
+        assert voltages(tmp_path) == [(5 * SECOND, 5, Reason.CLOCK), *wanted()]
+
+
+def test_the_committer_mends_what_was_added_before_the_clock_was_set_in_the_order_of_reading(tmp_path: Path) -> None:
+    clock, now = SampleClock(0.0, 0), 0
+    committer = Committer(StoreWriter(tmp_path, now=0), now=lambda: now, interval=0.001)
+    for second in range(1, 200):
+        now = clock.time_ns(float(second)) if second != 100 else NOON
+        if second == 100:
+            shift = clock.adjust(100.0, NOON)
+            assert shift == SHIFT
+            committer.mend(shift)
+        reason = 0 if clock.is_right else int(Reason.CLOCK)
+        committer.add(SampleBatch(METER, clock.time_ns(float(second)), 0, (float(second), 1, "on"), reason))
+    assert committer.flush()
+    committer.close()
+    assert voltages(tmp_path) == [(SHIFT + second * SECOND, second, 0) for second in range(1, 200)]
+
+
+async def test_a_sink_gets_them_once_with_their_right_time(tmp_path: Path) -> None:
+    with written(tmp_path) as writer:
+        sink, waits = RecordingSink(), [0.0]
+        delivery = delivery_to(sink, writer)
+        delivery._monotonic = lambda: waits[0]
+        for waits[0] in (0.0, 300.0, CLOCK_WAIT - 1):
+            assert await delivery.step() is False
+        assert sink.taken == []
+        writer.begin_mending(SHIFT)
+        mend(writer)
+        await run_until(delivery, lambda: voltage_times(sink) == [time for time, _, _ in wanted()])
+        assert delivery.status().lost == 0
+
+
+async def test_a_sink_does_not_wait_for_ever_where_nobody_sets_the_clock(tmp_path: Path) -> None:
+    with written(tmp_path) as writer:
+        sink, seconds = RecordingSink(), [0.0]
+        delivery = delivery_to(sink, writer)
+        delivery._monotonic = lambda: seconds[0]
+        assert await delivery.step() is False
+        seconds[0] = CLOCK_WAIT + 1
+        await run_until(delivery, lambda: len(voltage_times(sink)) == 90)
+        assert voltage_times(sink)[0] == 11 * SECOND
+
+
+def voltage_times(sink: RecordingSink) -> list[int]:
+    return [sample.time for sample in sink.taken if sample.point == "voltage" and sample.value is not None]
