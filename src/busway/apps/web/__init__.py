@@ -13,6 +13,9 @@
 `collector_page`      the API and the page of a collector
 `collector_messages`  JSON of its responses
 `collector_commands`  commands and the configuration over HTTP
+`collector_stream`    its WebSocket: changed values, registers of what is shown, alarms and commands
+`collector_log`       what the collector said last, in a bounded ring
+`live_values`         last values, and what has changed since a tick
 ``page``              HTML, style and script
 `faults`              faults of a simulation as the API shows and changes them
 `page_tokens`         the file with the tokens of a page: made at the first start, for its owner alone
