@@ -128,7 +128,7 @@ def test_a_role_changes_what_it_may_and_nothing_else(page: Guarded, role: Role) 
         if role >= needed:
             assert status not in (401, 403), f"{method} {path}: {answer}"
         else:
-            assert (status, needed.label in answer["error"]) == (403, True), f"{method} {path}: {answer}"
+            assert (status, "needs the role" in answer["error"]) == (403, True), f"{method} {path}: {answer}"
 
 
 @pytest.mark.parametrize("role", list(Role), ids=lambda role: role.label)
