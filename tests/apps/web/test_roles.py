@@ -110,6 +110,11 @@ def test_every_route_that_changes_something_says_which_role_it_needs(on_loopback
         assert role >= Role.OPERATE, f"{method} {path}"
 
 
+def test_the_routes_that_change_something_are_tried(on_loopback: Guarded) -> None:
+    paths = {path for _, path, _ in changing(on_loopback)}
+    assert paths >= {"/api/commands", "/api/commands/arm", "/api/commands/x/confirm", "/api/configuration"}
+
+
 def test_without_a_token_nothing_is_changed(page: Guarded) -> None:
     for method, path, _ in changing(page):
         assert page.ask(method, path)[0] in (401, 403), f"{method} {path}"

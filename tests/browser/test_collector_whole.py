@@ -1,0 +1,84 @@
+"""The collector's page in a browser with all that is behind it: writes that reach a device, the file."""
+
+import re
+
+import pytest
+from page_collector import watched_collector
+
+PROFILE = """\
+[[unit]]
+unit = 1
+point = [
+    { name = "speed", address = "4x1", scale = 0.1, unit_of_measure = "rpm", minimum = 0, maximum = 3000, write = { verify = "read-back" } },
+    { name = "level", address = "4x2", access = "read", alarm = [{ kind = "H", limit = 80, acknowledge = true }] },
+]
+"""  # noqa: E501
+
+
+def expect(locator):
+    from playwright.sync_api import expect as expect_
+
+    return expect_(locator)
+
+
+@pytest.fixture
+def plant(tmp_path):
+    with watched_collector(tmp_path, profile=PROFILE) as running:
+        yield running
+
+
+@pytest.fixture
+def signed(new_page, plant):
+    def sign(role):
+        page = new_page(plant.page.url)
+        lines = [line.split() for line in plant.page.token_path.read_text().splitlines() if line[0] != "#"]
+        page.get_by_role("button", name="Sign in").click()
+        page.get_by_role("textbox", name="Token").fill({words[0]: words[1] for words in lines}[role])
+        page.get_by_role("button", name="Use it").click()
+        expect(page.locator("#who")).to_have_text(role)
+        return page
+
+    return sign
+
+
+def row(page, key):
+    return page.locator("#value-rows [role=row]", has=page.get_by_role("button", name=key, exact=True))
+
+
+def test_a_write_reaches_the_device_and_stands_in_the_list(plant, signed, complaints):
+    page = signed("operate")
+    expect(row(page, "pump/speed")).to_contain_text("1.5 rpm")
+    row(page, "pump/speed").get_by_role("button", name="Write pump/speed").click()
+    page.locator("#write-value").fill("4000")
+    page.keyboard.press("Enter")
+    expect(page.locator("#write-message")).to_contain_text("3000")
+    page.locator("#write-value").fill("2.5")
+    page.keyboard.press("Enter")
+    expect(page.locator("#write-sentence")).to_contain_text("1.5")
+    expect(page.locator("#write-sentence")).to_contain_text("2.5")
+    assert plant.device.holding_registers[0] == 15
+    page.get_by_role("button", name="Write now").click()
+    expect(page.locator("#write-outcome")).to_contain_text("Written. The device now has 2.5.")
+    assert plant.device.holding_registers[0] == 25
+    page.get_by_role("button", name="Close", exact=True).click()
+    expect(row(page, "pump/speed")).to_contain_text("2.5 rpm")
+    page.click("#tab-commands")
+    for text in ("operate", "page", "pump/speed", "done"):
+        expect(page.locator("#command-rows tr").first).to_contain_text(text)
+    complaints[:] = [each for each in complaints if "422" not in each]
+
+
+def test_a_configuration_that_is_wrong_is_refused_and_a_right_one_applied(plant, signed, complaints):
+    page = signed("configure")
+    page.click("#tab-configuration")
+    text = page.get_by_label("Collector file")
+    expect(text).to_have_value(re.compile("poll_class"))
+    before = text.input_value()
+    text.fill(before.replace("all.period = 0.1", "all.period = 0"))
+    page.get_by_role("button", name="Check and apply").click()
+    expect(page.locator("#configuration-message")).to_contain_text(re.compile(r"plant\.toml:\d+"))
+    text.fill(before.replace("all.period = 0.1", "all.period = 0.2"))
+    page.get_by_role("button", name="Check and apply").click()
+    expect(page.locator("#configuration-done")).to_contain_text("hall")
+    assert plant.collector.configuration.periods["all"] == 0.2
+    complaints[:] = [each for each in complaints if "422" not in each]
