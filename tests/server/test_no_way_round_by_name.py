@@ -13,6 +13,7 @@ from waiting import until
 
 import busway
 from busway import Policy, Rule
+from busway.apps.server.configuration import parse_configuration
 from busway.testing.line import PacedLine
 
 ANY = "tcp://127.0.0.1:0"
@@ -304,3 +305,32 @@ async def test_a_serial_line_beside_a_network_has_the_rights_of_a_line() -> None
                 with pytest.raises(busway.ExceptionReply, match="exception 01"):
                     await link.unit(1).read_holding_registers(0, count=4)
             client.close()
+
+
+async def test_a_program_that_serves_a_file_obeys_its_policy_and_its_address_lists() -> None:
+    configuration = parse_configuration(
+        f"""
+        listen = ["{ANY}"]
+        [[unit]]
+        unit = 1
+        holding_registers = 10
+        [policy]
+        default = "deny"
+        deny = ["127.0.0.4"]
+        [[policy.rule]]
+        peers = ["{MAY}"]
+        """,
+        "x.toml",
+    )
+    async with configuration.serve() as server:
+        first, other = [await PlainClient.dial(server.endpoints[0], host) for host in (MAY, MAY_NOT)]
+        assert (await ask(first, READ))[0][0] == 3
+        assert await ask(other, READ) == [denied(READ)]
+        stranger = await PlainClient.dial(server.endpoints[0], "127.0.0.4")
+        await until(lambda: stranger.lost)
+        first.close()
+        other.close()
+    async with configuration.serve(policy=None) as server:
+        other = await PlainClient.dial(server.endpoints[0], MAY_NOT)
+        assert (await ask(other, READ))[0][0] == 3
+        other.close()

@@ -7,8 +7,9 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from ..codes import DEFAULT_TCP_PORT
 from ..errors import ConfigError
-from ..options.endpoints import parse_endpoint
+from ..options.endpoints import Endpoint, parse_endpoint
 from ..options.tls import TlsParameters
 from ..server.listener import Listener
 from .certificates import try_certificates
@@ -16,6 +17,9 @@ from .files.lines import Path as Place
 from .files.system import SystemFile
 from .paths import TLS_FILES, within
 from .report import ConfigurationReport, nearest
+
+_EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
+"""Hosts of a URL that stand for every address of this host."""
 
 
 def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
@@ -25,6 +29,36 @@ def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
     for index, rule in enumerate(file.policy.rule):
         if rule.roles is not None:
             report.warn(("policy", "rule", index, "roles"), "no client can have a role: there is no tls:// listener")
+
+
+def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
+    """Warn of rules for listeners that are not in the file: a denial would never hold."""
+    known = [parse_endpoint(url) for _, url in file.places()]
+    if file.policy is None or not known:
+        return
+    for index, rule in enumerate(file.policy.rule):
+        for place, wanted in enumerate(rule.listeners or ()):
+            if not any(_may_be_named(one, wanted) for one in known):
+                sentence = f"there is no listener {wanted}, but {', '.join(one.url for one in known)}"
+                report.warn(("policy", "rule", index, "listeners", place), sentence)
+
+
+def _may_be_named(listener: Endpoint, wanted: str) -> bool:
+    """Whether a rule may mean a listener: as it is configured, as it may be bound, or port 502 beside it."""
+    if wanted.endswith("://"):
+        return listener.scheme == wanted.lower()[:-3]
+    try:
+        meant = parse_endpoint(wanted)
+    except ConfigError:
+        return True  # that is a problem of the rule
+    if meant.scheme != listener.scheme:
+        return False
+    if listener.carrier == "serial":
+        return meant.url == listener.url
+    ports = {listener.port} | ({DEFAULT_TCP_PORT} if listener.scheme == "tcp" else set())
+    is_name = not listener.host.replace(".", "").isdecimal() and ":" not in listener.host
+    hosts = _EVERYWHERE if listener.host in _EVERYWHERE else {listener.host}
+    return meant.port in ports and (meant.host in hosts or (is_name and bool(listener.host)))
 
 
 def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], report: ConfigurationReport) -> None:

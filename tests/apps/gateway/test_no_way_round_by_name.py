@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import socket
 import struct
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from waiting import until
 
 import busway
 from busway import Policy, Rule
+from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
@@ -245,3 +247,57 @@ async def test_rates_are_counted_for_all_listeners_and_connections_of_a_host_and
             assert [reply[0] for reply in await ask(clients[2], READ, times=4)] == [3] * 4
             for client in clients:
                 client.close()
+
+
+@pytest.mark.parametrize("named", [1, 2, 3])
+async def test_a_serial_masters_broadcast_that_a_line_may_not_hear_is_recorded_as_denied_alone(
+    named: int, tmp_path: Path
+) -> None:
+    audit = busway.AuditLog(tmp_path / "audit.jsonl", interval=0, repeat_interval=0)
+    devices = {unit: busway.Device(holding_registers=10) for unit in (1, 2, 3)}
+    policy = Policy.of(Rule.of(name="hands off", action="deny", units=named, functions=[6]), default="allow")
+    async with (
+        busway.serve("rtu+tcp://127.0.0.1:0", units=devices) as line,
+        gateway(
+            line.endpoints[0],
+            route(units=frozenset({1, 2, 3})),
+            policy=policy,
+            audit=audit,
+            listen="rtu+tcp://127.0.0.1:0",
+        ) as (_, master, _),
+    ):
+        send(master, WRITE, 0)
+        assert (await ask(master, READ))[0][:2] == b"\x03\x08"  # what came before it is done
+        assert [device.holding_registers[1] for device in devices.values()] == [0, 0, 0]
+    audit.close()
+    lines = [json.loads(line) for line in (tmp_path / "audit.jsonl").read_text().splitlines()]
+    assert {(line["outcome"], line["rule"]) for line in lines} == {("denied", "hands off")}
+    assert named in {line["unit"] for line in lines}
+
+
+async def test_a_rule_of_a_file_names_a_listener_on_every_address_by_its_name() -> None:
+    with socket.socket() as probe:
+        probe.bind(("", 0))
+        port = probe.getsockname()[1]
+    async with RecordingServer({1: PlainDevice()}) as behind:
+        configuration = parse_gateway(
+            f"""
+            [[listener]]
+            name = "office"
+            url = "tcp://:{port}"
+            [[link]]
+            name = "line"
+            url = "{behind.url}"
+            [policy]
+            default = "allow"
+            [[policy.rule]]
+            action = "deny"
+            listeners = ["office"]
+            """,
+            "x.toml",
+        )
+        async with configuration.serve(standard_port=False) as made:
+            client = await PlainClient.dial(made.endpoints[0], MAY)
+            assert await ask(client, READ) == [denied(READ)]
+            assert not behind.record
+            client.close()

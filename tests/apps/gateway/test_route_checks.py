@@ -219,6 +219,13 @@ def test_a_way_that_another_rule_closes_too_is_not_odd_though_the_rules_differ()
     assert "does not hold for unit 103" in sentence
 
 
+def test_a_unit_that_is_said_to_be_the_same_device_is_another_way_to_it() -> None:
+    hall = LINE + "same_device = [[3, 4]]\n"
+    (sentence,) = warned(LISTENER, hall, rules('action = "deny"\nunits = 3'))
+    assert "does not hold for unit 4" in sentence
+    assert warned(LISTENER, hall, rules('action = "deny"\nunits = "3-4"')) == []
+
+
 def test_a_rule_is_compared_with_what_its_own_clients_may_do_by_the_other_way() -> None:
     rule = 'action = "deny"\npeers = ["10.0.0.0/8"]\nunits = 3'
     assert warned(*MERGED, rules(rule, 'action = "allow"\npeers = ["10.1.0.0/16"]\nunits = 103', default="deny")) == []

@@ -207,6 +207,33 @@ def test_rules_for_roles_that_nobody_can_have_are_odd_but_can_be() -> None:
     assert parse_configuration(SYSTEM, "x.toml").warnings == ()
 
 
+@pytest.mark.parametrize(
+    ("configured", "named", "odd"),
+    [
+        ("tcp://10.0.0.5:5020", "tcp://10.0.0.5:5020", False),
+        ("tcp://10.0.0.5:5020", "tcp://10.0.0.5", False),  # port 502 may be opened beside it
+        ("tcp://10.0.0.5:5020", "tcp://", False),
+        ("tcp://:5020", "tcp://0.0.0.0:5020", False),
+        ("tcp://:5020", "tcp://[::]:5020", False),
+        ("tcp://localhost:5020", "tcp://127.0.0.1:5020", False),
+        ("tcp://10.0.0.5:5020", "tcp://10.0.0.5:5021", True),
+        ("tcp://10.0.0.5:5020", "tcp://10.0.0.6:5020", True),
+        ("tcp://10.0.0.5:5020", "udp://10.0.0.5:5020", True),
+        ("tcp://10.0.0.5:5020", "tls://", True),
+        ("tcp://:5020", "tcp://10.0.0.5:5020", True),
+        ("rtu:///dev/a", "rtu:///dev/b", True),
+        ("rtu:///dev/a", "rtu:///dev/a", False),
+    ],
+)
+def test_rules_for_listeners_that_are_not_there_are_odd(configured: str, named: str, odd: bool) -> None:
+    text = f'listen = ["{configured}"]\n{UNIT}[policy]\ndefault = "allow"\n[[policy.rule]]\n'
+    text += f'action = "deny"\nlisteners = ["{named}"]\n'
+    found = [str(one) for one in parse_configuration(text, "x.toml").warnings if "policy" in str(one)]
+    assert [one.partition("warning: ")[2] for one in found] == (
+        [f"there is no listener {named}, but {configured}"] if odd else []
+    )
+
+
 @pytest.mark.clause("T20")
 def test_a_listener_on_every_interface_is_taken_with_a_warning() -> None:
     (warning,) = parse_configuration('listen = ["tcp://0.0.0.0:502"]\n' + UNIT, "x.toml").warnings

@@ -95,11 +95,14 @@ class GatewayConfiguration:
         return self.common.warnings
 
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> Gateway:  # Any: as `Gateway` takes them
-        """Create the gateway that the file declares, not started yet.
+        """Create the gateway that the file declares, not started yet, with the policy and the address lists of its file.
+
+        The audit log, metrics and control socket are opened by `busway gateway`; a program opens those that it wants.
 
         Args:
             listen: listeners that replace those of the file, one for one.
-            options: ``authorize``, ``policy`` and ``audit`` as of `Gateway`; ``standard_port`` as of `busway.serve`.
+            options: ``authorize`` and ``policy`` instead of those of the file, ``audit`` as of `Gateway`;
+                ``standard_port`` as of `busway.serve`.
 
         Raises:
             ConfigError: an invalid option.
@@ -108,7 +111,7 @@ class GatewayConfiguration:
         beside = options.pop("standard_port", None)
         if beside is not None:
             plan = replace(plan, server={**plan.server, "standard_port": beside})
-        return Gateway(plan, **options)
+        return Gateway(plan, **{**self.common.guarded(), **options})
 
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
         """Apply this configuration to a running gateway. Returns what changed, in words.

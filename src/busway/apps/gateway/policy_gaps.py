@@ -5,7 +5,7 @@ numbers of the listener. If a second route gives the same device another unit, o
 for the first numbers does not hold for the second: `gateway check` warns where more is permitted there.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, permutations
 
 from ...access.notation import Range
@@ -25,9 +25,14 @@ Access = tuple[type[Request], TouchedRange]
 """A function, and what it touches."""
 
 
-def policy_gaps(policy: Policy, routes: Sequence[PlacedRoute]) -> Iterator[tuple[Place, str]]:
-    """The rules that some route to their device bypasses: the path of each in the file, and a message."""
-    devices = _reached_in_several_ways(routes)
+def policy_gaps(
+    policy: Policy, routes: Sequence[PlacedRoute], same_device: Mapping[str, Sequence[frozenset[int]]]
+) -> Iterator[tuple[Place, str]]:
+    """The rules that some route to their device bypasses: the path of each in the file, and a message.
+
+    ``same_device``: by name of upstream, the groups of units there that are one device.
+    """
+    devices = _reached_in_several_ways(routes, same_device)
     if not devices:
         return
     accesses = _accesses(policy, routes)
@@ -60,13 +65,17 @@ def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[Access]:
     return list(found.values())
 
 
-def _reached_in_several_ways(routes: Sequence[PlacedRoute]) -> list[list[Way]]:
+def _reached_in_several_ways(
+    routes: Sequence[PlacedRoute], same_device: Mapping[str, Sequence[frozenset[int]]]
+) -> list[list[Way]]:
     """The ways to each device that is reached by two units, or with two shifts."""
     devices: dict[tuple[str, int], list[Way]] = {}
     for one in routes:
         if one.route.upstream:
             for unit in sorted(one.route.units):
-                devices.setdefault((one.route.upstream, one.route.upstream_unit(unit)), []).append((one, unit))
+                behind = one.route.upstream_unit(unit)
+                alike = next((group for group in same_device.get(one.route.upstream, ()) if behind in group), (behind,))
+                devices.setdefault((one.route.upstream, min(alike)), []).append((one, unit))
     return [ways for ways in devices.values() if len({(unit, one.route.shift) for one, unit in ways}) > 1]
 
 

@@ -76,7 +76,11 @@ def check_routes(
         *_hidden_own_unit(file, routes),
         *_idle_listeners(routes, listeners),
         *_upstreams_slower_than_the_default(routes, listeners, upstreams),
-        *(() if policy is None else policy_gaps(policy, routes)),
+        *(
+            ()
+            if policy is None
+            else policy_gaps(policy, routes, {name: each.same_device for name, each in upstreams.items()})
+        ),
         *_same_servers(file, upstreams),
     ):
         report.warn(at, sentence)

@@ -278,6 +278,9 @@ class ListenerRouter:
                 return outcome if isinstance(outcome, Forwarding) else SILENCE
             if way is not None:
                 self._refused(context, way)
+                executed.add(-id(forwarder))
+        elif -id(forwarder) in executed:
+            context.judged = None  # it was refused for all units of the line, and that is recorded
         return SILENCE
 
     def _takers(self) -> list[str]:

@@ -23,7 +23,7 @@ from ...config.files.schema import parse_with_source
 from ...config.files.system import SystemFile
 from ...config.links import NamedLink, named_links
 from ...config.paths import rooted, within
-from ...config.preflight import check_files, check_roles
+from ...config.preflight import check_files, check_listener_names, check_roles
 from ...config.reading import read_text
 from ...config.report import ConfigurationReport, nearest
 from ...errors import ConfigError
@@ -79,7 +79,9 @@ class Configuration:
     def serve(
         self, listen: Iterable[str | Listener] = (), **options: Any
     ) -> "Server":  # Any: as `busway.serve` takes them
-        """Create a server for the units of the file, not started yet.
+        """Create a server for the units of the file, not started yet, with its policy and its address lists.
+
+        The audit log, metrics and control socket are opened by `busway serve`; a program opens those that it wants.
 
         Args:
             listen: endpoints, or `Listener`s, instead of those of the file.
@@ -94,7 +96,9 @@ class Configuration:
         if not self.file.unit:
             raise ConfigError("there is no unit to serve", file=self.name, key="unit")
         units = options.pop("units", None) or build_units(self.file)
-        return serve(*(tuple(listen) or self.listeners), **{"units": units, **self.served(), **options})
+        return serve(
+            *(tuple(listen) or self.listeners), **{"units": units, **self.served(), **self.guarded(), **options}
+        )
 
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
         """Do nothing to a running server beyond its policy and lists: other changes take effect at the next start."""
@@ -104,6 +108,10 @@ class Configuration:
         """The options of `busway.serve` that the file sets."""
         chosen = self.file.server.options() | dict(self.changes)
         return chosen if self.tls is None else {**chosen, "tls": self.tls}
+
+    def guarded(self) -> dict[str, Any]:  # as `busway.serve` takes them
+        """Policy and address lists of the file, as options of `busway.serve`; empty without ``[policy]``."""
+        return {} if self.access is None else {"policy": self.access.policy, "authorize": self.access.addresses}
 
     def open(self, name: str, *, shared: bool = True) -> "AsyncLink":
         """A named link for asyncio programs, as `busway.open` gives it. Raises `ConfigError` if there is none."""
@@ -211,6 +219,7 @@ def put_together(
     listeners = [makers.listener(place, parse_endpoint(url)) for place, url in file.places()]
     links = named_links(file, lambda options: rooted(options, name), report, link_defaults)
     check_roles(file, report)
+    check_listener_names(file, report)
     if preflight:
         check_files(file, name, listeners, report)
     return Configuration(
