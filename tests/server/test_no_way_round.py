@@ -13,12 +13,13 @@ import pytest
 from plain_device import SIZE, PlainDevice
 from policy_chance import HOSTS, Chance, policy_of
 from policy_clients import connected
-from policy_oracle import Asker, ModelPolicy, Verdict, judge
+from policy_oracle import COIL, HOLDING, Asker, ModelPolicy, Verdict, asked, judge
 from policy_walk import Judge, Tally, Walk
 
 import busway
 from busway.codes import Table
 from busway.observe.metrics.observer import MetricsObserver
+from busway.server.hooks import Access
 from busway.testing.certificates import CertificateFiles, CertificateStore
 
 SEEDS = range(15)
@@ -46,17 +47,35 @@ def served(plain: PlainDevice) -> busway.Device:
     )
 
 
+def watch(device: busway.Device, seen: list[tuple[str, int, int]]) -> None:
+    """Let a device note what it is asked for; where it has hooks, requests take the generic path."""
+
+    def note(access: Access) -> None:
+        seen.append((COIL if access.table is Table.COILS else HOLDING, access.address, access.count))
+
+    device.on_read(Table.HOLDING_REGISTERS, note)
+    device.on_write(Table.HOLDING_REGISTERS, note)
+    device.on_write(Table.COILS, note)
+
+
 class ServerWorld:
     """A server with devices of this process, and plain devices as the model of them."""
 
     def __init__(
-        self, server: busway.Server, devices: Mapping[int, busway.Device], plain: Mapping[int, PlainDevice], audit: Path
+        self,
+        server: busway.Server,
+        devices: Mapping[int, busway.Device],
+        plain: Mapping[int, PlainDevice],
+        audit: Path | None,
+        asked_of_devices: list[tuple[str, int, int]],
     ):
         self._server = server
         self._devices = devices
         self.devices = plain
         self.line_units = frozenset(plain)
         self.audit = audit
+        self._asked = asked_of_devices
+        self._may: set[tuple[str, int, int]] = set()
         self.endpoints: Sequence[str] = server.endpoints
 
     def known_units(self, unit: int) -> frozenset[int]:
@@ -83,17 +102,22 @@ class ServerWorld:
     def permitted(self, unit: int, pdu: bytes) -> bytes | None:
         """As the model answers."""
         plain = self._plain(unit)
+        self._may |= {(one.space, one.first, one.last - one.first + 1) for one in asked(pdu).touched}
         return bytes((pdu[0] | 0x80, 0x0B)) if plain is None else plain.execute(pdu)
 
     def refused(self, unit: int, pdu: bytes) -> None:
-        """What is refused changes nothing."""
+        """What is refused changes nothing, but it may have been asked."""
+        self._may |= {(one.space, one.first, one.last - one.first + 1) for one in asked(pdu).touched}
 
     def replace(self, policy: ModelPolicy) -> None:
         """At once."""
         self._server.replace_policy(policy_of(policy))
 
     def check(self, about: object) -> None:
-        """Every item that can be written."""
+        """Every item that can be written, and what the hooks of the devices saw."""
+        assert set(self._asked) <= self._may, f"{set(self._asked) - self._may}: {about}"
+        self._asked.clear()
+        self._may.clear()
         for unit, plain in self.devices.items():
             device = self._devices[unit]
             held = struct.pack(f">{SIZE}H", *plain.holding)
@@ -121,20 +145,25 @@ async def walk(seed: int, steps: int, tmp_path: Path, certificates: Mapping[str 
     if random.random() < 0.3:
         urls.append(f"tls://127.0.0.1:0?{certificates[None].query()}")
     path = tmp_path / f"{seed}.jsonl"
-    audit = busway.AuditLog(path, interval=0, repeat_interval=0)
+    audit = None if random.random() < 0.3 else busway.AuditLog(path, interval=0, repeat_interval=0)
+    seen: list[tuple[str, int, int]] = []
+    if random.random() < 0.25:
+        for device in made.values():
+            watch(device, seen)
     chance = Chance(seed, SCHEMES, (1, 1, 1, 2, 3, 0, 255, 9))
     policy = chance.policy()
     server = busway.serve(*urls, units=devices, policy=policy_of(policy), audit=audit)
     if random.random() < 0.5:
         server.observe(MetricsObserver())
     async with server, connected(server.endpoints, HOSTS, certificates) as clients:
-        world = ServerWorld(server, devices, plain, path)
+        world = ServerWorld(server, devices, plain, None if audit is None else path, seen)
         judge = Judge(world, policy, seed)
         try:
             tally = await Walk(world, clients, chance, judge, one_unit_together=False).go(steps)
         finally:
             judge.close()
-            audit.close()
+            if audit is not None:
+                audit.close()
     return tally
 
 
