@@ -95,7 +95,7 @@ class GatewayConfiguration:
         return self.common.warnings
 
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> Gateway:  # Any: as `Gateway` takes them
-        """Create the gateway that the file declares, not started yet, with the policy and the address lists of its file.
+        """Create the gateway that the file declares, not started yet, with its policy and address lists.
 
         The audit log, metrics and control socket are opened by `busway gateway`; a program opens those that it wants.
 
