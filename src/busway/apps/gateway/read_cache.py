@@ -93,10 +93,8 @@ class ReadCache(Generic[Shared]):
         self._open_writes += more_writes
         self._unit(unit).open_writes += more_writes
         concerned = self._units if unit in ANY_DEVICE else self._concerned.get(unit, (unit, *ANY_DEVICE))
-        for each in concerned:
-            state = self._units.get(each)
-            if state is not None:
-                state.forget()
+        for state in filter(None, map(self._units.get, concerned)):
+            state.forget()
 
     def _is_quiet(self, unit: int) -> bool:
         """Whether no write in progress concerns a unit."""
