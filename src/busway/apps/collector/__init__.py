@@ -22,5 +22,6 @@
 `sinks`           other systems that get what a store keeps
 `alarms`          alarms of points: limits and states, with delay, hysteresis, acknowledgement and a journal
 `dashboards`      dashboards for Grafana: one for the collector's page for Prometheus
+`maintenance`     devices in maintenance: which, since when, who began it, and why
 ================  ==========================================================================================
 """

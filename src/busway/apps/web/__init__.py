@@ -22,6 +22,7 @@
 `collector_log`       what a collector said last, for its page
 `collector_stream`    `/stream` of a collector's page: a WebSocket that tells changed values
 `live_values`         last committed value of each point, and what has changed since a tick
+`collector_alarms`    the alarms of a collector and the maintenance of its devices, over HTTP
 ====================  ================================================================================
 
 1. It needs the extra ``web``, and is imported only when the page is started.

@@ -1,4 +1,4 @@
-"""What a collector said last, for its page: the records of all loggers of busway, in a bounded ring.
+"""The latest log messages of a collector, for its page: records of all loggers of busway, in a bounded buffer.
 
 Knows `logging`; knows no request. Records come from any thread.
 
@@ -24,7 +24,7 @@ _NUMBERS: Final = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logg
 
 
 class CollectorLog(logging.Handler):
-    """The last messages while the ``with`` block lasts."""
+    """Log handler that keeps the latest messages while its ``with`` block lasts."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)

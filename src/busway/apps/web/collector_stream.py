@@ -44,13 +44,13 @@ _MILLION: Final = 1_000_000
 
 
 class Shown(Asked):
-    """What a viewer shows from now on: places of points, as ``/api/points`` lists them."""
+    """A viewer's message that says which points it shows from now on, by their places in ``/api/points``."""
 
     shown: Annotated[list[Annotated[int, Field(ge=0)]], Field(max_length=MOST_SHOWN)]
 
 
 class Viewer:
-    """One WebSocket, what it has seen and what it shows."""
+    """One WebSocket of the page: what it was sent, and which points it shows."""
 
     def __init__(self) -> None:
         self.seen: int = 0
@@ -65,7 +65,7 @@ class Viewer:
 
 
 class CollectorStream:
-    """All viewers of one collector.
+    """The WebSockets of all viewers of one collector.
 
     Args:
         collector: it has begun.
@@ -95,7 +95,7 @@ class CollectorStream:
         self.values.update(commit)
 
     def refresh(self) -> LiveValues:
-        """The values of now; anew where the file was read again and the points are others."""
+        """The current values; a new object if a reload of the file has changed the points."""
         if self._collector.configuration is not self._configuration:
             self._configuration = self._collector.configuration
             points = _points_of(self._collector)
@@ -129,7 +129,7 @@ class CollectorStream:
         )
 
     def _tell_alarms(self) -> None:
-        """Tell how many alarms there are, where that has become another number, and to viewers that are new."""
+        """Send the number of alarms to viewers, if it has changed, and to new viewers."""
         counts = self._collector.alarms.counts()
         content = {"alarms": {"active": counts[0], "unacknowledged": counts[1]}}
         for viewer in self._viewers:
@@ -202,7 +202,7 @@ class CollectorStream:
     # What is shown.
 
     def _raw(self, viewer: Viewer) -> dict[int, str]:
-        """Registers of the points that a viewer shows, where they are others than it was told."""
+        """Registers of the points that a viewer shows, if they differ from those it was sent."""
         found: dict[int, str] = {}
         for device, places in self._by_device(viewer.shown).items():
             try:
@@ -227,7 +227,7 @@ class CollectorStream:
         return found
 
     def _lease(self) -> None:
-        """Rule 2; every few seconds, and as soon as something else is shown."""
+        """Keep reading the points that viewers show (rule 2), every few seconds and after each change."""
         now = time.monotonic()
         if now - self._leased_at < _LEASE_EVERY:
             return

@@ -1,4 +1,4 @@
-"""Last committed value of each point, and what has changed since a tick, as one JSON text for all viewers.
+"""The last committed value of each point, and the changes since a tick as one JSON text for all viewers.
 
 Knows commits and places of points; knows no request and no WebSocket. `LiveValues.update` is called by the thread of
 the store, everything else by any other.
@@ -26,7 +26,7 @@ _MILLION: Final = 1_000_000
 
 
 class LiveValues:
-    """Values by the place of their point.
+    """The last committed values of all points, by their place in the list of points.
 
     Args:
         points: device and name of each point, in the order in which viewers have them.
@@ -56,7 +56,7 @@ class LiveValues:
         self._texts: dict[int, str] = {}
 
     def update(self, commit: Commit) -> None:
-        """Take in a commit."""
+        """Add the samples of a commit."""
         with self._lock:
             for batch in commit.batches:
                 self._waiting[batch.group] = batch
@@ -68,7 +68,7 @@ class LiveValues:
                 self._advance()
 
     def advance(self) -> bool:
-        """Make a tick of what was committed since the last one; False, and no tick, where nothing was."""
+        """Start a new tick with the samples committed since the last one; False, and no tick, without any."""
         with self._lock:
             if not self._waiting and not self._unapplied:
                 return False
@@ -117,13 +117,13 @@ class LiveValues:
         return found
 
     def columns(self) -> tuple[list[Value | None], list[int], list[int]]:
-        """Values, reasons and times of all points, as of now."""
+        """The current values, reasons and times of all points."""
         self.advance()
         with self._lock:
             return self.values.copy(), self.reasons.copy(), self.times.copy()
 
     def since(self, seen: int) -> str:
-        """What changed since a tick, as JSON without its outer braces; made once for all viewers that saw that tick.
+        """The changes since a tick, as JSON without its outer braces; computed once for viewers at the same tick.
 
         ``read`` has a first place, a number of places and a time for each run of points; ``changed`` a first place, and
         values and reasons of a run; ``reasons`` the quality and text of the reasons among them.
@@ -150,7 +150,7 @@ class LiveValues:
         return {"read": read, "changed": changed, "reasons": {str(reason): reason_shown(reason) for reason in used}}
 
     def _runs(self, seen: int) -> tuple[list[Any], set[int]]:
-        """Runs of changed points, each a first place, values, and reasons; one number where all have the same."""
+        """Runs of changed points, each as first place, values and reasons; a single reason if all are equal."""
         runs: list[Any] = []
         used: set[int] = set()
         end, values, reasons = -1, list[Any](), list[int]()
@@ -172,5 +172,5 @@ class LiveValues:
 
 
 def reason_shown(reason: int) -> list[str]:
-    """Quality and text of a reason."""
+    """The quality and the reason of a sample as texts."""
     return [quality_of(reason).label, reason_text(reason) if reason else ""]

@@ -16,7 +16,7 @@ from .inputs import CommandInput, InputRights, overlap
 
 
 def make_input(name: str, values: Mapping[str, Any], commands: Any) -> CommandInput:  # what TOML has
-    """What receives commands for a sink.
+    """Create the receiver of commands that the table of a sink asks for.
 
     Args:
         name: of the sink.

@@ -1,4 +1,4 @@
-"""Commands that come by messages: which points may be written, what a message says, and what is answered.
+"""Commands that arrive as messages: which points they may write, how a message is read, and what is replied.
 
 Knows messages and the runner of commands; knows no broker.
 
@@ -39,7 +39,7 @@ _log = logging.getLogger("busway.collector.commands")
 
 @dataclass(frozen=True, slots=True)
 class InputRights:
-    """What commands of one input may do.
+    """Rights of the commands of one input: which points they may write.
 
     Attributes:
         where: topic or subject, with ``{device}`` and ``{point}`` as levels of their own.
@@ -54,7 +54,7 @@ class InputRights:
 
 @dataclass(frozen=True, slots=True)
 class InputMessage:
-    """A message, as its protocol gives it.
+    """A received message in the form of its protocol.
 
     Attributes:
         where: its topic or subject.
@@ -73,7 +73,7 @@ class InputMessage:
 
 @dataclass(frozen=True, slots=True)
 class InputStatus:
-    """How an input does.
+    """The status of an input of commands.
 
     Attributes:
         name: of the sink that it belongs to.
@@ -89,19 +89,19 @@ class InputStatus:
 
 
 class DescribedDevice(Protocol):
-    """A device, as a configuration describes it."""
+    """Interface of a device as a configuration describes it."""
 
     @property
     def name(self) -> str:
-        """Its name."""
+        """Name of the device."""
 
     @property
     def points(self) -> Sequence[Point]:
-        """All its points."""
+        """All points of the device."""
 
 
 class DescribedPlant(Protocol):
-    """What a configuration says of devices."""
+    """Interface of a configuration with its devices."""
 
     @property
     def devices(self) -> Mapping[str, DescribedDevice]:
@@ -109,7 +109,7 @@ class DescribedPlant(Protocol):
 
 
 class CommandInput(Protocol):
-    """Receives messages from one server."""
+    """Interface of a receiver of messages from one server."""
 
     kind: str
     rights: InputRights
@@ -119,7 +119,7 @@ class CommandInput(Protocol):
         """A name as one level of a topic or subject."""
 
     async def run(self, receiver: "CommandReceiver") -> None:
-        """Hand messages to `CommandReceiver.take` until it is cancelled; connect again after a while."""
+        """Pass received messages to `CommandReceiver.take` until cancelled; reconnect after a while."""
 
 
 class CommandReceiver:
@@ -150,19 +150,19 @@ class CommandReceiver:
         self._repeats = Repeats()
 
     def status(self) -> InputStatus:
-        """How it does."""
+        """The status of this input of commands."""
         return InputStatus(self._name, self._taken, self._refused, self._error)
 
     async def run(self) -> None:
-        """Receive until cancelled."""
+        """Receive and execute commands until cancelled."""
         await self._input.run(self)
 
     def connected(self) -> None:
-        """Note that messages come from now on."""
+        """Note that the input is connected to its server."""
         self._error = None
 
     def down(self, error: str) -> None:
-        """Note why no messages come."""
+        """Note why the input is not connected."""
         if self._error != error:
             _log.warning("commands of %s: %s", self._name, error)
         self._error = error
@@ -172,7 +172,7 @@ class CommandReceiver:
         return overlap(self._input.rights.where, where, self._input.separator)
 
     async def take(self, message: InputMessage) -> bytes:
-        """Do what a message says; gives the answer, as JSON. Raises nothing."""
+        """Execute the command in a message. Returns the reply as JSON. Raises nothing."""
         self._taken += 1
         try:
             given = parsed(message.payload)
@@ -213,7 +213,7 @@ class CommandReceiver:
         return PointCommand(key, *place, given["value"], name, self._input.kind, expires)
 
     def _place(self, where: str) -> tuple[str, str]:
-        """The point of a topic. Raises `InvalidRequest`."""
+        """The device and point that a topic names. Raises `InvalidRequest`."""
         configuration = self._configuration()
         if self._places is None or self._places[0] is not configuration:
             self._places = configuration, self._places_of(configuration)
@@ -246,7 +246,7 @@ class CommandReceiver:
 
 
 def parsed(payload: bytes) -> dict[str, Any]:
-    """What a message says, with ``value`` at least. Raises `InvalidRequest`."""
+    """The contents of a message, with ``value`` at least. Raises `InvalidRequest`."""
     if len(payload) > LONGEST_REQUEST:
         raise InvalidRequest(f"a command has at most {LONGEST_REQUEST} bytes, not {len(payload)}")
     try:
@@ -270,7 +270,7 @@ def parsed(payload: bytes) -> dict[str, Any]:
 
 
 def overlap(one: str, other: str, separator: str) -> bool:
-    """Whether two topics can be the same, where ``{…}`` stands for any level."""
+    """Whether two topic patterns can match the same topic, where ``{…}`` stands for any level."""
     left, right = one.split(separator), other.split(separator)
     return len(left) == len(right) and all(
         a == b or a.startswith("{") or b.startswith("{") for a, b in zip(left, right, strict=True)

@@ -1,4 +1,4 @@
-"""Commands by MQTT 5.
+"""Receives commands by MQTT 5.
 
 Knows topics and properties; the protocol is aiomqtt's (``busway[mqtt]``).
 
@@ -23,7 +23,7 @@ _log = logging.getLogger("busway.collector.commands")
 
 
 class MqttCommands:
-    """Receives commands from a broker.
+    """Receives commands from an MQTT broker.
 
     Args:
         host, port: the broker.
@@ -64,7 +64,7 @@ class MqttCommands:
         return topic_level(name)
 
     async def run(self, receiver: CommandReceiver) -> None:
-        """Receive until cancelled; connect again after a pause that grows."""
+        """Receive commands until cancelled; reconnect after growing pauses."""
         mqtt = import_module("aiomqtt")
         wait = PAUSE
         while True:

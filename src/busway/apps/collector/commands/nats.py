@@ -1,4 +1,4 @@
-"""Commands by NATS request and reply.
+"""Receives commands by NATS request and reply.
 
 Knows subjects and headers; the protocol is nats-py's (``busway[nats]``). The header ``by`` says who sends.
 
@@ -21,7 +21,7 @@ _log = logging.getLogger("busway.collector.commands")
 
 
 class NatsCommands:
-    """Receives commands from a server.
+    """Receives commands from a NATS server.
 
     Args:
         url: ``nats://host:4222``.
@@ -61,7 +61,7 @@ class NatsCommands:
         return subject_token(name)
 
     async def run(self, receiver: CommandReceiver) -> None:
-        """Receive until cancelled; connect again after a pause that grows."""
+        """Receive commands until cancelled; reconnect after growing pauses."""
         nats = import_module("nats")
         wait = PAUSE
         while True:
@@ -94,7 +94,7 @@ class NatsCommands:
             wait = min(2 * wait, PAUSE_LIMIT)
 
     async def _note(self, error: Exception) -> None:
-        """Keep why a connection failed: what `connect` raises does not say it."""
+        """Remember why a connection failed: the error of `connect` does not tell it."""
         self._cause = str(error) or type(error).__name__
 
     async def _subscribe(self, client: Any, receiver: CommandReceiver) -> None:  # the library's own

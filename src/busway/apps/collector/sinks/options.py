@@ -1,4 +1,4 @@
-"""A table ``[[sink]]`` → a sink and how samples are handed to it.
+"""Builds a sink, and the options of its delivery, from a table ``[[sink]]``.
 
 Knows the keys of each kind; knows no store. The scheme of the URL says what kind it is.
 
@@ -30,28 +30,28 @@ _LONGEST_SECRET: Final = 4096
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """What one kind of sink takes: its keys, and how it is made."""
+    """One kind of sink: its keys, and how it is created."""
 
     keys: frozenset[str]
     make: Callable[[SplitResult, "SinkTable"], Sink]
 
 
 class SinkTable:
-    """The table of one sink: each value with its type, in a sentence where it has another."""
+    """The table of one sink, whose values are checked for their types when read."""
 
     def __init__(self, name: str, values: Mapping[str, Any], folder: Path | None = None) -> None:  # TOML
         self._name, self._values, self._folder = name, values, folder
 
     def kept_file(self, kind: str) -> Path | None:
-        """Where a sink keeps something over a restart; None for nowhere."""
+        """Path of a file where a sink keeps data over a restart; None without one."""
         return None if self._folder is None else self._folder / f"{kind}-{self._name}.json"
 
     def refuse(self, key: str, what: str) -> ConfigError:
-        """The error for one key."""
+        """The error about one key of the table."""
         return ConfigError(f"sink {self._name}: {what}", key=key)
 
     def get(self, key: str, kind: type | tuple[type, ...], default: Any = None) -> Any:
-        """A value of a type. Raises `ConfigError` for another."""
+        """The value of a key, if it has the given type. Raises `ConfigError` otherwise."""
         value = self._values.get(key, default)
         if value is default:
             return default
@@ -75,7 +75,7 @@ class SinkTable:
         return None if file is None else _secret_of(file)
 
     def tls(self, wanted: bool) -> ssl.SSLContext | None:
-        """How to encrypt, where the URL asks for it."""
+        """The TLS context if the URL asks for TLS; else None."""
         given = {name: self.get(name, str) for name in ("authority", "certificate", "key")}
         if not wanted:
             for name, value in given.items():
@@ -93,7 +93,7 @@ def _secret_of(file: str) -> str:
 
 
 def tls_context(authority: str | None = None, certificate: str | None = None, key: str | None = None) -> ssl.SSLContext:
-    """How to encrypt: the server's certificate is checked against an authority, of the system where none is named.
+    """A TLS context that checks the server's certificate against an authority, by default those of the system.
 
     Raises:
         ConfigError: a file cannot be used.
@@ -110,7 +110,7 @@ def tls_context(authority: str | None = None, certificate: str | None = None, ke
 
 
 def make_sink(name: str, values: Mapping[str, Any], folder: Path | None = None) -> tuple[Sink, DeliveryOptions]:
-    """A sink from its table.
+    """Build a sink and its delivery options from its table.
 
     Args:
         name: of the sink.

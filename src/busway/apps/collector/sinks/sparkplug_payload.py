@@ -48,7 +48,7 @@ class SparkplugQuality(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A value of a metric.
+    """One metric of a payload: name, type, value, time and quality.
 
     Attributes:
         name: of the metric.
