@@ -19,9 +19,6 @@
 ``page``              HTML, style and script
 `faults`              faults of a simulation as the API shows and changes them
 `page_tokens`         the file with the tokens of a page: made at the first start, for its owner alone
-`collector_log`       what a collector said last, for its page
-`collector_stream`    `/stream` of a collector's page: a WebSocket that tells changed values
-`live_values`         last committed value of each point, and what has changed since a tick
 `collector_alarms`    the alarms of a collector and the maintenance of its devices, over HTTP
 ====================  ================================================================================
 
