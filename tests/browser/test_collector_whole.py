@@ -1,6 +1,7 @@
-"""The collector's page in a browser with all that is behind it: writes that reach a device, the file."""
+"""The collector's page in a browser with all that is behind it: writes that reach a device, alarms, maintenance."""
 
 import re
+import time
 
 import pytest
 from page_collector import watched_collector
@@ -66,6 +67,35 @@ def test_a_write_reaches_the_device_and_stands_in_the_list(plant, signed, compla
     for text in ("operate", "page", "pump/speed", "done"):
         expect(page.locator("#command-rows tr").first).to_contain_text(text)
     complaints[:] = [each for each in complaints if "422" not in each]
+
+
+def test_an_alarm_is_told_at_once_acknowledged_and_kept_in_the_journal(plant, signed):
+    page = signed("operate")
+    expect(row(page, "pump/level")).to_contain_text("7")
+    plant.device.holding_registers[1] = 90
+    expect(page.get_by_role("tab", name="Alarms: 1 active, 1 not acknowledged")).to_be_visible()
+    page.click("#tab-alarms")
+    page.get_by_role("button", name="Acknowledge pump/level H").click()
+    expect(page.locator("#alarm-rows tr")).to_contain_text("by operate")
+    expect(page.locator("#journal-rows tr").first).to_contain_text("acknowledged")
+    plant.device.holding_registers[1] = 7
+    expect(page.locator("#no-alarms")).to_be_visible()
+
+
+def test_maintenance_stops_polling_until_it_ends(plant, signed):
+    page = signed("operate")
+    expect(row(page, "pump/level")).to_contain_text("7")
+    page.click("#tab-devices")
+    page.get_by_role("button", name="Begin the maintenance of pump").click()
+    page.get_by_label("Reason").fill("new bearing")
+    page.get_by_role("button", name="Begin", exact=True).click()
+    expect(page.locator("#device-rows tr")).to_contain_text("maintenance")
+    time.sleep(0.3)  # a read that had begun has ended
+    plant.device.holding_registers[1] = 55
+    page.get_by_role("button", name="End the maintenance of pump").click()
+    expect(page.locator("#device-rows tr")).to_contain_text("polled")
+    page.click("#tab-values")
+    expect(row(page, "pump/level")).to_contain_text("55")
 
 
 def test_a_configuration_that_is_wrong_is_refused_and_a_right_one_applied(plant, signed, complaints):

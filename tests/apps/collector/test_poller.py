@@ -172,6 +172,19 @@ async def test_a_silent_device_has_one_bad_sample_and_then_an_interval_until_it_
     assert len(bench.batches) > 100
 
 
+async def test_the_log_says_why_a_device_is_not_read_and_when_it_answers(caplog: pytest.LogCaptureFixture) -> None:
+    bench = Bench([number("a", 4)])
+    await bench.until(102)
+    with caplog.at_level("INFO", "busway.collector"):
+        bench.device.error = lambda: NoReply("no reply")
+        await bench.until(150)
+        bench.device.error = None
+        await bench.until(300)
+    first, last = [each.getMessage() for each in caplog.records]
+    assert "is not read: " in first
+    assert last.endswith("answers again")
+
+
 async def test_an_error_of_the_whole_call_is_that_of_each_read() -> None:
     bench = Bench([number("a", 4)])
     await bench.until(102)

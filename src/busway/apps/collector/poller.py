@@ -10,6 +10,7 @@ Knows the schedule, a link of asyncio and the decoders of points; knows no store
 """
 
 import asyncio
+import logging
 from collections import deque
 from collections.abc import Awaitable, Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,7 +22,7 @@ from ...pdu.message import Request
 from ...pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from ...points.decoder import ReadDecoder
 from ...points.point import Point
-from ...points.quality import Reading, Reason, exception_reason
+from ...points.quality import Reading, Reason, exception_reason, reason_text
 from .derived_points import DerivedPoints
 from .learning import ReadOutcome, outcome_of
 from .plan import PlannedRead
@@ -37,6 +38,8 @@ KEPT_LATENCIES: Final = 1000
 """Transactions of a link whose length is kept, for percentiles."""
 MOST_SHARED_DECODERS: Final = 4096
 """Decoders that all devices share."""
+
+_log = logging.getLogger("busway.collector")
 
 _REQUESTS: Final = {
     Table.COILS: ReadCoils,
@@ -344,6 +347,7 @@ class LinkPoller:
         """End the open intervals, since the link stops; maintenance goes on without it."""
         for device in self.devices.values():
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
+                _log.info("%s answers again", device.name)
                 self._end_interval(device)
 
     async def make(self, turn: Turn) -> None:
@@ -413,6 +417,7 @@ class LinkPoller:
             device.timeout.answered(ended - began)
             self._latencies.append(ended - began)
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
+                _log.info("%s answers again", device.name)
                 self._end_interval(device)
         elif result is TurnOutcome.SILENT:
             device.timeout.silent()
@@ -490,6 +495,7 @@ class LinkPoller:
 
     def _begin_interval(self, device: PolledDevice, reason: int, at: float) -> None:
         device.suspended = StateInterval(device.name, self._clock.time_ns(at), None, reason)
+        _log.info("%s is not read: %s", device.name, reason_text(reason))
         self._intervals(device.suspended)
 
     def _end_interval(self, device: PolledDevice) -> None:

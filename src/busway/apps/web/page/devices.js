@@ -25,8 +25,10 @@ export class DeviceView {
   }
 
   async show() {
-    const found = await ask("GET", "/api/devices");
-    const told = (each) => (each.silent_since === null ? each.state : `${each.state} for ${ago(found.now, each.silent_since)}`);
+    const [found, left] = await Promise.all([ask("GET", "/api/devices"), ask("GET", "/api/maintenance")]);
+    const why = new Map(left.map((each) => [each.device, each.by ? `, by ${each.by}: ${each.reason}` : ""]));
+    const since = (each) => (each.silent_since === null ? "" : ` for ${ago(found.now, each.silent_since)}`);
+    const told = (each) => each.state + since(each) + (why.get(each.name) ?? "");
     const cells = (each) => [each.name, each.link, told(each), each.reads, each.failures, each.skipped, each.last_error, each.learnt.join("; ")];
     keyed(
       byId("device-rows"),
