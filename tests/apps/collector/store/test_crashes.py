@@ -11,7 +11,7 @@ import pytest
 import store_worker
 from store_checker import check_after_crash, handed_on
 
-from busway.apps.collector.store.folder import SEGMENTS
+from busway.apps.collector.store.folder import SEGMENTS, StoreLock
 from busway.apps.collector.store.upkeep import check_store_files
 
 pytest.importorskip("pyarrow")
@@ -77,3 +77,18 @@ def kill_at_random(folder: Path, moments: random.Random, *, kills: int) -> None:
         begins = (crash + 1) * 100_000 * store_worker.SECONDS_PER_COMMIT - 5
         check_after_crash(folder, handed_on(folder), begins=begins, crashes=crash + 1)
         assert check_store_files(folder) == []
+
+
+def test_a_store_whose_writer_has_just_ended_is_opened_although_its_lock_is_still_held(tmp_path: Path) -> None:
+    program = f"""
+import os, subprocess
+from pathlib import Path
+from busway.apps.collector.store.folder import StoreLock
+lock = StoreLock(Path({str(tmp_path)!r}))
+subprocess.Popen(["sleep", "0.5"], pass_fds=[lock._handle], stdout=subprocess.DEVNULL)
+print("started", flush=True)
+os.kill(os.getpid(), 9)
+"""
+    ended = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, timeout=60, check=False)
+    assert (ended.returncode, ended.stdout) == (-signal.SIGKILL, b"started\n")
+    StoreLock(tmp_path).release()

@@ -6,6 +6,7 @@ Knows names, descriptors and process ids; knows nothing of samples.
 import contextlib
 import fcntl
 import os
+import time
 from pathlib import Path
 from typing import Final
 
@@ -16,6 +17,8 @@ LOCK: Final = "lock"
 SEGMENTS: Final = "segments"
 UNFINISHED: Final = ".unfinished"
 """The end of the name of a file that is being written; such files are removed when the store is opened."""
+_ENDING: Final = 2.0
+"""Seconds for which the lock of a process that has ended may still be held."""
 
 
 class StoreLock:
@@ -33,21 +36,52 @@ class StoreLock:
         except OSError as error:
             raise ConfigError(f"the store cannot be locked: {error.strerror}", file=str(path)) from error
         try:
-            fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._take()
         except OSError as error:
-            holder = os.read(self._handle, 32).decode("ascii", "replace").strip()
+            holder = self._holder()
             os.close(self._handle)
-            who = f"process {holder}" if holder.isdigit() else "another process"
+            who = "another process" if holder is None else f"process {holder}"
             raise ConfigError(
                 f"{who} collects into this store; end it first, or name another folder", file=str(folder)
             ) from error
         os.ftruncate(self._handle, 0)
         os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
 
+    def _take(self) -> None:
+        """Lock the file. A holder that has ended is waited for: a process that it was starting may still have the file.
+
+        Raises `BlockingIOError` where another process holds the lock.
+        """
+        until = time.monotonic() + _ENDING
+        while True:
+            try:
+                return fcntl.flock(self._handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                holder = self._holder()
+                if holder is None or is_alive(holder) or time.monotonic() > until:
+                    raise
+                time.sleep(0.01)
+
+    def _holder(self) -> int | None:
+        """Number of the process that wrote itself into the file."""
+        text = os.pread(self._handle, 32, 0).decode("ascii", "replace").strip()
+        return int(text) if text.isdigit() else None
+
     def release(self) -> None:
         """Release the lock, so that another process can write the store."""
         os.ftruncate(self._handle, 0)
         os.close(self._handle)
+
+
+def is_alive(process: int) -> bool:
+    """Whether a process with this number runs."""
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def holder_of(folder: Path) -> int | None:
