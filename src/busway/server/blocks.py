@@ -48,10 +48,10 @@ class Run(Protocol):
         """Write items into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
 
     def get(self, position: int, count: int) -> bytes:
-        """The current items of a range, in wire order."""
+        """The current items of a range. ``position`` counts from the begin of the run; bytes as replies have them."""
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the items of a range; safe from any thread."""
+        """Replace the items of a range by bytes as writes have them; as for `get`. Safe from any thread."""
 
 
 class RegisterRun:

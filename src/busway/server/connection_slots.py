@@ -7,12 +7,12 @@ Pure: knows who is connected and since when unused; closes nothing, logs nothing
 2. A priority connection is always accepted: beyond its limit it takes a place of the other pool, and moves up when one
    of the priority pool becomes free.
 3. In the other pool a new connection pushes out one that has never said anything, if its other end has closed or it had
-   `SECONDS_TO_SPEAK`; else the connection unused longest, or the oldest where all are busy. One that is not marked
-   never pushes out one that is: where only such are left, it is refused itself. So clients
+   `SECONDS_TO_SPEAK`; else the connection unused longest, or the oldest where all are busy. One of a host
+   without priority never pushes out one of a priority host: where only such are left, it is refused itself. So clients
    that connect and close, or send nothing, take no slot of one that works; nor does a new connection that has ended.
 4. Only a priority connection that finds nothing but priority connections takes the place of one: of its own device's
    oldest, if there is one. Nothing else keeps both the bound and rule 2.
-5. A device that is not marked may have a limit of its own; its next connection replaces its oldest. With a limit of 1
+5. A host without priority may have a limit of its own; its next connection replaces its oldest. With a limit of 1
    a client that has started anew replaces what is left of it (§4.2.2).
 """
 
@@ -74,7 +74,7 @@ class PoolLimits:
         priority: slots of the priority pool.
         other: slots of the other pool.
         priority_per_device: priority slots that one host may use.
-        per_device: of the other places, for one device that is not marked; None for all of them.
+        per_device: of the other places, for one host without priority; None for all of them.
     """
 
     priority: int
@@ -115,7 +115,7 @@ class Pools(Generic[One]):
         self._priority_of: Counter[str] = Counter()
         self._other: dict[One, int] = {}  # in the order they came, with the number of each
         self._numbered: dict[int, One] = {}
-        self._of_device: dict[str, dict[One, None]] = {}  # of those in the other pool that are not marked
+        self._of_device: dict[str, dict[One, None]] = {}  # of those in the other pool of hosts without priority
         self._silent: dict[One, None] = {}  # of those, the ones that had said nothing, in the order they came
         self._by_use: deque[tuple[float, int]] = deque()  # the longest unused first, as they stood once
         self._next_number = 0
@@ -158,7 +158,7 @@ class Pools(Generic[One]):
     # Who goes.
 
     def _of_same_device(self, candidate: One) -> One | None:
-        """The oldest connection of the new connection's host, if that host is at its limit."""
+        """The connection to close for a new one of a host at its limit: that host's oldest. None for priority hosts."""
         limit = self.limits.per_device
         if limit is None or candidate.is_priority:
             return None

@@ -34,10 +34,11 @@ class ListenerSettings:
         port: what the line is set to; None over a network.
         opening: how the port is opened.
         limits: of its connections.
-        access: who may connect, beside the server's own question; None leaves it to that.
+        access: which hosts may connect here; they must be allowed by the server too. None: those of the server.
         tls: certificate, key and authorities; None where the carrier is not TLS.
         is_optional: whether the others go on where it cannot be had.
-        beside: URL of the listener beside which it stands, if it was opened for that one: rules about that one hold.
+        beside: URL of the configured listener that this one was opened for in addition (port 502): access rules that
+            name that URL hold here too.
     """
 
     endpoint: Endpoint

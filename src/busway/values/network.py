@@ -28,7 +28,7 @@ def network_size(name: str) -> int:
 
 
 class NetworkCodec:
-    """Codec for network addresses as texts."""
+    """Converts registers to network addresses as texts (IPv4, IPv6, EUI) and back."""
 
     def __init__(self, name: str, order: ByteOrder) -> None:
         self._name = name

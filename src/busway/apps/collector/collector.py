@@ -708,7 +708,10 @@ def write_learnt(path: Path, knowledge: Knowledge) -> None:
 
 
 def _key_of(configuration: CollectorConfiguration, link: str) -> object:
-    """What a link is made from, None for none: two that are equal poll the same in the same way."""
+    """All that decides how a link polls; None where the configuration has no such link.
+
+    A reload leaves a link alone where its key in both configurations is equal.
+    """
     if link not in configuration.links:
         return None
     devices: list[CollectedDevice] = configuration.devices_of(link)

@@ -68,7 +68,11 @@ class SharedConnections:
         self._repeats = Repeats()
 
     def protocols(self, tls: Callable[[], ssl.SSLContext] | None = None) -> Callable[..., asyncio.Protocol]:
-        """The protocol factory for uvicorn. ``tls`` gives the context of a connection that begins."""
+        """The factory that uvicorn calls for each accepted connection: one of the page's connections.
+
+        Args:
+            tls: gives the TLS context of a connection that begins; None for connections without TLS.
+        """
         return partial(PageConnection, self) if tls is None else partial(SecuringConnection, self, tls)
 
     def admits(self, transport: asyncio.Transport, connections: "set[Any]") -> bool:

@@ -89,19 +89,19 @@ class PointsQuery(Asked):
 
 
 class NewValue(Asked):
-    """A value in the unit of measure, or its name."""
+    """Body of a request to write one point: a value in its unit of measure, or the name of a named value."""
 
     value: Plain
 
 
 class Values(Answer):
-    """Values by key."""
+    """Body of a request to write several points: values by key of the point."""
 
     values: dict[str, Plain]
 
 
 class NewValues(Asked):
-    """Values by key."""
+    """Body of a request to write several points: values by key of the point."""
 
     values: Annotated[dict[str, Plain], Field(max_length=100_000)]
 

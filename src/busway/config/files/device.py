@@ -142,7 +142,11 @@ class ServerSection(OptionSection):
 
 
 class TableSection(Section):
-    """The items of a table: ``first`` and ``count``, or ``values``; ``read_only`` ranges ``[first, count]``."""
+    """One of the four Modbus tables of a device in a file.
+
+    ``first`` is its first item, ``count`` the number of items or ``values`` what they hold at the start;
+    ``read_only`` has ranges as ``[first, count]``.
+    """
 
     first: Whole = 0
     count: TableSize | None = None

@@ -308,7 +308,10 @@ class EpollStream(asyncio.Transport):
         return default
 
     def _watch(self) -> None:
-        """Update the watched events. Raises `OSError` only if the socket was not watched before."""
+        """Watch for what the state wants: readable unless paused or ending, writable while bytes are unsent.
+
+        Raises `OSError` only if the socket was not watched before.
+        """
         wanted = 0
         if not (self._lost or self._closing or self._paused or self._ended):
             wanted = READABLE

@@ -61,7 +61,7 @@ class AlarmMachine:
             now: seconds of a monotonic clock, of the same moment.
 
         Returns:
-            What that means; None for nothing.
+            The event to write into the journal; None where the state of the alarm stays.
         """
         self.reason = reason
         if not isinstance(value, int | float) or math.isnan(value) or quality_of(reason) is Quality.BAD:

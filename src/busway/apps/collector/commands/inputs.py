@@ -101,7 +101,7 @@ class DescribedDevice(Protocol):
 
 
 class DescribedPlant(Protocol):
-    """Interface of a configuration with its devices."""
+    """Interface of a collector's configuration, as commands see it: the devices that can be written to, by name."""
 
     @property
     def devices(self) -> Mapping[str, DescribedDevice]:

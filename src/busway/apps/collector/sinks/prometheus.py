@@ -190,7 +190,7 @@ class PrometheusPage:
 
 
 class _Collected:
-    """What prometheus-client asks for families."""
+    """A collector of prometheus-client: asks a function for the metric families at each scrape."""
 
     def __init__(self, families: Callable[[], Iterator[Any]]) -> None:
         self._families = families
