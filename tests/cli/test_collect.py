@@ -231,7 +231,7 @@ def test_a_demo_that_is_interrupted_leaves_no_file_and_no_process(
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ProcessLookupError):  # its session has no process any more
         os.killpg(program.process.pid, 0)
-    with pytest.raises(URLError):
+    with pytest.raises((URLError, ValueError)):  # ValueError: another program has taken the port since
         answer_of(page)
 
 

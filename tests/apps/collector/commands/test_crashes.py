@@ -30,16 +30,16 @@ class Plant:
         self.file = commanded_plant(folder, url, period=0.05)
         self.pid = 0
 
-    def start(self, *words: str) -> "subprocess.Popen[str]":
+    def start(self, *words: str) -> "subprocess.Popen[bytes]":
         worker = subprocess.Popen(
             [sys.executable, str(WORKER), str(self.file), "text", *words],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            text=True,
+            bufsize=0,  # `communicate` does not give what `readline` has read ahead
         )
         assert worker.stdout is not None
         line = worker.stdout.readline()
-        assert line.startswith("ready"), worker.communicate(timeout=LIMIT)
+        assert line.startswith(b"ready"), worker.communicate(timeout=LIMIT)
         self.pid = worker.pid
         return worker
 
@@ -47,7 +47,7 @@ class Plant:
         """Exit code, and the results that were told."""
         worker = self.start(*words)
         output, _ = worker.communicate(timeout=LIMIT)
-        return worker.returncode, [json.loads(line) for line in output.splitlines() if line.endswith("}")]
+        return worker.returncode, [json.loads(line) for line in output.splitlines() if line.endswith(b"}")]
 
     def written(self) -> Counter[str]:
         """How often each value was written."""
@@ -95,7 +95,7 @@ def kill_at_random(plant: Plant, kills: int, seed: int) -> None:
         time.sleep(chance.uniform(0.0, 0.3))
         worker.kill()
         output, _ = worker.communicate(timeout=LIMIT)
-        note(said, [json.loads(line) for line in output.splitlines() if line.endswith("}")])
+        note(said, [json.loads(line) for line in output.splitlines() if line.endswith(b"}")])
     code, told = plant.run("0", "400")
     assert code == 0
     note(said, told)
