@@ -1,0 +1,11 @@
+"""The fleet: several collectors that share the links of a plant, each link polled by one of them.
+
+==============  ===========================================================================================
+`shards`        the groups of links that are owned together, and which hosts may own them
+`coordinator`   the interface of the table that collectors change by compare-and-set
+`lease_times`   how long a lease holds, and the epoch of an ownership
+`records`       what collectors share: leases, members, the generation
+`balance`       which collector takes a free shard, and which shards move
+`member`        one collector in its zone: what it owns, takes, renews and hands on
+==============  ===========================================================================================
+"""

@@ -1,0 +1,84 @@
+"""The interface of coordinators: a small table of entries that collectors of one zone change by compare-and-set.
+
+Knows no engine. The backends in `coordinators` keep these rules, which one set of tests checks for all of them:
+
+1. An entry has a revision, which grows with every change of it; a deleted key that is created again goes on growing.
+2. `Coordinator.create` and `Coordinator.replace` change an entry only if it is as the caller has seen it. A change that
+   was confirmed is never lost, and of two that expect the same revision one is refused.
+3. Where the answer is missing, `OutcomeUnknown` says so: the change was made, or was not, or is made later.
+4. A watch gives every entry that exists, then `SNAPSHOT_ENDS`, then changes. It may leave out values that were replaced
+   meanwhile, but never goes back in the revisions of a key. After a lost connection it begins again by itself, with
+   `SNAPSHOT_BEGINS`.
+5. No entry expires: an engine's wall clock decides nothing.
+"""
+
+from collections.abc import AsyncIterator
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from ...errors import ModbusError
+
+
+class CoordinatorDown(ModbusError):
+    """Error: the coordinator cannot be reached. Nothing was changed."""
+
+
+class OutcomeUnknown(ModbusError):
+    """Error: nothing says whether the entry was changed."""
+
+
+class RevisionConflict(ModbusError):
+    """Error: the entry has another revision than expected. Nothing was changed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """An entry as it was at one revision.
+
+    Attributes:
+        key: letters, digits, ``.``, ``-``, ``_``, at most 200.
+        value: its content, at most `LONGEST_VALUE` bytes; empty for a deleted entry.
+        revision: from 1; 0 only in the two marks of a watch.
+    """
+
+    key: str
+    value: bytes
+    revision: int
+
+
+LONGEST_VALUE: Final = 512 * 1024
+SNAPSHOT_BEGINS: Final = Entry("", b"begins", 0)
+"""Given by a watch that begins again: the entries that exist follow once more."""
+SNAPSHOT_ENDS: Final = Entry("", b"ends", 0)
+"""Given by a watch after the entries that existed when it began."""
+
+
+class Coordinator(Protocol):
+    """A table of entries, shared by the collectors of a zone."""
+
+    async def create(self, key: str, value: bytes) -> int:
+        """Add an entry that does not exist, or was deleted; gives its revision.
+
+        Raises:
+            RevisionConflict: it exists.
+            CoordinatorDown: nothing was changed.
+            OutcomeUnknown: it may have been added.
+        """
+
+    async def replace(self, key: str, value: bytes, revision: int) -> int:
+        """Change an entry that has this revision; gives the new one. An empty value deletes it.
+
+        Raises:
+            RevisionConflict: it has another one, or does not exist.
+            CoordinatorDown: nothing was changed.
+            OutcomeUnknown: it may have been changed.
+        """
+
+    def watch(self, prefix: str = "") -> AsyncIterator[Entry]:
+        """The entries whose keys begin with a prefix, and their changes, until the iterator is closed (rule 4).
+
+        Raises nothing for a lost connection; `ConfigError` where it can never work (rights, a wrong bucket).
+        """
+
+    async def close(self) -> None:
+        """End the connection. Entries stay as they are."""

@@ -1,0 +1,67 @@
+"""The times of leases, and what a holder may do by them. Pure: every call is handed the time.
+
+The clock is one that counts while the machine sleeps (``CLOCK_BOOTTIME``), and is not set by anybody.
+"""
+
+from dataclasses import dataclass
+
+from ...errors import ConfigError
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseTimes:
+    """The times of all leases of a zone; every collector of it must have the same.
+
+    Attributes:
+        ttl: seconds for which a lease holds from the moment its last successful renewal was begun, 3…300.
+        renew: seconds between two renewals, at most a third of ``ttl``.
+        guard: seconds by which a holder ends earlier and another one begins later; covers clocks that drift.
+        answer: seconds after which the outcome of a change that was not answered is unknown.
+    """
+
+    ttl: float = 15.0
+    renew: float = 3.0
+    guard: float = 1.0
+    answer: float = 2.5
+
+    def __post_init__(self) -> None:
+        if not 3 <= self.ttl <= 300:
+            raise ConfigError(f"a lease holds for 3…300 s, not {self.ttl:g}", key="ttl")
+        if not 0 < self.renew <= self.ttl / 3:
+            raise ConfigError(
+                f"leases are renewed at least three times in their {self.ttl:g} s: {self.ttl / 3:g} s at most, "
+                f"not {self.renew:g}",
+                key="renew",
+            )
+        if not 0.01 * self.ttl <= self.guard <= self.ttl / 4:
+            raise ConfigError(
+                f"the guard is {0.01 * self.ttl:g}…{self.ttl / 4:g} s for a lease of {self.ttl:g} s, "
+                f"not {self.guard:g}",
+                key="guard",
+            )
+        if not 0 < self.answer <= self.ttl / 3:
+            raise ConfigError(f"an answer is waited for up to {self.ttl / 3:g} s, not {self.answer:g}", key="answer")
+
+    def deadline(self, asked: float) -> float:
+        """Until when transactions of a holder must have ended whose last successful renewal was begun at ``asked``."""
+        return asked + self.ttl - self.guard
+
+    def free_at(self, seen: float) -> float:
+        """When another collector may take a lease whose revision it has first seen at ``seen``, by its own clock."""
+        return seen + self.ttl + self.guard
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Epoch:
+    """The number of an ownership: of two owners of one shard the later one has the greater epoch.
+
+    Attributes:
+        generation: raised by an operator who restores the coordinator from a backup, so that epochs never go back.
+        revision: of the lease when it was taken.
+    """
+
+    generation: int
+    revision: int
+
+    def __str__(self) -> str:
+        return f"{self.generation}.{self.revision}"

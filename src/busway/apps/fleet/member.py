@@ -1,0 +1,545 @@
+"""One collector as a member of its zone: which shards it owns, takes, renews and hands on.
+
+Pure: entries, outcomes and the time go in; proposals and events come out. Knows no engine, socket or clock. The driver
+(`running`) makes each proposal once, and tells `FleetMember.outcome`; links stop before `FleetMember.left` is called.
+
+1. A shard is owned from a confirmed compare-and-set on until its deadline: the moment *before* the last confirmed
+   renewal was sent, plus the time to live, less the guard. A renewal without an answer is none.
+2. A shard of another owner is free when its entry says released, or has had one revision for the time to live and the
+   guard, by this collector's own clock. It is taken by a compare-and-set on that revision: an old view harms nothing.
+3. What this start of the collector has let lapse is free for it at once; it gets a new epoch. What an earlier start
+   of the same name had is another owner's.
+4. One proposal of a key is open at a time.
+5. Two processes with one name: the second owns nothing until the first has been silent as in rule 2, and says so.
+"""
+
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Final
+
+from .balance import Share, moves, takers
+from .coordinator import Entry
+from .lease_times import Epoch, LeaseTimes
+from .records import (
+    GENERATION,
+    LEASES,
+    MEMBERS,
+    LeaseRecord,
+    MemberRecord,
+    decode_generation,
+    decode_lease,
+    decode_member,
+)
+from .shards import hosts_of
+
+LOOK_EVERY: Final = 0.5
+"""Seconds between two looks at what is free."""
+SETTLE: Final = 2.0
+"""Seconds that a new member waits for others before it takes shards, and that an imbalance lasts before shards move."""
+PATIENCE: Final = 0.4
+"""Seconds after which a free shard is taken by any collector that sees it, whatever its load."""
+PATIENCE_OF_BACKUPS: Final = 3.0
+"""Seconds that a pinned shard waits for its first host, where that lives."""
+MOST_OPEN: Final = 64
+"""Proposals that are open at once."""
+MOST_LEAVING: Final = 8
+"""Shards that one member hands on at once."""
+
+
+class Step(Enum):
+    """What happens to a shard of this collector."""
+
+    GAINED = "gained"  # its links may begin
+    LEAVE = "leave"  # its links are to stop after what runs; then call `FleetMember.left`
+    LOST = "lost"  # it is not owned any more: its connections are to be reset at once
+
+
+@dataclass(frozen=True, slots=True)
+class ShardEvent:
+    """An event of a shard.
+
+    Attributes:
+        shard: its name.
+        step: what happens.
+        epoch: of the ownership.
+        reason: why, in words; empty where it was gained.
+    """
+
+    shard: str
+    step: Step
+    epoch: Epoch
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A change that the driver asks the coordinator for, once.
+
+    Attributes:
+        key, value: the entry.
+        revision: that it must have; 0 to create it.
+        asked: when it was proposed, by the clock of `FleetMember.turn`.
+    """
+
+    key: str
+    value: bytes
+    revision: int
+    asked: float
+
+
+class NotConfirmed(Enum):
+    """Outcomes of a proposal that was not confirmed."""
+
+    CONFLICT = "conflict"
+    UNKNOWN = "unknown"
+
+
+@dataclass(slots=True)
+class _SeenLease:
+    record: LeaseRecord | None
+    revision: int
+    at: float
+
+
+@dataclass(slots=True)
+class _SeenMember:
+    record: MemberRecord
+    revision: int
+    at: float
+
+
+@dataclass(slots=True)
+class OwnedShard:
+    """A shard that this collector owns.
+
+    Attributes:
+        epoch: of the ownership.
+        revision: of its entry.
+        asked: when the last confirmed renewal was begun.
+        renew_at: when the next renewal is due.
+        count: renewals so far.
+        leaving: for whom it is handed on; None while it is not.
+        has_left: whether its links have stopped.
+    """
+
+    epoch: Epoch
+    revision: int
+    asked: float
+    renew_at: float
+    count: int = 0
+    leaving: str | None = None
+    has_left: bool = False
+
+
+@dataclass(slots=True)
+class MemberCounts:
+    """What a member has counted since it began."""
+
+    taken: int = 0
+    lapsed: int = 0
+    handed_on: int = 0
+    renewals: int = 0
+    conflicts: int = 0
+    unknown: int = 0
+
+
+class FleetMember:
+    """One collector in its zone.
+
+    Args:
+        name, run, host: as in `MemberRecord`.
+        times: of the leases; the same for all members.
+        chance: spreads renewals and looks in time.
+        capacity: how much it may take beside the others.
+
+    Attributes:
+        owned: the shards that it owns, by name.
+        counts: what was counted.
+        generation: of the zone.
+        rival: another process with this name that lives; None without one.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        run: str,
+        host: str,
+        times: LeaseTimes,
+        chance: random.Random,
+        *,
+        capacity: float = 1.0,
+    ) -> None:
+        self.times: LeaseTimes = times
+        self.owned: dict[str, OwnedShard] = {}
+        self.counts: MemberCounts = MemberCounts()
+        self.generation: int = 1
+        self.rival: str | None = None
+        self._me = MemberRecord(name, run, host, 0, capacity)
+        self._my_revision = 0
+        self._my_asked: float | None = None
+        self._my_renewal = 0.0
+        self._chance = chance
+        self._costs: Mapping[str, float] = {}
+        self._leases: dict[str, _SeenLease] = {}
+        self._members: dict[str, _SeenMember] = {}
+        self._open: dict[str, Proposal] = {}
+        self._events: list[ShardEvent] = []
+        self._complete_at: float | None = None
+        self._look_at = 0.0
+        self._free_since: dict[str, float] = {}
+        self._off_since: float | None = None
+        self._ends = False
+
+    # What is known.
+
+    @property
+    def name(self) -> str:
+        """The name of this collector."""
+        return self._me.name
+
+    def cost(self, shard: str) -> float:
+        """Seconds of line time per second that a shard needs."""
+        return self._costs.get(shard, 0.0)
+
+    def set_shards(self, costs: Mapping[str, float]) -> None:
+        """Have these shards owned by somebody, with their costs; others are handed back."""
+        self._costs = costs
+        self._look_at = 0.0
+
+    def set_revision(self, revision: int) -> None:
+        """Tell others by which configuration this collector works."""
+        self._me = replace(self._me, revision=revision)
+
+    def drain(self, *, draining: bool = True) -> None:
+        """Hand all shards on, and take none; or take part again."""
+        self._me = replace(self._me, draining=draining)
+        self._my_renewal = 0.0
+
+    def end(self) -> None:
+        """Hand back all shards whose links have stopped, then tell that this collector is gone."""
+        self._ends = True
+        self._me = replace(self._me, draining=True)
+        self._my_renewal = self._look_at = 0.0
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether nothing is left to be handed back after `end`."""
+        return self._ends and not self.owned and self._me.gone and f"{MEMBERS}{self.name}" not in self._open
+
+    def deadline(self, shard: str) -> float:
+        """Until when all transactions of a shard must have ended; minus infinity where it is not owned."""
+        owned = self.owned.get(shard)
+        if owned is None or owned.has_left:
+            return float("-inf")
+        return self.times.deadline(owned.asked)
+
+    def may_begin(self, shard: str, now: float, worst: float) -> bool:
+        """Whether a transaction that may take ``worst`` seconds may begin."""
+        return now + worst < self.deadline(shard)
+
+    def members(self, now: float) -> list[MemberRecord]:
+        """The collectors that live, this one included, by name."""
+        found = [each.record for each in self._members.values() if self._lives(each, now)]
+        return sorted((*found, self._me), key=lambda each: each.name)
+
+    def leases(self) -> dict[str, LeaseRecord]:
+        """The last known lease of each shard."""
+        return {shard: each.record for shard, each in self._leases.items() if each.record is not None}
+
+    # What comes in.
+
+    def begin_snapshot(self) -> None:
+        """The watch begins (again): entries that exist follow."""
+        self._complete_at = None
+
+    def end_snapshot(self, now: float) -> None:
+        """All entries that existed have been given."""
+        self._complete_at = now
+
+    def entry(self, entry: Entry, now: float) -> None:
+        """Take an entry of the watch, or a change of one."""
+        if entry.key.startswith(LEASES):
+            self._lease(entry.key[len(LEASES) :], entry, now)
+        elif entry.key.startswith(MEMBERS):
+            self._member(entry, now)
+        elif entry.key == GENERATION:
+            self.generation = max(self.generation, decode_generation(entry.value))
+
+    def _lease(self, shard: str, entry: Entry, now: float) -> None:
+        seen = self._leases.get(shard)
+        if seen is not None and entry.revision <= seen.revision:
+            return
+        record = decode_lease(entry.value) if entry.value else None
+        self._leases[shard] = _SeenLease(record, entry.revision, now)
+        self._free_since.pop(shard, None)
+        if record is not None and not record.held:
+            self._look_at = now
+        self._compare(shard)
+
+    def _compare(self, shard: str) -> None:
+        """Hold what this collector owns against what its entry says."""
+        owned, seen = self.owned.get(shard), self._leases.get(shard)
+        if owned is None or seen is None or seen.revision <= owned.revision:
+            return
+        if seen.record is not None and seen.record.held and seen.record.run == self._me.run:
+            owned.revision = seen.revision  # a renewal whose answer was lost; it does not count as one
+        elif f"{LEASES}{shard}" not in self._open or seen.record is None or seen.record.run != self._me.run:
+            other = "nobody" if seen.record is None else seen.record.owner
+            self._lose(shard, f"{other} has it, by revision {seen.revision}")
+
+    def _member(self, entry: Entry, now: float) -> None:
+        name = entry.key[len(MEMBERS) :]
+        record = decode_member(entry.value) if entry.value else None
+        if name == self.name:
+            self._my_revision = max(self._my_revision, entry.revision)
+            other = record is not None and record.run != self._me.run and not record.gone
+            if other and record is not None:
+                self.rival = record.run
+                self._my_asked = None
+                self._my_renewal = self.times.free_at(now)
+            elif self.rival is not None:
+                self.rival = None
+                self._my_renewal = now
+            return
+        if record is None:
+            self._members.pop(name, None)
+            return
+        seen = self._members.get(name)
+        if seen is None or entry.revision > seen.revision:
+            self._members[name] = _SeenMember(record, entry.revision, now)
+
+    def outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
+        """Take the outcome of a proposal: its new revision, or why there is none."""
+        if self._open.pop(proposal.key, None) is None:
+            return
+        if result is NotConfirmed.CONFLICT:
+            self.counts.conflicts += 1
+        elif result is NotConfirmed.UNKNOWN:
+            self.counts.unknown += 1
+        if proposal.key.startswith(MEMBERS):
+            self._member_outcome(proposal, result, now)
+        else:
+            self._lease_outcome(proposal.key[len(LEASES) :], proposal, result, now)
+
+    def _member_outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
+        if isinstance(result, int):
+            self._my_revision = max(self._my_revision, result)
+            self._my_asked = proposal.asked
+            self.rival = None
+        else:
+            self._my_renewal = min(self._my_renewal, now + 0.2 + 0.2 * self._chance.random())
+            if self._me.gone and result is NotConfirmed.UNKNOWN:
+                self._me = replace(self._me, gone=False)
+
+    def _lease_outcome(self, shard: str, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
+        record = decode_lease(proposal.value)
+        owned = self.owned.get(shard)
+        assert record is not None
+        if not isinstance(result, int):
+            if owned is not None:
+                owned.renew_at = now + 0.2 + 0.2 * self._chance.random()
+                self._compare(shard)
+            return
+        seen = self._leases.get(shard)
+        if seen is None or seen.revision < result:
+            self._leases[shard] = _SeenLease(record, result, now)
+        if not record.held:
+            if owned is not None:
+                del self.owned[shard]
+                self.counts.handed_on += 1
+                if self._ends and not self.owned:
+                    self._my_renewal = now
+        elif owned is None:
+            self._gain(shard, proposal, result)
+        else:
+            owned.revision = max(owned.revision, result)
+            owned.asked = proposal.asked
+            owned.count = record.count
+            self.counts.renewals += 1
+            self._compare(shard)
+
+    def _gain(self, shard: str, proposal: Proposal, revision: int) -> None:
+        if record_epoch(proposal) is not None:
+            return  # a renewal of what lapsed meanwhile: it is taken anew, with a new epoch
+        epoch = Epoch(self.generation, revision)
+        self.owned[shard] = OwnedShard(epoch, revision, proposal.asked, proposal.asked + self._spread(self.times.renew))
+        self.counts.taken += 1
+        self._events.append(ShardEvent(shard, Step.GAINED, epoch))
+        self._compare(shard)
+
+    def left(self, shard: str) -> None:
+        """The links of a shard have stopped, and their samples are stored: hand it on."""
+        owned = self.owned.get(shard)
+        if owned is not None:
+            owned.has_left = True
+            owned.renew_at = 0.0
+
+    # What goes out.
+
+    def events(self) -> list[ShardEvent]:
+        """What has happened since the last call, in order."""
+        found, self._events = self._events, []
+        return found
+
+    def turn(self, now: float) -> list[Proposal]:
+        """The proposals that are due; looks for lapsed leases first."""
+        for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
+            self.counts.lapsed += 1
+            self._lose(shard, "it could not be renewed in time")
+        found: list[Proposal] = []
+        self._propose_member(now, found)
+        self._propose_renewals(now, found)
+        if self._complete_at is not None and now >= self._look_at:
+            self._look_at = now + self._spread(LOOK_EVERY)
+            self._take_free(now, found)
+            self._hand_on(now)
+        return found
+
+    def next_turn(self) -> float:
+        """When `turn` is due, by the clock that it is called with; earlier after any input."""
+        due = [self._look_at if self._complete_at is not None else float("inf")]
+        if f"{MEMBERS}{self.name}" not in self._open:
+            due.append(self._my_renewal)
+        for shard, each in self.owned.items():
+            due.append(self.times.deadline(each.asked))
+            if f"{LEASES}{shard}" not in self._open:
+                due.append(each.renew_at)
+        return min(due)
+
+    def _propose_member(self, now: float, found: list[Proposal]) -> None:
+        key = f"{MEMBERS}{self.name}"
+        if self._complete_at is None or now < self._my_renewal or key in self._open or self._me.gone:
+            return
+        self._me = replace(self._me, count=self._me.count + 1, gone=self._ends and not self.owned)
+        self._my_renewal = now + self._spread(self.times.renew)
+        self._propose(key, self._me.encode(), self._my_revision, now, found)
+
+    def _propose_renewals(self, now: float, found: list[Proposal]) -> None:
+        for shard, owned in self.owned.items():
+            key = f"{LEASES}{shard}"
+            if now >= owned.renew_at and key not in self._open and len(self._open) < MOST_OPEN:
+                owned.renew_at = now + self._spread(self.times.renew)
+                target = owned.leaving or ""
+                record = LeaseRecord(
+                    self.name,
+                    self._me.run,
+                    not owned.has_left,
+                    owned.count + 1,
+                    self.cost(shard),
+                    owned.epoch,
+                    target if owned.has_left else "",
+                )
+                self._propose(key, record.encode(), owned.revision, now, found)
+
+    def _propose(self, key: str, value: bytes, revision: int, now: float, found: list[Proposal]) -> None:
+        proposal = Proposal(key, value, revision, now)
+        self._open[key] = proposal
+        found.append(proposal)
+
+    def _take_free(self, now: float, found: list[Proposal]) -> None:
+        free = self._free(now)
+        mapped = takers(free, self._shares(now)) if free else {}
+        self._free_since = {shard: self._free_since.get(shard, now) for shard in mapped}
+        assert self._complete_at is not None
+        if self._me.draining or self._my_asked is None or now < self._complete_at + SETTLE:
+            return
+        for shard, taker in mapped.items():
+            if len(self._open) >= MOST_OPEN:
+                return
+            patience = PATIENCE_OF_BACKUPS if hosts_of(shard) else PATIENCE
+            is_mine = taker == self.name or (now >= self._free_since[shard] + patience and self._may_own(shard))
+            if is_mine and f"{LEASES}{shard}" not in self._open:
+                seen = self._leases.get(shard)
+                record = LeaseRecord(self.name, self._me.run, True, 0, self.cost(shard), None)
+                self._propose(f"{LEASES}{shard}", record.encode(), 0 if seen is None else seen.revision, now, found)
+
+    def _free(self, now: float) -> dict[str, float]:
+        """The shards that this collector could take now, with their costs."""
+        found: dict[str, float] = {}
+        for shard, cost in self._costs.items():
+            if shard in self.owned:
+                continue
+            seen = self._leases.get(shard)
+            free_at = float("-inf") if seen is None else self._free_at(seen)
+            if now >= free_at:
+                found[shard] = cost
+            elif free_at < self._look_at:
+                self._look_at = free_at
+        return found
+
+    def _free_at(self, seen: _SeenLease) -> float:
+        record = seen.record
+        if record is None:
+            return seen.at
+        if not record.held:
+            for_another = record.target and record.target != self.name
+            return seen.at + (1.0 if for_another else 0.0)
+        return seen.at if record.run == self._me.run else self.times.free_at(seen.at)
+
+    def _hand_on(self, now: float) -> None:
+        """Begin to hand on what this collector should not own (`balance`)."""
+        leaving = sum(each.leaving is not None for each in self.owned.values())
+        for shard, owned in self.owned.items():
+            unwanted = shard not in self._costs or self._ends
+            if unwanted and owned.leaving is None:
+                self._leave(shard, owned, "", "the collector ends" if self._ends else "no link belongs to it")
+        shares = self._shares(now)
+        found = moves(self._owned_by_all(now), shares, moving=leaving > 0) if not self._free_since else []
+        if not found:
+            self._off_since = None
+            return
+        if self._off_since is None:
+            self._off_since = now + SETTLE * self._chance.random()
+        if now < self._off_since + (0.0 if self._me.draining else SETTLE):
+            return
+        for move in found:
+            mine = self.owned.get(move.shard)
+            if move.giver == self.name and mine is not None and mine.leaving is None and leaving < MOST_LEAVING:
+                leaving += 1
+                self._leave(move.shard, mine, move.taker, f"{move.taker} takes it")
+
+    def _leave(self, shard: str, owned: OwnedShard, taker: str, reason: str) -> None:
+        owned.leaving = taker
+        self._events.append(ShardEvent(shard, Step.LEAVE, owned.epoch, reason))
+
+    def _lose(self, shard: str, reason: str) -> None:
+        owned = self.owned.pop(shard)
+        self._events.append(ShardEvent(shard, Step.LOST, owned.epoch, reason))
+
+    def _owned_by_all(self, now: float) -> dict[str, tuple[str, float]]:
+        found: dict[str, tuple[str, float]] = {}
+        for shard, cost in self._costs.items():
+            if shard in self.owned:
+                found[shard] = (self.owned[shard].leaving or self.name, cost)
+                continue
+            seen = self._leases.get(shard)
+            if seen is not None and seen.record is not None:
+                found[shard] = (seen.record.owner if seen.record.held else seen.record.target, cost)
+        return found
+
+    def _shares(self, now: float) -> list[Share]:
+        loads: dict[str, float] = {}
+        for owner, cost in self._owned_by_all(now).values():
+            loads[owner] = loads.get(owner, 0.0) + cost
+        return [
+            Share(each.name, each.host, loads.get(each.name, 0.0), each.capacity, each.draining)
+            for each in self.members(now)
+        ]
+
+    def _may_own(self, shard: str) -> bool:
+        hosts = hosts_of(shard)
+        return not hosts or self._me.host in hosts
+
+    def _lives(self, seen: _SeenMember, now: float) -> bool:
+        return not seen.record.gone and now < self.times.free_at(seen.at)
+
+    def _spread(self, seconds: float) -> float:
+        return seconds * (0.9 + 0.1 * self._chance.random())
+
+
+def record_epoch(proposal: Proposal) -> Epoch | None:
+    """The epoch in the lease that a proposal makes; None where it takes the shard."""
+    record = decode_lease(proposal.value)
+    return None if record is None else record.epoch

@@ -1,0 +1,135 @@
+"""The records that collectors share through the coordinator: leases, members, the generation. Pure.
+
+Each record is a line of JSON. What cannot be read is treated as if it were not there, and told: a newer version of this
+program must not stop an older one.
+"""
+
+import json
+from dataclasses import dataclass
+from typing import Any, Final
+
+from .lease_times import Epoch
+
+LEASES: Final = "lease."
+MEMBERS: Final = "member."
+GENERATION: Final = "generation"
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseRecord:
+    """The record of the lease of one shard.
+
+    Attributes:
+        owner, run: the collector, and a word for this start of it; two processes of one name are two owners.
+        held: whether it owns the shard; False after it has released it.
+        count: renewals so far, so that every renewal changes the entry.
+        cost: seconds of its links' time that the reads of the shard need in a second.
+        epoch: of the ownership; None in the entry that takes the lease, whose own revision it is.
+        target: the collector that it was released for; empty where all may take it.
+    """
+
+    owner: str
+    run: str
+    held: bool
+    count: int
+    cost: float
+    epoch: Epoch | None
+    target: str = ""
+
+    def encode(self) -> bytes:
+        """The content of its entry."""
+        epoch = None if self.epoch is None else [self.epoch.generation, self.epoch.revision]
+        return json.dumps(
+            [self.owner, self.run, int(self.held), self.count, round(self.cost, 6), epoch, self.target],
+            separators=(",", ":"),
+        ).encode()
+
+
+@dataclass(frozen=True, slots=True)
+class MemberRecord:
+    """The record of one collector that runs.
+
+    Attributes:
+        name, run: as in `LeaseRecord`.
+        host: the machine, for links that are pinned to it.
+        count: renewals so far.
+        capacity: how much it may take beside the others; 1 is usual.
+        draining: whether it hands everything on and takes nothing.
+        revision: of the configuration that it works by.
+        gone: whether it has ended in order.
+    """
+
+    name: str
+    run: str
+    host: str
+    count: int
+    capacity: float = 1.0
+    draining: bool = False
+    revision: int = 0
+    gone: bool = False
+
+    def encode(self) -> bytes:
+        """The content of its entry."""
+        return json.dumps(
+            [
+                self.name,
+                self.run,
+                self.host,
+                self.count,
+                self.capacity,
+                int(self.draining),
+                self.revision,
+                int(self.gone),
+            ],
+            separators=(",", ":"),
+        ).encode()
+
+
+def decode_lease(value: bytes) -> LeaseRecord | None:
+    """A lease; None where the bytes are none."""
+    try:
+        owner, run, held, count, cost, epoch, target = _list(value)[:7]
+        return LeaseRecord(
+            str(owner),
+            str(run),
+            bool(held),
+            int(count),
+            float(cost),
+            None if epoch is None else Epoch(int(epoch[0]), int(epoch[1])),
+            str(target),
+        )
+    except (ValueError, TypeError, IndexError):
+        return None
+
+
+def decode_member(value: bytes) -> MemberRecord | None:
+    """A member; None where the bytes are none."""
+    try:
+        name, run, host, count, capacity, draining, revision, gone = _list(value)[:8]
+        return MemberRecord(
+            str(name),
+            str(run),
+            str(host),
+            int(count),
+            float(capacity),
+            bool(draining),
+            int(revision),
+            bool(gone),
+        )
+    except (ValueError, TypeError, IndexError):
+        return None
+
+
+def decode_generation(value: bytes) -> int:
+    """The generation; 1 where the bytes say none."""
+    try:
+        return max(1, int(value))
+    except ValueError:
+        return 1
+
+
+def _list(value: bytes) -> list[Any]:
+    found = json.loads(value)
+    if not isinstance(found, list):
+        raise TypeError("a record is a list")
+    return found

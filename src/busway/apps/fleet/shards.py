@@ -1,0 +1,75 @@
+"""Shards: the groups of links that collectors of a zone own.
+
+Pure; knows names only. A lease costs the coordinator a message every few seconds, so links are owned in groups. The
+group of a link follows from its name alone: every collector finds the same one without asking.
+"""
+
+import hashlib
+import re
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from ...errors import ConfigError
+
+FEWEST: Final = 1
+MOST: Final = 1024
+"""Shards in one zone. Each lease is renewed by itself, and all collectors of the zone see every renewal."""
+PINNED: Final = "pin."
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
+
+
+def shard_of(link: str, shards: int) -> str:
+    """The shard that a link belongs to, as its name: ``0000`` … ``1023``.
+
+    With another number of shards as few links as possible move: n of n + 1 stay where a shard is added.
+
+    Args:
+        link: the name of the link.
+        shards: how many shards the zone has, 1…1024.
+    """
+    # Jump consistent hashing (Lamping and Veach 2014): moves as few links as rendezvous hashing, in log n steps.
+    key = int.from_bytes(hashlib.blake2b(link.encode(), digest_size=8).digest(), "big")
+    found, next_one = 0, 0
+    while next_one < shards:
+        found = next_one
+        key = (key * 2862933555777941757 + 1) & 0xFFFF_FFFF_FFFF_FFFF
+        next_one = int((found + 1) * (1 << 31) / ((key >> 33) + 1))
+    return f"{found:04d}"
+
+
+def pinned_shard(hosts: Sequence[str]) -> str:
+    """The shard of links that only these hosts can reach, such as a serial port: ``pin.<first host>.<second>``."""
+    return PINNED + ".".join(hosts)
+
+
+def hosts_of(shard: str) -> tuple[str, ...]:
+    """The hosts that may own a shard, the preferred one first; empty where all of the zone may."""
+    return tuple(shard.removeprefix(PINNED).split(".")) if shard.startswith(PINNED) else ()
+
+
+def shard_names(shards: int) -> list[str]:
+    """The names of all shards of a zone that are not pinned."""
+    return [f"{number:04d}" for number in range(shards)]
+
+
+def links_by_shard(links: Iterable[tuple[str, Sequence[str]]], shards: int) -> dict[str, list[str]]:
+    """Links grouped by shard; shards without links are left out.
+
+    Args:
+        links: the name of each link, and the hosts that can reach it; no hosts where all collectors can.
+        shards: how many shards the zone has, 1…1024.
+    """
+    found: dict[str, list[str]] = {}
+    for link, hosts in links:
+        found.setdefault(pinned_shard(hosts) if hosts else shard_of(link, shards), []).append(link)
+    return found
+
+
+def checked_name(name: str, what: str) -> str:
+    """A name of a zone, host or collector, which becomes part of keys and subjects. Raises `ConfigError`."""
+    if not _NAME.fullmatch(name):
+        raise ConfigError(
+            f"{what} {name!r} cannot be a name: use up to 63 letters, digits, - and _, the first a letter or digit",
+            key=what,
+        )
+    return name

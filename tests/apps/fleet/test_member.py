@@ -1,0 +1,237 @@
+"""A zone on the virtual clock: at most one owner at a time, and all shards polled once all is well."""
+
+from dataclasses import replace
+
+import pytest
+from fleet_world import Network, World, random_walk
+
+from busway.apps.fleet.balance import BEGIN
+from busway.apps.fleet.lease_times import LeaseTimes
+from busway.apps.fleet.member import FleetMember, NotConfirmed, Proposal, _SeenLease
+from busway.apps.fleet.records import LEASES
+
+COSTS = {f"{number:04d}": 0.02 + 0.001 * (number % 7) for number in range(32)}
+
+
+def settled(members: int = 3, costs: dict[str, float] = COSTS) -> World:
+    world = World(costs, seed=members)
+    for number in range(members):
+        world.start(f"c{number}")
+    world.run(15)
+    assert len(world.owners()) == len(costs)
+    return world
+
+
+def test_collectors_that_start_together_share_the_shards_fairly() -> None:
+    assert settled().imbalance() < BEGIN
+
+
+def test_the_shards_of_a_killed_collector_are_polled_again_within_the_bound() -> None:
+    world = settled()
+    lost = sorted(shard for shard, name in world.owners().items() if name == "c1")
+    world.kill("c1")
+    killed = world.now
+    world.run(LeaseTimes().ttl + LeaseTimes().guard + 3.0)
+    assert sorted(shard for shard, begin, _ in world.holes if begin > 5) == lost
+    assert all(end - killed <= 15 + 1 + 1 for _, begin, end in world.holes if begin > 5)
+    world.run(20)
+    assert world.imbalance() < BEGIN
+
+
+def test_a_new_collector_gets_its_part_with_no_hole_longer_than_a_period_and_a_second() -> None:
+    world = settled()
+    world.start("c3")
+    holes = len(world.holes)
+    world.run(30)
+    assert world.imbalance() < BEGIN
+    assert len(world.holes) == holes, "holes of over two seconds"
+
+
+def test_a_collector_that_drains_hands_everything_on_without_a_hole() -> None:
+    world = settled()
+    holes = len(world.holes)
+    world.drivers["c0"].member.drain()
+    world.run(20)
+    assert set(world.owners().values()) == {"c1", "c2"}
+    assert len(world.holes) == holes
+
+
+def test_a_rolling_restart_in_order_leaves_no_hole() -> None:
+    world = settled()
+    holes = len(world.holes)
+    for name in ("c0", "c1", "c2"):
+        member = world.drivers[name].member
+        member.end()
+        world.run(10)
+        assert member.has_ended
+        world.kill(name)
+        world.start(name)
+        world.run(15)
+    assert len(world.holes) == holes
+    assert len(world.owners()) == len(COSTS)
+
+
+def test_a_pinned_shard_waits_for_its_host_and_goes_to_its_backup() -> None:
+    world = World({**COSTS, "pin.a": 0.1, "pin.b.c": 0.1}, seed=1)
+    for host in "bcd":
+        world.start(f"on-{host}", host)
+    world.run(15)
+    assert "pin.a" not in world.owners()
+    assert world.owners()["pin.b.c"] == "on-b"
+    world.kill("on-b")
+    world.run(25)
+    assert world.owners()["pin.b.c"] == "on-c"
+    assert len(world.owners()) == len(COSTS) + 1, "a shard that nobody can take stops no other"
+
+
+def test_a_second_process_of_the_same_name_owns_nothing_while_the_first_lives() -> None:
+    world = settled(2)
+    first = world.drivers.pop("c0")
+    second = world.start("c0")
+    world.drivers["first c0"] = first
+    world.run(60)
+    assert not second.member.owned
+    assert second.member.rival == first.member._me.run
+    assert first.member.owned
+    world.kill("first c0")
+    world.run(40)
+    assert second.member.owned
+    assert second.member.rival is None
+
+
+def test_a_renewal_without_an_answer_is_none() -> None:
+    world = settled(1)
+    member = world.drivers["c0"].member
+    before = {shard: member.deadline(shard) for shard in member.owned}
+    world.network = Network(loss=1.0)
+    world.run(10)
+    assert before.items() == {shard: member.deadline(shard) for shard in member.owned}.items() or all(
+        member.deadline(shard) <= before[shard] + 3 for shard in member.owned
+    )
+    world.run(6)
+    assert not member.owned
+    assert member.counts.lapsed == len(COSTS)
+
+
+def test_a_lease_counts_from_before_its_renewal_was_sent(monkeypatch: pytest.MonkeyPatch) -> None:
+    world = World(COSTS, seed=1, network=Network((1.0, 1.0)))
+    member = world.start("c0").member
+    world.run(20)
+    asked: list[float] = []
+    answer = member.outcome
+
+    def late(proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
+        answer(proposal, result, now)
+        if proposal.key == "lease.0000":
+            assert now - proposal.asked == pytest.approx(2.0)
+            asked.append(proposal.asked)
+
+    monkeypatch.setattr(member, "outcome", late)
+    world.run(10)
+    assert member.deadline("0000") == asked[-1] + 14.0
+
+
+def test_a_transaction_that_would_end_exactly_at_the_deadline_does_not_begin() -> None:
+    world = settled(1)
+    member = world.drivers["c0"].member
+    deadline = member.deadline("0000")
+    assert not member.may_begin("0000", deadline - 1.0, 1.0)
+    assert member.may_begin("0000", deadline - 1.0, 0.999)
+
+
+def test_shards_that_no_link_belongs_to_are_handed_back() -> None:
+    world = settled(2)
+    for driver in world.drivers.values():
+        driver.member.set_shards({"0001": 0.1, "0002": 0.1})
+    world.run(10)
+    assert set(world.owners()) == {"0001", "0002"}
+
+
+def test_a_generation_that_was_raised_is_in_every_new_epoch() -> None:
+    world = settled(2)
+    world.entries["generation"] = replace(next(iter(world.entries.values())), key="generation", value=b"7")
+    for name in list(world.drivers):
+        world.kill(name)
+        world.start(f"new {name}")
+    world.run(40)
+    assert {each.epoch.generation for driver in world.drivers.values() for each in driver.member.owned.values()} == {7}
+
+
+def judged(world: World) -> list[str]:
+    """What was wrong in a walk: two owners at once, an epoch that went back, a shard that is not polled at its end."""
+    silent = [f"{shard} silent for {seconds:.1f} s" for shard, seconds in world.open_holes().items() if seconds > 2]
+    return world.breaches + silent
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_whatever_happens_a_shard_has_one_owner_and_is_polled_when_all_is_well_again(seed: int) -> None:
+    world = random_walk(seed)
+    assert judged(world) == []
+    assert world.gains > 16
+
+
+@pytest.mark.soak
+def test_many_walks() -> None:
+    for seed in range(10, 1000):
+        assert judged(random_walk(seed, 60)) == [], seed
+
+
+# What the walks must find: members that break one rule each.
+
+
+class WithoutDeadline(FleetMember):
+    def turn(self, now: float) -> list[Proposal]:
+        for each in self.owned.values():
+            each.asked = max(each.asked, now - 1.0)
+        return super().turn(now)
+
+
+class RenewedByAnUnansweredRenewal(FleetMember):
+    def outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
+        owned = self.owned.get(proposal.key.removeprefix(LEASES))
+        if result is NotConfirmed.UNKNOWN and owned is not None:
+            owned.asked = proposal.asked
+        super().outcome(proposal, result, now)
+
+
+class TakesTooEarly(FleetMember):
+    def _free_at(self, seen: _SeenLease) -> float:
+        return super()._free_at(seen) - 3 * self.times.guard
+
+
+class HandsOnBeforeItsLinksStopped(FleetMember):
+    def turn(self, now: float) -> list[Proposal]:
+        for shard, owned in self.owned.items():
+            if owned.leaving is not None and not owned.has_left:
+                self.left(shard)
+        return super().turn(now)
+
+
+class NeverTakesOver(FleetMember):
+    def _free_at(self, seen: _SeenLease) -> float:
+        return super()._free_at(seen) if seen.record is None or not seen.record.held else float("inf")
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        WithoutDeadline,
+        RenewedByAnUnansweredRenewal,
+        TakesTooEarly,
+        HandsOnBeforeItsLinksStopped,
+        NeverTakesOver,
+    ],
+)
+def test_the_walks_find_a_member_that_breaks_a_rule(kind: type[FleetMember]) -> None:
+    assert any(judged(random_walk(seed, member_kind=kind)) for seed in range(60))
+
+
+def test_the_walks_find_a_coordinator_that_does_not_compare(monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = World._apply
+
+    def careless(world: World, proposal: Proposal) -> int | NotConfirmed:
+        present = world.entries.get(proposal.key)
+        return honest(world, replace(proposal, revision=0 if present is None else present.revision))
+
+    monkeypatch.setattr(World, "_apply", careless)
+    assert any(judged(random_walk(seed)) for seed in range(20))
