@@ -16,12 +16,12 @@ HostAuthorizer = Callable[[str], bool]
 
 
 def allow_all(host: str) -> bool:
-    """Permit every host to connect."""
+    """Host check that permits every host to connect; used when a server has no address list."""
     return True
 
 
 def both(server: HostAuthorizer, listener: HostAuthorizer | None) -> HostAuthorizer:
-    """Combine the host authorizers of a server and of one listener: both must permit a host."""
+    """Return a host check that permits a host only if the server's check and one listener's check both permit it."""
     if listener is None:
         return server
     if server is allow_all:
@@ -30,7 +30,7 @@ def both(server: HostAuthorizer, listener: HostAuthorizer | None) -> HostAuthori
 
 
 class AddressList:
-    """The allow and deny list of a server; called with a host, it returns whether the host may connect.
+    """The hosts and networks that may or may not connect to a server; called with a host, it says whether it may.
 
     ``access("10.0.0.7")`` is True or False; a server takes it as its ``authorize``.
 
@@ -59,7 +59,7 @@ class AddressList:
         return host not in self.deny and (not self.secure or host in self.allow)
 
     def why(self, host: str) -> str:
-        """Why a host may connect or not, in words for a log: ``denied by 10.0.0.0/8``."""
+        """Return in words for a log why a host may or may not connect, such as ``denied by 10.0.0.0/8``."""
         denied = self.deny.find(host)
         if denied is not None:
             return f"denied by {denied}"

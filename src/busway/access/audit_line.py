@@ -55,7 +55,7 @@ _NULL: Final = "null"
 
 
 def who_text(client: Requester) -> str:
-    """The JSON part of an audit line that is the same for all requests of a client: peer, role and listener."""
+    """Return the JSON text that all audit lines of one client have in common: its address, role and listener."""
     role = _NULL if client.role is None else quoted(client.role)
     client.audit_text = f'"peer":{quoted(client.peer)},"role":{role},"listener":{quoted(client.listener)}'
     return client.audit_text
@@ -64,9 +64,7 @@ def who_text(client: Requester) -> str:
 def audit_line(
     context: RequestContext, request: AnyRequest, when: str, outcome: str, code: int | None, repeated: int = 0
 ) -> str:
-    """The audit line of a request as JSON. ``repeated``: number of denials that it stands for; 0 for this request
-    alone.
-    """
+    """Return the audit line of one request as JSON. ``repeated``: number of denials it stands for, else 0."""
     judged = context.judged
     assert judged is not None  # or there would be no line
     what, old, new = _facts(request, None if outcome == DENIED else judged.replaced)
@@ -79,7 +77,8 @@ def audit_line(
 
 
 def done_line(unit: int, function: int, rule: str) -> tuple[str, str]:
-    """The fixed parts of the audit line of an executed write: the middle, after time and client, and the end.
+    """Return the fixed parts of the audit line of an executed write: what stands between time and values, and the
+    end.
 
     Between the two comes the text from `DONE` for the function. The line then equals that of `audit_line`, to the byte.
     """
@@ -116,14 +115,14 @@ DONE: Final[dict[type[Request], Done]] = {
 
 
 def outcome_of(reply: Message | Deferral | None) -> tuple[str, int | None]:
-    """Outcome and exception code of a reply, as an audit line has them."""
+    """Return outcome (``done``, ``exception`` or ``no answer``) and exception code of a request for its audit line."""
     if isinstance(reply, ExceptionResponse):
         return "exception", int(reply.exception)
     return ("done", None) if isinstance(reply, Message) else (NO_ANSWER, None)
 
 
 def _facts(request: AnyRequest, replaced: Replaced | None) -> tuple[str, str, str]:
-    """Three JSON texts about a request: function and items, old values, new values."""
+    """Return three JSON texts that an audit line shows about a request: function and items, old values, new values."""
     if isinstance(request, ReadFileRecord | WriteFileRecord):
         return _file_facts(request, replaced)
     facts = _FACTS.get(type(request), _other_facts)
@@ -162,7 +161,7 @@ def _coils_facts(request: WriteMultipleCoils, before: bytes | None) -> tuple[str
 
 
 def _file_facts(request: ReadFileRecord | WriteFileRecord, replaced: Replaced | None) -> tuple[str, str, str]:
-    """The JSON texts about functions 20 and 21: the records of all groups, one after the other."""
+    """Return the JSON texts of an audit line about functions 20 and 21, with the file records of all groups."""
     groups: Sequence[FileReference | FileData] = request.groups
     records = [[group.file, group.record, group.count] for group in groups]
     count = sum(group.count for group in groups)
@@ -180,9 +179,7 @@ def _unread_facts(request: OpaqueRequest | MalformedRequest, before: bytes | Non
 
 
 def _other_facts(request: Request, before: bytes | None) -> tuple[str, str, str]:
-    """The JSON texts about all other functions, from their declarations: reads, requests without a table, user
-    functions.
-    """
+    """Return the JSON texts of an audit line about reads, requests without a table, and functions of the user."""
     spans = request.spans()
     span = next((span for span in spans if span.writes), spans[0] if spans else None)
     what = f'"function":{request.code:d}'

@@ -50,14 +50,14 @@ _LATE: Final = 1.0
 
 
 class FlushSchedule(Protocol):
-    """Timer of the audit log: calls a function some seconds later; returns False if there is no event loop for it."""
+    """Function that the audit log asks to call it back some seconds later, to write its buffer to the file."""
 
     def __call__(self, seconds: float, function: Callable[[], None], /) -> bool:
-        """Have ``function`` called after ``seconds``; False if that is impossible."""
+        """Arrange that ``function`` is called after ``seconds``; return False if there is no event loop for that."""
 
 
 def by_event_loop(seconds: float, function: Callable[[], None]) -> bool:
-    """Schedule a function on the running event loop; False if none is running."""
+    """Arrange that the running event loop calls ``function`` after ``seconds``; return False if no loop is running."""
     try:
         asyncio.get_running_loop().call_later(seconds, function)
     except RuntimeError:
@@ -98,7 +98,7 @@ Room = Callable[[int], tuple[int, int]]
 
 
 def room_of_file(file: int) -> tuple[int, int]:
-    """Free and total bytes of the file system of an open file; all bytes count as free where the system cannot say."""
+    """Return free and total bytes of an open file's file system; all count as free if the system cannot say."""
     if not hasattr(os, "fstatvfs"):
         return MOST_RESERVED, MOST_RESERVED
     facts = os.fstatvfs(file)
@@ -106,7 +106,7 @@ def room_of_file(file: int) -> tuple[int, int]:
 
 
 class AuditLog:
-    """An append-only log file of JSON lines, for any number of threads and servers. Close it at the end.
+    """An append-only file of JSON lines about writes and denied requests; any number of threads and servers use it.
 
     Args:
         path: the file; made with rights for its owner alone (0600) if it is not there, never truncated.
@@ -174,11 +174,11 @@ class AuditLog:
 
     @property
     def takes_writes(self) -> bool:
-        """Whether a write may be executed now: False if it must be logged but the log cannot be written."""
+        """Whether a write request may be executed now: False if the log must record it but cannot be written to."""
         return not (self._refuses and (self.is_failing or self._file is None))
 
     def append(self, line: str) -> None:
-        """Append a line of ASCII that ends with a line feed."""
+        """Append one audit line, ASCII text that ends with a line feed."""
         with self._lock:
             if self._file is None or self._size >= _KEPT:
                 self._lose(1)
@@ -197,7 +197,7 @@ class AuditLog:
                 self.flush()
 
     def append_denied(self, about: About, line: DenialLine) -> None:
-        """Append the line of a denial now, or count it as a repetition and append one line after the interval.
+        """Append the audit line of a denied request now, or count it as a repetition that one later line reports.
 
         Args:
             about: host, role and rule; those of the same are counted together.
@@ -216,13 +216,13 @@ class AuditLog:
                 self._schedule(self._repeat_interval, self._tell_repeated)
 
     def flush(self) -> None:
-        """Write the buffered lines to the file. Raises nothing: a failure is counted and logged."""
+        """Write the buffered audit lines to the file. Raises nothing: a failure is counted and logged."""
         with self._lock:
             self._due = None
             self._write_kept()
 
     def reopen(self) -> None:
-        """Open the file of this name again, after log rotation has renamed the old one.
+        """Close the audit file and open the same path again, after log rotation has renamed the file.
 
         Raises:
             ConfigError: it cannot be opened; the old one is kept.
@@ -240,7 +240,7 @@ class AuditLog:
             self.flush()
 
     def close(self) -> None:
-        """Write the buffered lines and close the file. Later lines are lost, and counted."""
+        """Write the buffered audit lines and close the file. Lines appended later are lost, and counted."""
         with self._lock:
             self._tell_repeated()
             self._tell_left_out()
@@ -268,9 +268,7 @@ class AuditLog:
     # ---- denials
 
     def _append_denied(self, line: DenialLine, repeated: int) -> None:
-        """Append the line of a denial if there is room; ``repeated``: number of denials that it stands for, 0
-        for one.
-        """
+        """Append the line of a denied request if the file has room; ``repeated``: denials it stands for, else 0."""
         if self._has_room_for_denials():
             self._tell_left_out()
             self.append(line(repeated))
@@ -279,7 +277,7 @@ class AuditLog:
             self._left_out += repeated or 1
 
     def _tell_repeated(self) -> None:
-        """Append the lines of repeated denials, and schedule the next such time while there are any."""
+        """Append one audit line for each client whose denials were counted, and arrange the next such time."""
         with self._lock:
             self._repeated_due = None
             for line, count in self._repeated.take():
@@ -292,7 +290,7 @@ class AuditLog:
                 self._schedule(self._repeat_interval, self._tell_repeated)
 
     def _tell_left_out(self) -> None:
-        """Append a line with the number of denials that were not recorded, if there were any."""
+        """Append an audit line with the number of denials that found no room in the file; none if there were none."""
         if self._left_out:
             left_out, self._left_out = self._left_out, 0
             self.append(f'{{"time":"{self.timestamp()}","outcome":"denials left out","lines":{left_out}}}\n')
@@ -336,7 +334,7 @@ class AuditLog:
             self._recovered()
 
     def _keep(self, data: bytes, at: int) -> None:
-        """Count the lines written up to byte ``at``, and keep the rest in the buffer."""
+        """Count the buffered lines that the file has taken, its first ``at`` bytes, and keep the rest."""
         if at == len(data):
             self.written += len(self._lines) + bool(self._begun)
             self._lines, self._size, self._begun = [], 0, b""
@@ -372,5 +370,5 @@ class AuditLog:
 
 
 def _others_line(time: str, repeated: int) -> str:
-    """The audit line for denials beyond the number of combinations that are counted separately."""
+    """Return the audit line for all denials of clients and rules beyond the limit of those counted one by one."""
     return f'{{"time":"{time}","outcome":"denied","repeated":{repeated}}}\n'

@@ -1,4 +1,4 @@
-"""The observer that records writes and denied requests in the audit log.
+"""The observer of a server's requests that records writes and denied requests in the audit log.
 
 Knows the outcome of requests; decides nothing. Writes on the fast path record themselves
 (`busway.access.fast_path_rights`).
@@ -16,7 +16,7 @@ from .audit_log import AuditLog
 
 
 class AuditObserver:
-    """A `RequestObserver` that appends an audit line for each write and each denied request.
+    """Observer of a server's requests that appends an audit line for each write and each denied request.
 
     Repeated denials of a client are recorded as one line with their number.
     """
@@ -25,15 +25,15 @@ class AuditObserver:
         self._log = log
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Do nothing: reads are not recorded, and writes on the fast path record themselves."""
+        """Do nothing for a request answered on the fast path: reads are not recorded, and writes record themselves."""
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Do nothing: only reads are forwarded on the fast path."""
+        """Do nothing for a request that is forwarded on the fast path: it can only be a read, which is not recorded."""
 
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
     ) -> None:
-        """Record the request if it was a write or was denied."""
+        """Append an audit line when a request has been answered, if it was a write or was denied."""
         judged = context.judged
         if judged is None:
             return

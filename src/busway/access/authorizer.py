@@ -1,4 +1,4 @@
-"""The authorizer of a server: decides every request by a policy (M6, T15).
+"""The authorizer of a server: permits or denies every request by the rules of a policy (M6, T15).
 
 Knows requests, clients and the policy; answers nothing and stands beside the responder.
 
@@ -59,13 +59,11 @@ class PolicyRights:
         self._audit = audit
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """The fast answer to a function of a unit, limited to what is permitted; None if each request must be
-        decided.
-        """
+        """Return a function that answers one function code for these clients; None if each request needs a decision."""
         return bind(self.rights, unit, served, kind, self._audit)
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read is always permitted, without a rate limit, so that it may be forwarded unchecked."""
+        """Whether a read request is always permitted, without a rate limit, so that it may be forwarded unchecked."""
         question = Question.of(request, unit=unit, listed=_NO_UNITS if served is None else served.units, asker=_ANYBODY)
         decision = self.rights.decide(question)
         return decision.allowed and not decision.rates and not question.writes
@@ -77,7 +75,7 @@ _ANYBODY: Final = Asker()
 
 
 class _InForce:
-    """A policy in force with all that is compiled from it; replaced as a whole."""
+    """The policy that a server uses now, with the rights of clients compiled from it; replaced as a whole."""
 
     __slots__ = ("of_askers", "of_clients", "of_rules", "policy")
 
@@ -89,7 +87,7 @@ class _InForce:
 
 
 class PolicyAuthorizer:
-    """Decides requests by a policy, which can be replaced while the server runs.
+    """Permits or denies the requests to a server by a policy, which can be replaced while the server runs.
 
     Args:
         policy: the rules.
@@ -121,24 +119,24 @@ class PolicyAuthorizer:
 
     @property
     def policy(self) -> Policy:
-        """The policy in force."""
+        """The policy by which requests are decided now."""
         return self._in_force.policy
 
     def replace_policy(self, policy: Policy) -> None:
-        """Replace the policy, from the next request on; connections stay open. May be called from any thread."""
+        """Use another policy from the next request on; connections stay open. May be called from any thread."""
         with self._lock:
             self._in_force = _InForce(policy)
             self._rates.clear()
             self.generation += 1
 
     def rights_of(self, client: ClientIdentity) -> PolicyRights:
-        """The rights of a client under the policy."""
+        """Return what the policy permits to a client, compiled for fast decisions."""
         return self._known(client)[1]
 
     def authorize(
         self, context: RequestContext, request: AnyRequest, served: ServedUnit | None
     ) -> ExceptionResponse | None:
-        """Permit a request (returns None), or refuse it with an exception reply.
+        """Return None if the policy permits a request, otherwise the exception reply that refuses it.
 
         Function 22 under limits is permitted for now where the device will show the value that it changes
         (`RequestContext.replacing`), and decided then.
@@ -167,7 +165,7 @@ class PolicyAuthorizer:
         return None
 
     def _judge(self, context: RequestContext, rights: Rights, question: Question, replaced: Replaced) -> None:
-        """Decide a request of function 22 once the register value that it changes is known. Raises `Refusal`."""
+        """Decide a mask write (function 22) once the old register value is known. Raises `Refusal`."""
         current = replaced[0] if replaced else None
         if current is not None:
             question = question.with_current(int.from_bytes(current, "big"))
@@ -181,7 +179,7 @@ class PolicyAuthorizer:
         context.judged.rule = decision.rule_name
 
     def refusal_of(self, context: RequestContext, request: AnyRequest, units: Iterable[int], charged: set[int]) -> int:
-        """The exception code that refuses a request to several units; 0 if it is permitted for all of them.
+        """Return the exception code that refuses a request to several units; 0 if it is permitted for all of them.
 
         For requests that reach several units at once. A rule with a rate counts it as one request, however many of the
         units it is about. A refusal is counted, logged and recorded as that of a request to one unit is.
@@ -234,7 +232,7 @@ class PolicyAuthorizer:
         return ExceptionResponse(context.function, decision.code)
 
     def _too_fast(self, decision: Decision, asker: Asker, charged: set[int] | None) -> Decision | None:
-        """The refusal of a permitted request that exceeds the rate of a rule; None within all rates.
+        """Return the refusal of a permitted request above the rate (requests per second) of its rule; None if below.
 
         ``charged`` holds the ids of rules that have counted the request already, so that a broadcast counts once.
         """
@@ -252,7 +250,7 @@ class PolicyAuthorizer:
         return None
 
     def _known(self, client: ClientIdentity) -> tuple[Asker, PolicyRights]:
-        """A client as the rules see it, and its rights, both cached."""
+        """Return the client of a request as rules see it (host, role, listener), and its rights, both from a cache."""
         in_force = self._in_force
         found = in_force.of_clients.get(client)
         if found is None:
@@ -264,7 +262,7 @@ class PolicyAuthorizer:
 
 
 def _denied_to_all(rights: Rights, question: Question) -> Decision | None:
-    """The refusal of a broadcast by a rule that names unit 0; None where no such rule denies it.
+    """Return the refusal of a broadcast that a rule for unit 0 denies; None where no such rule denies it.
 
     A broadcast of a line is judged for each unit that hears it. A rule that permits unit 0 gives no right to these.
     """
@@ -291,5 +289,5 @@ def _rights_of(asker: Asker, in_force: _InForce, audit: AuditLog | None) -> Poli
 
 
 def _busy(rule: Rule) -> Decision:
-    """The refusal of a request that a rule permits but that exceeds the rule's rate."""
+    """Return the refusal (exception code 06) of a permitted request above the rate of its rule."""
     return Decision(False, int(ExceptionCode.SERVER_DEVICE_BUSY), rule, f"more than {rule.rate:g} requests a second")

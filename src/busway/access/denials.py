@@ -1,4 +1,4 @@
-"""Counts repeated denials of one client by one rule: the first is recorded at once, later ones as a number.
+"""Counts repeated denials of one client by one rule: the audit log gets the first at once, later only numbers.
 
 Pure: knows names and how to make a line; looks at no clock and writes nothing.
 
@@ -22,14 +22,14 @@ MOST_APART: Final = 1024
 
 @dataclass(slots=True)
 class _Repeated:
-    """Denials of one client by one rule since the last audit line: their number, and the line of the latest."""
+    """How often one rule denied one client since the last audit line, and the audit line of the latest denial."""
 
     count: int = 0
     line: DenialLine | None = None
 
 
 class RepeatedDenials:
-    """Denials that were counted but are not in the audit log yet.
+    """Counts of denied requests that the audit log does not show yet, by client and rule.
 
     Attributes:
         others: number of those beyond `MOST_APART` combinations.
@@ -43,7 +43,7 @@ class RepeatedDenials:
         return bool(self._repeated or self.others)
 
     def is_first(self, about: About, line: DenialLine) -> bool:
-        """Whether a denial is to be recorded now; if not, it was counted as a repetition."""
+        """Whether a denied request needs an audit line now; if not, it was counted as a repetition."""
         repeated = self._repeated.get(about)
         if repeated is not None:
             repeated.count += 1
@@ -56,13 +56,13 @@ class RepeatedDenials:
         return True
 
     def take(self) -> list[tuple[DenialLine, int]]:
-        """The audit lines for counted denials, each with its number. Combinations without denials are dropped."""
+        """Return the audit lines for counted denials, each with its number, and set the counts to 0."""
         again = {about: each for about, each in self._repeated.items() if each.count}
         found = [(each.line, each.count) for each in again.values() if each.line is not None]
         self._repeated = {about: _Repeated() for about in again}
         return found
 
     def take_others(self) -> int:
-        """The number of denials beyond the combinations that are counted separately; resets it to 0."""
+        """Return the number of denials beyond the limit of those counted by client and rule, and set it to 0."""
         others, self.others = self.others, 0
         return others

@@ -1,4 +1,4 @@
-"""Fast answers under a policy: limited to the permitted items, and writes with audit lines.
+"""The server's fast path under a policy: checks addresses and values and audits writes, without a full decision.
 
 Knows zones of rights, declarations of functions and blocks of devices; knows no client, no session.
 
@@ -36,7 +36,7 @@ _unpack_two = struct.Struct(">HH").unpack_from
 def bind(
     rights: Rights, unit: int, served: ServedUnit, kind: type[Request], audit: AuditLog | None = None
 ) -> Answer | None:
-    """The fast answer to a function, limited to what clients with these rights may do; None for the generic path.
+    """Return a function that answers one function code within these rights; None if requests need full decisions.
 
     Args:
         rights: of the clients.
@@ -71,7 +71,7 @@ def bind(
 def _within(
     kind: type[Request], answer: Answer, rights: Rights, access: Callable[[Table | None, bool], UnitAccess]
 ) -> Answer | None:
-    """A fast answer that first checks which items the request touches."""
+    """Return a fast answering function that first checks whether the touched items are permitted."""
     if kind.spans is not Request.spans:
         return None  # it says for itself what it touches: only a request can tell
     touches = [(touch, writes) for touch, writes in ((kind.writes, True), (kind.reads, False)) if touch is not None]
@@ -93,7 +93,7 @@ def _unlimited(zones: tuple[Zone, ...]) -> tuple[Zone, ...]:
 
 
 def _is_plain(kind: type[Request], touch: Touch) -> bool:
-    """Whether the data of a function begin with the address and, if it has one, the count of the touched items."""
+    """Whether requests of a function begin with the address and, if it has one, the count of the touched items."""
     names = ("address",) if touch.count is None else ("address", "count")
     fields = kind.layout.fields[: len(names)]
     return (
@@ -132,7 +132,7 @@ def _within_ranges(answer: Answer, permitted: Sequence[Range]) -> Answer:
 
 
 def _within_single(answer: Answer, permitted: Sequence[Range]) -> Answer:
-    """A fast answer that first checks the address, for functions that touch one item and have no count."""
+    """Return a fast answering function, for functions that touch one item, that first checks the address."""
     firsts, ends = zip(*permitted, strict=True)
 
     def within(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -150,7 +150,7 @@ Put = Callable[[int, int, bytes], bool | None]
 
 
 class _CheckedDevice:
-    """A device whose memory blocks check what is written to them.
+    """A device as the fast path uses it under a policy: its memory blocks check what is written to them.
 
     Args:
         device: the device.
@@ -164,18 +164,14 @@ class _CheckedDevice:
         self._checked = checked
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """The memory of a table for direct access, with checked writes; None if it has none or a write cannot be
-        checked.
-        """
+        """Return the memory of a table with a check before each write; None if it has none or needs full decisions."""
         block = self._device.plain_block(table, writes=writes)
         put = None if block is None else self._checked(block)
         return None if block is None or put is None else _CheckedBlock(block, put)
 
 
 class _CheckedBlock:
-    """A memory block whose ``put`` checks writes: a closure, because a method would look everything up at each
-    write.
-    """
+    """A device's memory block whose ``put`` checks each write against the policy; ``put`` is a closure, for speed."""
 
     __slots__ = ("_block", "count", "first", "put")
 
@@ -187,12 +183,13 @@ class _CheckedBlock:
 
     @property
     def data(self) -> bytearray:
-        """The bytes of the block's items."""
+        """The bytes that hold the block's registers or bits."""
         return self._block.data
 
 
 def _zone_finder(first: int, zones: Sequence[Zone]) -> Callable[[int, int, bytes], int | None]:
-    """Build a function that finds the zone of a write; None if it is in no zone, in several, or outside the limits.
+    """Build a function that finds the one permitted address range that holds a write; None if there is none or
+    several.
 
     Args:
         first: the address of the block's first item; positions count from there.
@@ -213,7 +210,7 @@ def _zone_finder(first: int, zones: Sequence[Zone]) -> Callable[[int, int, bytes
 
 
 def _limited(block: Block, zones: Sequence[Zone]) -> Put:
-    """Build the ``put`` of a block that refuses writes outside the permitted zones and value limits."""
+    """Build the ``put`` of a memory block that refuses writes outside the permitted addresses and value limits."""
     zone_of, plain_put = _zone_finder(block.first, zones), block.put
 
     def put(position: int, count: int, data: bytes) -> bool | None:
@@ -230,7 +227,7 @@ _NOTHING_DONE: Final[_Done] = (0, 0, 0, b"", b"")
 def _audited(
     kind: type[Request], device: DirectModel, zones: Sequence[Zone], unit: int, audit: AuditLog
 ) -> Answer | None:
-    """Build the fast answer to a write that checks zones and limits and appends an audit line."""
+    """Build the function that answers a write on the fast path: checks addresses and limits, appends an audit line."""
     done = _NOTHING_DONE
 
     def recorded(block: Block) -> Put | None:

@@ -1,4 +1,4 @@
-"""Units, functions and ranges of items as people write them in rules.
+"""Parsers of the units, functions and address ranges that people write in access rules.
 
 Knows texts and numbers; knows no rule.
 
@@ -101,7 +101,7 @@ def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> 
 
 
 def merged(ranges: Iterable[Range]) -> tuple[Range, ...]:
-    """Sort ranges and join those that touch."""
+    """Sort address ranges and join those that touch."""
     found: list[Range] = []
     for first, end in sorted(ranges):
         if found and first <= found[-1][1]:
@@ -112,7 +112,7 @@ def merged(ranges: Iterable[Range]) -> tuple[Range, ...]:
 
 
 def _ranges(value: str | int | Iterable[str | int], highest: int, what: str) -> list[Range]:
-    """Parse a list of numbers and ranges such as ``1-10, 17``."""
+    """Parse a text of numbers and ranges such as ``1-10, 17`` into pairs of first and last."""
 
     def number(text: str) -> int:
         if not _NUMBER.fullmatch(text):
@@ -143,7 +143,8 @@ def _ends(part: str, number: Callable[[str], int]) -> Range:
 
 
 def _with_single_blanks(part: str) -> str:
-    """One part of a notation, trimmed and with single blanks inside. Raises `ConfigError` if it is too long.
+    """Return one part of a rule's text, trimmed and with single blanks inside. Raises `ConfigError` if it is too
+    long.
 
     What comes after takes time with the square of the length, so the length is bounded here.
     """
@@ -178,7 +179,7 @@ def _functions(text: str | int) -> set[Function]:
 
 
 def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
-    """Parse one part of an item notation: its table and range."""
+    """Parse one item range such as ``holding:100-199`` into its table and its addresses."""
     if isinstance(part, str):
         text = _with_single_blanks(part)
         # A minus sign may belong to a table's name (holding-registers:5): the last one may be the sign of a range.
@@ -197,9 +198,7 @@ def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
 
 
 def _with_notation_of(first: str, last: str) -> str:
-    """Complete the end of a range: ``199`` in ``holding:100-199`` is ``holding:199``; ``0x8`` may be hexadecimal only
-    behind a table's name.
-    """
+    """Complete the end of an item range: ``199`` in ``holding:100-199`` becomes ``holding:199``."""
     prefix = re.match(r"[0134][xX]|[A-Za-z _-]+:|%[mM][wW]?", first.strip())
     if prefix is None or not (last.isdecimal() or (prefix[0].endswith(":") and _NUMBER.fullmatch(last))):
         return last

@@ -1,4 +1,4 @@
-"""The facts of one request that a policy decides about: client, unit, function, items and values.
+"""What an access policy needs to know of one request: client, unit, function, items and values.
 
 Knows messages; knows no rule.
 
@@ -37,7 +37,7 @@ _OF_FILES: Final = (ReadFileRecord, WriteFileRecord)
 
 @dataclass(slots=True)
 class TouchedRange:
-    """Items of a table, or records of a file, that a request touches, from ``first`` to before ``end``."""
+    """The items of a table, or records of a file, that a request reads or writes: from ``first`` to before ``end``."""
 
     space: Space
     first: int
@@ -47,7 +47,7 @@ class TouchedRange:
 
 @dataclass(frozen=True, slots=True)
 class Asker:
-    """The client of a request: its host, its role and the listener it uses.
+    """The client of a request as access rules see it: its host, its role and the listener it uses.
 
     Attributes:
         host: numeric address, ``10.0.0.7``; the name of a serial line.
@@ -64,7 +64,7 @@ class Asker:
 
 @dataclass(slots=True)
 class Question:
-    """One request with all facts that a policy can decide by. Created with ``of``.
+    """One request with all facts by which an access policy can decide about it. Created with ``of``.
 
     Attributes:
         asker: the client.
@@ -100,7 +100,7 @@ class Question:
         listener: str = "",
         asker: Asker | None = None,
     ) -> "Question":
-        """The facts of a decoded request.
+        """Collect the facts of a decoded request for the decision of a policy.
 
         Args:
             request: what was decoded.
@@ -138,9 +138,7 @@ class Question:
         return any(piece.writes for piece in self.pieces)
 
     def with_current(self, current: int) -> "Question":
-        """The facts of a request of function 22 on a register that holds ``current``, so that the written value is
-        known.
-        """
+        """Return a mask write (function 22) with the value it will write to a register that now holds ``current``."""
         if self.masks is None:
             return self
         and_mask, or_mask = self.masks
@@ -148,7 +146,7 @@ class Question:
 
 
 def masked(current: int, and_mask: int, or_mask: int) -> int:
-    """The value that function 22 writes to a register (Application Protocol V1.1b3 §6.16)."""
+    """Return the value that a mask write (function 22) gives a register (Application Protocol V1.1b3 §6.16)."""
     return (current & and_mask | or_mask & ~and_mask) & 0xFFFF
 
 
@@ -181,7 +179,7 @@ def _pieces_of_malformed(request: MalformedRequest, sub_function: int | None) ->
 
 
 def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
-    """All that requests of a function may touch, a range for each kind of access."""
+    """Return all items that requests of a function could read or write: the whole table for each kind of access."""
     if issubclass(kind, _OF_FILES):
         return (TouchedRange(FILES, 0, END, issubclass(kind, WriteFileRecord)),)
     found = [
@@ -193,7 +191,7 @@ def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
 
 
 def _sub_function(function: int, data: bytes) -> int | None:
-    """The sub-function code at the start of the request data; None if the function has none or the data are cut off."""
+    """Return the sub-function code at the start of the request data; None if there is none or it is cut off."""
     width = _SUB_WIDTH.get(function)
     return int.from_bytes(data[:width], "big") if width is not None and len(data) >= width else None
 

@@ -1,4 +1,4 @@
-"""Request rates per host: a token bucket for each host, shared by all its connections.
+"""Limits of requests per second by client host: a token bucket for each host, shared by all its connections.
 
 Pure: knows hosts, numbers and times handed in; pauses nothing itself.
 
@@ -15,7 +15,7 @@ _HOSTS: Final = 4096
 
 
 class Rates:
-    """Request rates of hosts: one token bucket for each host.
+    """Limits how many requests per second each client host may send: one token bucket for each host.
 
     Args:
         rate: requests a second, for each host.
@@ -30,7 +30,7 @@ class Rates:
         return len(self._buckets)
 
     def charge(self, host: str, requests: int, now: float) -> float:
-        """Charge a host with ``requests``; returns the seconds that it has to wait, 0 within its rate."""
+        """Count ``requests`` of a host against its rate; return the seconds that it must wait now, 0 for none."""
         left = self._left(host, now) - requests
         self._buckets[host] = (left, now)
         self._buckets.move_to_end(host)
@@ -39,7 +39,7 @@ class Rates:
         return 0.0 if left >= 0 else -left / self.rate
 
     def allows(self, host: str, now: float) -> bool:
-        """Charge one request if its host is within its rate; False means that the request is to be refused."""
+        """Count one request of a host against its rate; return False if the request exceeds it and is to be refused."""
         if self._left(host, now) < 1.0:
             return False
         self.charge(host, 1, now)

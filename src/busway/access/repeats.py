@@ -20,14 +20,14 @@ class _Said:
 
 
 class Repeats:
-    """Decides whether a repeated message is logged now. ``pause``: seconds between two lines about one name."""
+    """Decides whether a repeated log message is written now. ``pause``: seconds between two lines about one name."""
 
     def __init__(self, pause: float = PAUSE) -> None:
         self._pause = pause
         self._said: OrderedDict[str, _Said] = OrderedDict()
 
     def again(self, name: str, now: float) -> int | None:
-        """Number of messages left out since the last line about ``name``, if one may be logged now; None if it may not.
+        """Return how many messages about ``name`` were left out if one may be logged now; None if it may not.
 
         Args:
             name: what the message is about, such as a host.
@@ -45,5 +45,5 @@ class Repeats:
 
 
 def so_often(repeated: int) -> str:
-    """The end of a log line that says how many equal messages were left out; empty for none."""
+    """Return the end of a log line that says how many equal messages were left out; empty if none were."""
     return f" ({repeated} more since the last line)" if repeated else ""

@@ -25,7 +25,7 @@ _MOST_ACCESSES: Final = 4096
 
 @dataclass(slots=True)
 class Decision:
-    """The decision of a policy about one request.
+    """What a policy decided about one request: permitted or not, by which rule, with which exception code.
 
     Attributes:
         allowed: whether it may be executed.
@@ -52,7 +52,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """Address range in which one rule decides about one kind of access.
+    """An address range in which the same rule decides about one kind of access.
 
     Attributes:
         first, end: the items, to before ``end``.
@@ -73,17 +73,17 @@ class Zone:
 
     @property
     def rule_name(self) -> str:
-        """The name of the rule that decides in this zone; ``default`` if there is none."""
+        """The name of the rule that decides in this address range; ``default`` if no rule applies."""
         return DEFAULT_RULE if self.rule is None else self.rule.name
 
     @property
     def rate(self) -> float | None:
-        """Requests per second that the rule of this zone permits; None without a limit."""
+        """Requests per second that the rule of this address range permits; None without a limit."""
         return None if self.rule is None else self.rule.rate
 
 
 class UnitAccess(NamedTuple):
-    """One kind of access to one unit: the unit, the function and whether it writes.
+    """A kind of access for which rights are compiled: the unit, the function code and whether it writes.
 
     Attributes:
         unit: the unit asked, 0…255.
@@ -103,7 +103,7 @@ class UnitAccess(NamedTuple):
 
 
 class Rights:
-    """The rules of a policy that apply to some clients, and the decisions that follow.
+    """The rules of a policy that apply to certain clients, and the decisions about requests that follow from them.
 
     Args:
         rules: in their order; all of them apply to the clients.
@@ -121,15 +121,15 @@ class Rights:
         self._zones: dict[UnitAccess, tuple[list[int], tuple[Zone, ...]]] = {}
 
     def zones(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """The zones of one kind of access, ascending; they cover all addresses."""
+        """Return all addresses as ascending ranges, each with the rule that decides there, for one kind of access."""
         return self._compiled(access)[1]
 
     def permitted(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """The zones where an access is always permitted, without a rate limit."""
+        """Return the address ranges where an access is always permitted, whatever its values, without a rate limit."""
         return tuple(zone for zone in self.zones(access) if zone.permits and zone.rate is None)
 
     def decide(self, question: Question) -> Decision:
-        """Decide whether a request is permitted."""
+        """Decide whether the rules permit a request to these clients."""
         rates: list[Rule] = []
         first_rule: Rule | None = None
         is_first = True
@@ -153,7 +153,7 @@ class Rights:
         return Decision(True, rule=first_rule, rates=tuple(rates))
 
     def _touched(self, question: Question, piece: TouchedRange) -> list[Zone]:
-        """The zones that a piece of a request touches, in the order of their rules."""
+        """Return the address ranges, each with its rule, that a part of a request touches, in the order of rules."""
         access = UnitAccess(
             question.unit, question.listed, question.function, question.sub_function, piece.space, piece.writes
         )
@@ -175,7 +175,7 @@ class Rights:
         return found
 
     def _compile(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """Compile the zones of an access: every address belongs to the first rule that fits."""
+        """Split the addresses of a table into ranges that belong to one rule each: the first one that applies."""
         found: list[Zone] = []
         firsts, ends = [0], [END]  # what no rule has taken yet
         for order, rule in self._of_unit(access.unit, access.listed):
@@ -208,9 +208,7 @@ class Rights:
         return Zone(first, end, rule, order, action, action.permits(access.writes), limits)
 
     def _of_unit(self, unit: int, listed: frozenset[int]) -> tuple[tuple[int, Rule], ...]:
-        """The rules that apply to a unit, with their order: filtered once per unit, since there may be many
-        thousands.
-        """
+        """Return the rules that apply to a unit, with their positions; cached, since there may be many thousands."""
         key = unit, listed
         found = self._of_units.get(key)
         if found is None:
@@ -225,12 +223,12 @@ class Rights:
 
 
 def decision_of(policy: Policy, question: Question) -> Decision:
-    """Decide about one request; `Rights` decides about many requests of a client."""
+    """Decide whether a policy permits one request; `Rights` is faster for many requests of one client."""
     return Rights(policy.rules_for(question.asker), policy.default).decide(question)
 
 
 def ranges_of(zones: tuple[Zone, ...]) -> tuple[Range, ...]:
-    """The address ranges of zones, with adjacent ones joined."""
+    """Return plain address ranges for ranges with rules, adjacent ones joined."""
     return merged([(zone.first, zone.end) for zone in zones])
 
 
@@ -239,7 +237,7 @@ def _code(rule: Rule | None) -> int:
 
 
 def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
-    """A sentence about written registers ``start``…``end`` outside the value limits; empty if they are within."""
+    """Return a sentence that names the written registers outside the rule's value limits; empty if all are within."""
     bounds = f"{limits.low}…{limits.high}"
     if question.masks is not None:
         return "" if limits.permit_masks(*question.masks) else f"the masks may give a value outside {bounds}"

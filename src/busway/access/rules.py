@@ -48,20 +48,20 @@ class Action(Enum):
 
 
 class AccessKind(Enum):
-    """Which accesses a rule applies to: reads, writes or both."""
+    """Which accesses an access rule applies to: reads, writes or both."""
 
     READ = "read"
     WRITE = "write"
     ANY = "any"
 
     def fits(self, writes: bool) -> bool:
-        """Whether a write (or a read, if ``writes`` is False) is of this kind."""
+        """Whether a rule of this kind applies to a write (or to a read, if ``writes`` is False)."""
         return self is AccessKind.ANY or (self is AccessKind.WRITE) == writes
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The range of values that a rule lets clients write to each register.
+    """The lowest and highest value that an access rule lets clients write to a register.
 
     Attributes:
         low, high: the least and the greatest value, 0…65535, or -32768…32767 if ``signed``.
@@ -88,14 +88,14 @@ class Limits:
         return self.low <= self._number(register) <= self.high
 
     def permit_all(self, registers: bytes) -> bool:
-        """Whether all registers are within the limits; ``registers`` are big-endian bytes, one register or more."""
+        """Whether all register values are within the limits; ``registers`` are big-endian bytes of one or more."""
         numbers = struct.unpack(f">{len(registers) // 2}{'h' if self.signed else 'H'}", registers)
         least: int = min(numbers)
         most: int = max(numbers)
         return self.low <= least and most <= self.high
 
     def permit_masks(self, and_mask: int, or_mask: int) -> bool:
-        """Whether function 22 with these masks stays within the limits for every current value of the register."""
+        """Whether a mask write (function 22) stays within the limits whatever value the register holds."""
         fixed = or_mask & ~and_mask & 0xFFFF
         least, most = fixed, fixed | and_mask
         if self.signed and and_mask & 0x8000:  # the sign is free: least with it, most without
@@ -108,7 +108,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """One rule of a policy: which clients and requests it applies to, and what it does. None or empty fits all.
+    """One rule of an access policy: the clients and requests it applies to (None or empty: all), and what it does.
 
     `Rule.of` takes the texts that people write.
 
@@ -185,7 +185,7 @@ class Rule:
         rate: float | None = None,
         code: int = ExceptionCode.ILLEGAL_FUNCTION,
     ) -> "Rule":
-        """Build a rule from texts as people write them in files.
+        """Build an access rule from texts as people write them in files.
 
         Args:
             name: what logs call it.
@@ -235,7 +235,7 @@ class Rule:
         )
 
     def is_for(self, asker: Asker) -> bool:
-        """Whether the rule applies to a client, by host, role and listener."""
+        """Whether the rule applies to a client with this host, role and listener."""
         return (
             (self.peers is None or asker.host in self.peers)
             and (self.roles is None or asker.role in self.roles)
@@ -243,7 +243,7 @@ class Rule:
         )
 
     def names(self, function: int, sub_function: int | None) -> bool:
-        """Whether the rule applies to a function and sub-function."""
+        """Whether the rule applies to a function code and sub-function."""
         if self.functions is None:
             return True
         return (function, None) in self.functions or (
@@ -251,7 +251,7 @@ class Rule:
         )
 
     def ranges(self, space: Space) -> tuple[Range, ...]:
-        """The address ranges of a table, or file numbers, that the rule applies to, ascending."""
+        """Return the addresses of a table, or the file numbers, that the rule applies to, as ascending ranges."""
         if not self.items and not self.files:
             return EVERYWHERE
         if isinstance(space, Table):
@@ -261,7 +261,7 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """An access policy: ordered rules, and a default for requests that no rule fits. Frozen and pure.
+    """An access policy: ordered rules, of which the first that applies decides, and a default. Frozen and pure.
 
     Args:
         rules: the first that fits decides.
@@ -305,7 +305,7 @@ class Policy:
         return cls(default=Action.ALLOW)
 
     def prepare(self) -> None:
-        """Build the index of rules now instead of at the first `rules_for`: some 0.1 s for 100 000 rules."""
+        """Build the index of rules by client now instead of at the first request: some 0.1 s for 100 000 rules."""
         if self._by_peer is None:
             everybodys = tuple(number for number, rule in enumerate(self.rules) if rule.peers is None)
             index = NetworkIndex(
@@ -314,7 +314,7 @@ class Policy:
             object.__setattr__(self, "_by_peer", (everybodys, index))
 
     def rules_for(self, asker: Asker) -> tuple[Rule, ...]:
-        """The rules that apply to one client, in their order."""
+        """Return the rules that apply to one client, in their order."""
         self.prepare()
         assert self._by_peer is not None  # that is what was prepared
         everybodys, index = self._by_peer
@@ -384,7 +384,7 @@ def _is_listener(wanted: str, asker: Asker) -> bool:
 
 @contextmanager
 def _about(key: str) -> Iterator[None]:
-    """Context manager that sets the key of every `ConfigError` raised in it to ``key``."""
+    """Context manager that names the key of a file, ``key``, in every `ConfigError` raised inside it."""
     try:
         yield
     except ConfigError as error:

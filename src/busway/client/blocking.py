@@ -98,11 +98,11 @@ class BlockingUnit:
 
     @property
     def number(self) -> int:
-        """The unit identifier, 0…255."""
+        """The unit identifier, 0…255, that requests of this unit carry."""
         return self._number
 
     def execute(self, request: TypedRequest[Reply], **call_options: Unpack[CallOptions]) -> Reply:
-        """Send any request and return its reply, for functions without a method here.
+        """Send any request message and return its reply, for functions that have no method here.
 
         Args:
             request: a request of a standard function or of one that you declared.
@@ -593,7 +593,7 @@ class BlockingUnit:
         return reply.data
 
     def _perform(self, operation: Operation, call_options: CallOptions) -> Any:
-        """Run an operation: send the requests it yields and pass it the replies until it returns its result."""
+        """Run an operation of `client.operations`: send the requests it yields, pass it replies, return its result."""
         try:
             requests = next(operation)
             while True:
@@ -618,7 +618,7 @@ class BlockingLink:
         self._closed = False
 
     def _bound(self) -> BlockingLinkDriver:
-        """The driver for the next request: this link's own, or the one that the ``select`` rule chooses now."""
+        """The driver that sends the next request: this link's own, or the one that ``select`` chooses among links."""
         if self._closed:
             raise closed_error(self._settings)
         if self._link is not None:
@@ -626,7 +626,7 @@ class BlockingLink:
         return BLOCKING_POOL.choose(self._settings, self._rule or LinkSelection.FIRST)
 
     def _looked_at(self) -> BlockingLinkDriver | None:
-        """The driver of this link for reading its status; None if there is none now."""
+        """The driver of this link if there is one now, for reading its status."""
         try:
             return self._link or self._bound()
         except ModbusError:
@@ -637,7 +637,7 @@ class BlockingLink:
 
     @property
     def endpoint(self) -> Endpoint:
-        """The parsed URL of the endpoint."""
+        """The parsed URL that this link connects to."""
         return self._settings.endpoint
 
     @property
@@ -664,7 +664,7 @@ class BlockingLink:
         return ClientCounters() if link is None else link.session.counters
 
     def unit(self, number: int | None = None) -> BlockingUnit:
-        """Return one unit reached through this link. Nothing is sent.
+        """Return an object for the requests to one unit behind this link. Nothing is sent.
 
         Args:
             number: unit identifier 0…255; 255, the device itself, if left out on TCP. It is required where the framing
@@ -680,7 +680,7 @@ class BlockingLink:
         self._bound().connect()
 
     def close(self) -> None:
-        """Close this link; the last user of a shared connection closes it. Calls under way end as `LinkDown`."""
+        """Close this link; the connection closes with its last user. Calls under way end as `LinkDown`."""
         if not self._closed:
             self._closed = True
             if self._link is not None:
@@ -695,7 +695,7 @@ class BlockingLink:
         self.close()
 
     def run(self, unit: int, requests: Sequence[Request], call_options: CallOptions) -> list[Any]:
-        """Send requests and return their outcomes, replies or errors, in order; all calls of a unit use this."""
+        """Send requests and return replies or errors in their order; all methods of a unit end here."""
         link = self._link
         if link is None or self._closed:
             link = self._bound()

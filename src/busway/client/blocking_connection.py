@@ -1,4 +1,4 @@
-"""One open connection of a blocking link: its channel, and the frames that the channel has not accepted yet.
+"""One open connection of a blocking link: its socket or port, and the frames that this has not accepted yet.
 
 Knows a channel; knows no session and no thread. The lock of its link guards it, except while a thread waits.
 
@@ -18,7 +18,7 @@ from .polling import ExactPoll, Poll
 
 
 class BlockingConnection:
-    """An open connection of a blocking link, until `close`.
+    """An open connection of a blocking link with its unsent frames, until `close`.
 
     Attributes:
         channel: the socket or port.
@@ -35,7 +35,7 @@ class BlockingConnection:
         self._poll = poll
 
     def send(self, frame: bytes) -> None:
-        """Send a frame; the part that the channel does not accept waits. Raises `OSError` if the connection ended."""
+        """Send a frame; what the socket does not accept waits for `flush`. Raises `OSError` if the connection ended."""
         if not self.unsent:
             try:
                 sent = self.channel.send(frame)
@@ -47,7 +47,7 @@ class BlockingConnection:
         self.unsent.append(frame)
 
     def flush(self) -> None:
-        """Send waiting frames as far as the channel accepts them. Raises `OSError` if the connection has ended."""
+        """Send waiting frames as far as the socket accepts them. Raises `OSError` if the connection has ended."""
         unsent = self.unsent
         while unsent:
             frame = unsent[0]
@@ -61,11 +61,11 @@ class BlockingConnection:
             unsent.popleft()
 
     def wait(self, seconds: float) -> bool:
-        """Wait, without holding the link's lock. Returns whether bytes can be received or sent within ``seconds``."""
+        """Wait, without the link's lock, until bytes can be received or sent; return False after ``seconds``."""
         return self._poll.wait(self.channel, seconds, bool(self.unsent))
 
     def close(self) -> None:
-        """Close the channel and drop unsent frames."""
+        """Close the socket or port and drop unsent frames."""
         channel = self.channel
         # A channel that has ended already may say so once more: then it is closed all the same.
         if isinstance(channel, socket.socket):

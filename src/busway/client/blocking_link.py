@@ -55,7 +55,7 @@ _SPIN: Final = 0.0003
 
 
 class BlockingLinkDriver:
-    """The blocking driver of one link. Created by `busway.client.blocking_pool`.
+    """The blocking driver of one link: threads that wait for replies send and receive for all. From `BlockingPool`.
 
     Attributes:
         shared: whether all users of the endpoint share it.
@@ -105,7 +105,7 @@ class BlockingLinkDriver:
 
     @staticmethod
     def now() -> float:
-        """The current time by the clock that calls use, in seconds."""
+        """The current time in seconds, by the clock in which deadlines of calls are given."""
         return time.monotonic()
 
     @property
@@ -149,7 +149,7 @@ class BlockingLinkDriver:
                     self._used()
 
     def connect(self) -> None:
-        """Connect now, instead of at the first request. Raises `LinkDown`."""
+        """Open the connection now, instead of at the first request. Raises `LinkDown`."""
         with self._turn:
             while self._leading and self._connection is None and not self._life.closed:
                 self._waiting += 1
@@ -194,7 +194,7 @@ class BlockingLinkDriver:
                 self._scope.serve(now)
 
     def status(self) -> LocalConnectionStatus:
-        """A snapshot of state, traffic and counters of the link."""
+        """Return state, traffic and counters of the link at this moment."""
         connection = self._connection
         local = None
         if connection is not None and isinstance(connection.channel, socket.socket):
@@ -203,7 +203,7 @@ class BlockingLinkDriver:
         return status_of(self, self.session, self._life, time.monotonic(), local)
 
     def make_room(self) -> bool:
-        """Close the connection if it is unused. Returns whether it was closed."""
+        """Close the connection if no call uses it. Returns whether it was closed."""
         if not self._turn.acquire(blocking=False):
             return False  # a thread is using it
         try:
@@ -215,14 +215,14 @@ class BlockingLinkDriver:
             self._turn.release()
 
     def serve(self, now: float) -> None:
-        """Send requests that wait for a slot, because a slot shared between links is free. The lock is held."""
+        """Send waiting requests because another link of the client has freed a shared slot. The lock is held."""
         if self.session.has_calls and self._connection is not None:
             self._transmit(now)
 
     # Turns.
 
     def _wait_for_turn(self, call: Call) -> bool:
-        """Wait until the call is complete or this thread becomes the leader; the lock is held."""
+        """Wait until the call is complete or this thread must do the sending and receiving; the lock is held."""
         while not call.ended:
             if not self._leading:
                 self._leading = True
@@ -239,7 +239,7 @@ class BlockingLinkDriver:
         return False
 
     def _lead(self, call: Call) -> None:
-        """Connect, send and receive until ``call`` is complete."""
+        """Do the work of the link in this thread: connect, send and receive until ``call`` is complete."""
         while True:
             with self._turn:
                 now = time.monotonic()
@@ -264,7 +264,7 @@ class BlockingLinkDriver:
                         self._receive(connected)
 
     def _pause(self, now: float) -> float:
-        """Seconds until the session has something to do; the lock is held."""
+        """Return the seconds until the session must send or time something out; the lock is held."""
         deadline = self.session.deadline()
         if self._connection is None:
             if self._life.may_dial(now):
@@ -279,25 +279,25 @@ class BlockingLinkDriver:
     # Under the lock.
 
     def _is_used(self) -> bool:
-        """Whether a thread is waiting for a reply or for its turn."""
+        """Whether a thread is waiting for a reply of this link or to take over its work."""
         return self._leading or self._waiting > 0
 
     def _used(self) -> None:
-        """After a call: let other links of the client use free slots; close the connection with ``hold=request``."""
+        """Work after each call: let other links use free slots; close the connection with ``hold=request``."""
         if self._scope is not None:
             self._scope.serve(time.monotonic())
         if not self._hold:
             self._let_go(time.monotonic())
 
     def _let_go(self, now: float) -> None:
-        """Close the unused connection if its hold time is over."""
+        """Close the connection if it was unused for the time of the option ``hold``."""
         if self._connection is not None and not self._is_used():
             reason = self._life.spent(now, self.last_used)
             if reason:
                 self._release(now, reason)
 
     def _transmit(self, now: float) -> None:
-        """Send all frames that may be sent at ``now``, which may lie shortly ahead with ``precise_timing``."""
+        """Send all requests that are due at ``now``, which may lie shortly ahead with ``precise_timing``."""
         if self.session.recycle:
             self._recycle(now)
         connection = self._connection
@@ -322,7 +322,7 @@ class BlockingLinkDriver:
             self.last_used = now
 
     def _flush(self, now: float) -> None:
-        """Write the frames that the connection has not accepted yet."""
+        """Send the frames that wait because the connection did not accept them before."""
         connection = self._connection
         if connection is not None and connection.unsent:
             try:
@@ -331,7 +331,7 @@ class BlockingLinkDriver:
                 self._drop(now, network_reason(error))
 
     def _cancel(self, call: Call) -> None:
-        """Cancel a call whose caller was interrupted."""
+        """Cancel a call whose thread was interrupted while it waited."""
         if self.session.cancel(call):
             self._end_if_stuck(time.monotonic())
 
@@ -388,7 +388,7 @@ class BlockingLinkDriver:
         self._done()
 
     def _done(self) -> None:
-        """Wake the threads whose calls are complete."""
+        """Wake the threads whose calls have all their outcomes."""
         if self._line is not None and self._line.notes:
             self._tell_notes(self._line.notes)
         if self.session.finished:
@@ -397,7 +397,7 @@ class BlockingLinkDriver:
                 self._turn.notify_all()
 
     def _look_at_line(self) -> None:
-        """Process bytes that came between calls, and the silence since then."""
+        """Process bytes that a serial line carried while no call ran, and the silence since then."""
         if not self._leading and self._connection is not None:
             self._receive(self._connection)
             self._tick(time.monotonic())
@@ -420,7 +420,7 @@ class BlockingLinkDriver:
             self._drop(now, f"reconnecting after {self.session.recycle}")
 
     def _drop(self, now: float, reason: str) -> None:
-        """Close the connection because it failed or has to be replaced."""
+        """Close the connection because it failed or must be replaced by a new one."""
         self._close_connection()
         self._life.lost(now, reason)
         self._done()
@@ -432,7 +432,7 @@ class BlockingLinkDriver:
         self._done()
 
     def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
-        """Log and report an event of the connection."""
+        """Log an event of the connection, such as connected or lost, and report it to the user's callback."""
         if news:
             # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
@@ -443,7 +443,7 @@ class BlockingLinkDriver:
             connection.close()
 
     def _refuse_while_down(self, call: Call, now: float) -> None:
-        """Fail fast while the peer is known to be unreachable."""
+        """Raise `LinkDown` at once while the pause after a failed attempt to connect lasts."""
         if self._life.closed or (self._connection is None and not self._leading):
             refusal = self._life.refusal(now, call.unit)
             if refusal is not None:
@@ -464,7 +464,7 @@ class BlockingLinkDriver:
     # By the leader, without the lock where it waits.
 
     def _make_connection(self) -> LinkDown | None:
-        """Connect. Returns None, or the error with which all waiting calls have ended."""
+        """Open a connection; return None, or the error with which all waiting calls have ended."""
         with self._turn:
             self._life.dialled(time.monotonic())
         try:

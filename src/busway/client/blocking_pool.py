@@ -12,24 +12,24 @@ from .shared_links import SharedLinks
 
 
 class BlockingPool:
-    """The blocking links of this process; safe from any thread."""
+    """All blocking links of this process by endpoint; safe from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._links: SharedLinks[BlockingLinkDriver] = SharedLinks(_made)
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> BlockingLinkDriver:
-        """Get the link for one more user of an endpoint. Raises `ConfigError`, `Overloaded`."""
+        """Return the link to an endpoint for one more user, made if necessary. Raises `ConfigError`, `Overloaded`."""
         with self._lock:
             return self._links.acquire(settings, shared=shared)
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> BlockingLinkDriver:
-        """Choose one of the links to the endpoint for a request. Raises `LinkDown` if there are none."""
+        """Choose one of several links to the same endpoint for a request. Raises `LinkDown` if there are none."""
         with self._lock:
             return self._links.choose(settings, rule)
 
     def release(self, settings: LinkSettings, link: BlockingLinkDriver) -> None:
-        """Give a link back; the last user closes its connection."""
+        """Give a link back after use; the last user's release closes its connection."""
         with self._lock:
             is_last = self._links.release(settings, link)
         if is_last:

@@ -1,4 +1,4 @@
-"""Interfaces between a link and its connection: asyncio transports and non-blocking channels.
+"""Interfaces between the driver of a link and its connection, for asyncio transports and non-blocking sockets.
 
 Knows names and their meaning; knows no transport and no conversation.
 """
@@ -7,31 +7,29 @@ from typing import Protocol
 
 
 class LinkEnd(Protocol):
-    """The link's side of a connection under asyncio, for transports that are no `asyncio.Transport`."""
+    """What a serial port calls when something happens on it: the asyncio driver's side of the connection."""
 
     def arrived(self, data: bytes) -> None:
-        """Process bytes received on the connection."""
+        """Process bytes that the connection has received."""
 
     def arrived_damaged(self, data: bytes, overrun: bool) -> None:
-        """Process received bytes with parity or framing errors, or after which the port lost some."""
+        """Process received bytes among which some have parity or framing errors or were lost by the port."""
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Handle the end of the connection."""
+        """Handle the end of the connection, with its error if there was one."""
 
 
 class Channel(Protocol):
-    """A connection of a blocking link: a non-blocking socket, or an object that behaves like one."""
+    """The connection of a blocking link: a non-blocking socket, or a serial port that behaves like one."""
 
     def fileno(self) -> int:
-        """The file descriptor of the channel, to wait for readiness."""
+        """Return the file descriptor of the socket or port, for waiting until it is ready."""
 
     def recv_into(self, buffer: bytearray, /) -> int:
-        """Receive bytes into a buffer; 0 if the peer closed. Raises `BlockingIOError` if there are none, and
-        `OSError`.
-        """
+        """Receive bytes into a buffer and return their number, 0 at the end. Raises `BlockingIOError`, `OSError`."""
 
     def send(self, data: bytes, /) -> int:
-        """Send as many bytes as the channel accepts, and return their number. Raises `BlockingIOError`, `OSError`."""
+        """Send as many bytes as the socket accepts and return their number. Raises `BlockingIOError`, `OSError`."""
 
     def close(self) -> None:
-        """Close the connection of the channel."""
+        """Close the socket or port."""

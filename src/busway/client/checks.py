@@ -22,7 +22,8 @@ SHOWN_STATE = {state.value: state.value for state in ConnectionState} | {
 
 
 def default_unit(endpoint: Endpoint, unit: int | None) -> int:
-    """Check a unit number 0…255; None gives the default, 255 on TCP (Messaging on TCP/IP V1.0b §4.4.1.2).
+    """Check a unit number 0…255 and return it; None gives the default, 255 on TCP (Messaging on TCP/IP V1.0b
+    §4.4.1.2).
 
     With the framings RTU and ASCII, also over a network, a unit 0…247 is required (Serial Line V1.02 §2.2).
 
@@ -40,7 +41,7 @@ def default_unit(endpoint: Endpoint, unit: int | None) -> int:
 
 
 def with_assumed_unit(outcome: object, unit: int) -> None:
-    """Add to an error that the unit was a default, if naming another one may help.
+    """Add to an error of a request that its unit was not given, where naming a unit may help.
 
     That is so if a gateway answered or nothing did, and if a function was refused (01): the default unit may be
     a gateway itself, which has no registers.
@@ -55,7 +56,7 @@ def with_assumed_unit(outcome: object, unit: int) -> None:
 
 
 def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusError]:
-    """One error for each request of a refused call, with the fields of that request; nothing was sent."""
+    """Make one error for each request of a call that was refused before anything was sent."""
     errors = []
     for request in requests:
         error = type(refusal).__new__(type(refusal), *refusal.args)
@@ -69,12 +70,12 @@ def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusErr
 
 
 def closed_error(settings: LinkSettings) -> LinkClosed:
-    """The error for a call on a link that the program has closed."""
+    """Make the error for a call on a link that the program has closed."""
     return LinkClosed("this link was closed by its user; nothing was sent", endpoint=settings.endpoint.url)
 
 
 def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
-    """Raise `ConfigError` if a second user of a shared connection has other settings for it."""
+    """Raise `ConfigError` if a second user of a shared connection gives other settings for it than the first."""
     different = held.differs(wanted)
     if different:
         raise ConfigError(
@@ -84,7 +85,7 @@ def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
 
 
 def check_selected(settings: LinkSettings, options: Mapping[str, object]) -> None:
-    """Raise `ConfigError` if a link that uses other links' connections (``select``) has options of a connection."""
+    """Raise `ConfigError` if a link that only uses connections of others (``select``) has options of a connection."""
     for name in (*settings.endpoint.options, *options):
         if name not in CALL_DEFAULTS:
             raise ConfigError(

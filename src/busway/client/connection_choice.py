@@ -12,7 +12,7 @@ from .settings import LinkSettings
 
 
 class Choosable(Protocol):
-    """A link as the selection rules see it.
+    """Interface of a link among several to one endpoint, from which the option ``select`` chooses.
 
     Attributes:
         shared: whether all users of the endpoint share it.
@@ -43,7 +43,7 @@ def check_room(links: Iterable[Choosable], settings: LinkSettings) -> None:
 
 
 def chosen(links: Sequence[AnyLink], settings: LinkSettings, rule: LinkSelection) -> AnyLink:
-    """Choose the link for a request: a connected one by the rule, else the first, which then connects.
+    """Return the link for a request: a connected one by the rule of ``select``, else the first, which then connects.
 
     ``links`` are in the order they were made. Raises `LinkDown` if there are none.
     """

@@ -1,4 +1,4 @@
-"""Connectors open the connections of a link over the transport that its endpoint names.
+"""Connectors: objects that open the connections of a link over the transport that its endpoint names.
 
 Knows the transports; knows a session only to pass it on.
 """
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 
 
 class Connector(Protocol):
-    """Opens connections to one endpoint."""
+    """Interface of what opens the connections of a link to one endpoint."""
 
     async def connect(self, protocol: Callable[[], Any]) -> Any:  # an asyncio.Transport with its protocol, or alike
-        """Open a connection and return its transport, which calls ``protocol``. Raises `LinkDown`."""
+        """Open a connection for an asyncio link; return its transport, which calls ``protocol``. Raises `LinkDown`."""
 
     def dial(self) -> Channel:
-        """Open a connection for a blocking link. Raises `LinkDown`."""
+        """Open a connection for a blocking link and return its socket or port. Raises `LinkDown`."""
 
     def release(self) -> None:
-        """Free the resources of the connector, because its link was closed for good."""
+        """Free what the connector holds, such as a serial port, because its link was closed for good."""
 
 
 class TcpConnector:
-    """Opens TCP connections with their socket parameters (Messaging on TCP/IP V1.0b §4.3.2)."""
+    """Opens the TCP connections of a link, with the socket options asked for (Messaging on TCP/IP V1.0b §4.3.2)."""
 
     def __init__(self, endpoint: Endpoint, sockets: SocketParameters, *, interface: str | None = None) -> None:
         self._endpoint = endpoint
@@ -95,7 +95,7 @@ class TcpConnector:
 
 
 class UdpConnector:
-    """Opens UDP sockets of a link; each frame is one datagram."""
+    """Opens the UDP sockets of a link; each frame is one datagram."""
 
     def __init__(
         self, endpoint: Endpoint, sockets: SocketParameters, session: TcpClientSession | SerialClientSession
@@ -138,7 +138,7 @@ class UdpConnector:
 
 
 def connector_for(settings: LinkSettings, session: TcpClientSession | SerialClientSession, *, user: str) -> Connector:
-    """Create the connector of an endpoint; ``user`` names the holder of a serial port in errors to other users.
+    """Create the connector of an endpoint; ``user`` is who holds a serial port, for the errors that other users get.
 
     Raises:
         ConfigError: a carrier that a client cannot use, or a serial port that this process uses already.

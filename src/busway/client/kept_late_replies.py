@@ -1,4 +1,4 @@
-"""Replies still outstanding when a serial link was closed, kept for the next link to the same endpoint.
+"""Late replies that may still come when a serial link is closed, kept for the next link to the same endpoint.
 
 A late reply reaches the port or the converter even if the link that asked is closed: a program that opens and closes a
 link for each reading would take it for the answer to its next request. Knows links by URL; knows no frame.
@@ -18,14 +18,14 @@ KEPT_AT_MOST: Final = 1024
 
 
 class KeptDoubts:
-    """Outstanding replies of closed links, by URL; thread-safe."""
+    """The late replies that may still come on lines whose links were closed, by URL; thread-safe."""
 
     def __init__(self) -> None:
         self._by_url: OrderedDict[str, Doubts] = OrderedDict()
         self._lock = threading.Lock()
 
     def keep(self, url: str, doubts: Doubts) -> None:
-        """Remember the outstanding replies of a closed link to ``url``."""
+        """Remember the late replies that may still come on the line of a closed link to ``url``."""
         if not doubts.is_owed:
             return
         with self._lock:
@@ -38,7 +38,7 @@ class KeptDoubts:
                 self._by_url.popitem(last=False)
 
     def hand_over(self, url: str, doubts: Doubts) -> None:
-        """Add the remembered outstanding replies of ``url`` to ``doubts`` of a new link, and forget them here."""
+        """Add to ``doubts`` of a new link to ``url`` the late replies remembered for that line; forget them here."""
         if not self._by_url:
             return
         with self._lock:
@@ -47,7 +47,7 @@ class KeptDoubts:
             doubts.add(kept)
 
     def clear(self) -> None:
-        """Forget all outstanding replies, for tests that reuse a URL for another line."""
+        """Forget the late replies of all lines, for tests that reuse a URL for another line."""
         with self._lock:
             self._by_url.clear()
 

@@ -50,7 +50,7 @@ COARSE_SPIN: Final = 0.0015
 
 
 class _LinkProtocol(asyncio.BufferedProtocol):
-    """Passes events of the transport to the link. One per connection, so events of an old connection are recognised."""
+    """The asyncio protocol of one connection of a link; a new one each time, so that late events are recognised."""
 
     __slots__ = ("_buffer", "_link")
 
@@ -85,7 +85,7 @@ class _LinkProtocol(asyncio.BufferedProtocol):
 
 
 class AsyncLinkDriver:
-    """The asyncio driver of one link. Created by `busway.client.pool`.
+    """The asyncio driver of one link: connects, sends, receives and keeps time for its session. From `LinkPool`.
 
     Attributes:
         shared: whether all users of the endpoint share it.
@@ -194,7 +194,7 @@ class AsyncLinkDriver:
     # Calls of the public interface.
 
     def start(self, call: Call, now: float) -> "asyncio.Future[None]":
-        """Begin a call; the returned future is done when all its requests have their outcomes. Raises `Overloaded`,
+        """Begin a call; the returned future is done when all requests have an outcome. Raises `Overloaded`,
         `LinkDown`.
 
         A caller that stops waiting for the future must call `give_up`.
@@ -205,7 +205,7 @@ class AsyncLinkDriver:
         return future
 
     def begin(self, call: Call, now: float) -> None:
-        """Begin a call whose ``owner`` is set: a future, or an object with ``done()`` and ``set_result(None)``.
+        """Begin a call that reports its end to its ``owner``: a future, or an object with the same two methods.
 
         ``set_result`` is called as soon as the call has all its outcomes, directly from the handling of the last one.
 
@@ -243,7 +243,7 @@ class AsyncLinkDriver:
             self._arm(soonest)
 
     def give_up(self, call: Call) -> None:
-        """Cancel a call whose caller no longer waits for it."""
+        """Cancel a call because its caller no longer waits."""
         self._write_outgoing()
         now = self._clock()
         if self.session.cancel(call):
@@ -294,23 +294,23 @@ class AsyncLinkDriver:
         return self._transport is not None
 
     def call_at(self, when: float, callback: Callable[[], None]) -> asyncio.TimerHandle:
-        """Call a function at a time of the clock that calls use. Returns its timer."""
+        """Have the event loop call a function at a time of the clock that deadlines use. Returns the timer."""
         return self._loop.call_later(max(when - self._clock(), 0.0), callback)
 
     @property
     def down_because(self) -> str:
-        """Why the last attempt to connect failed; empty while connected, and before the first attempt."""
+        """Say why the last attempt to connect failed; empty while connected and before the first attempt."""
         return self._life.down_because
 
     @property
     def next_attempt(self) -> float | None:
-        """Seconds until the next attempt to connect is allowed; None if the next request makes one."""
+        """Return the seconds until another attempt to connect is allowed; None if the next request makes one."""
         if self.reconnect.state is not ConnectionState.BACKING_OFF:
             return None
         return max(self.reconnect.not_before - self._clock(), 0.0)
 
     async def connect(self) -> None:
-        """Connect now, instead of at the first request. Raises `LinkDown`."""
+        """Open the connection now, instead of at the first request. Raises `LinkDown`."""
         if self.is_connected or self._life.closed:
             return
         self._ensure_connection(self._clock(), by_name=True)
@@ -320,19 +320,19 @@ class AsyncLinkDriver:
             raise self._failure()
 
     def status(self) -> LocalConnectionStatus:
-        """A snapshot of state, traffic and counters of the link."""
+        """Return state, traffic and counters of the link at this moment."""
         local = None if self._transport is None else self._transport.get_extra_info("sockname")
         return status_of(self, self.session, self._life, self._clock(), local)
 
     def make_room(self) -> bool:
-        """Close the connection if it is unused. Returns whether it was closed."""
+        """Close the connection if no call uses it. Returns whether it was closed."""
         if self._transport is None or self._is_used():
             return False
         self._release(self._clock(), "another connection needed the place")
         return True
 
     def serve(self, now: float) -> None:
-        """Send requests that wait for a slot, because a slot shared between links is free."""
+        """Send waiting requests because another link of the client has freed a shared slot."""
         if self.session.has_calls and self._transport is not None:
             self._pump(now)
             self._rearm()
@@ -340,7 +340,7 @@ class AsyncLinkDriver:
     # Events of the connection.
 
     def received(self, protocol: _LinkProtocol, buffer: bytes | bytearray, size: int) -> None:
-        """Process bytes received on a connection; ignored unless it is the current one."""
+        """Process bytes received on a connection, unless it has been replaced by another one."""
         if protocol is not self._protocol:
             return
         now = self.last_used = self._clock()
@@ -361,7 +361,7 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def received_damaged(self, protocol: _LinkProtocol, data: bytes, *, overrun: bool) -> None:
-        """Process received bytes with parity or framing errors that the serial port marked."""
+        """Process received bytes that the serial port has marked as damaged (parity, framing)."""
         if protocol is not self._protocol or self._line is None:
             return
         if TRACE.level:
@@ -375,7 +375,7 @@ class AsyncLinkDriver:
             self._abort()
 
     def lost(self, protocol: _LinkProtocol, reason: str) -> None:
-        """Handle the end of the connection; ignored for a connection that is not the current one."""
+        """Handle the end of a connection, unless it has been replaced by another one."""
         if protocol is not self._protocol:
             return
         self._forget_connection()
@@ -389,7 +389,7 @@ class AsyncLinkDriver:
             self._scope.serve(now)
 
     def pause(self, protocol: _LinkProtocol, paused: bool) -> None:
-        """Stop or resume sending, as the write buffer of the transport requires."""
+        """Stop or resume sending, because the transport's write buffer is full or has emptied."""
         if protocol is self._protocol:
             self._paused = paused
             if not paused:
@@ -405,14 +405,14 @@ class AsyncLinkDriver:
             self._pump(self._clock())
 
     def _write_outgoing(self) -> None:
-        """Write the frames that were collected to leave together at the end of this turn of the loop."""
+        """Write, in one piece, the frames collected during this turn of the event loop."""
         outgoing = self._outgoing
         if outgoing:
             self._transport.write(b"".join(outgoing))
             outgoing.clear()
 
     def _pump(self, now: float) -> None:
-        """Send all frames that may be sent; connect if there is no connection; replace one that is out of step.
+        """Send all requests that are due; open a connection first, or replace one that is out of step.
 
         ``now`` may lie shortly ahead (``precise_timing``): the frame is prepared now, and leaves at that time.
         """
@@ -446,7 +446,7 @@ class AsyncLinkDriver:
                 self._rearm()
 
     def _recycle(self, now: float) -> None:
-        """Close a connection that is out of step; remaining requests open a new one."""
+        """Close a connection whose replies no longer match its requests; what remains to be sent opens a new one."""
         if self._protocol is not None:
             self._abort()
             self.lost(self._protocol, f"reconnecting after {self.session.recycle}")
@@ -476,13 +476,13 @@ class AsyncLinkDriver:
         self._transport.abort()
 
     def _forget_connection(self) -> None:
-        """Clear all state of the ended connection, above all its unsent bytes."""
+        """Clear all that belonged to the connection that has ended, above all its unsent bytes."""
         self._transport = self._protocol = self._frame_leaves = self._held = None
         self._outgoing.clear()
         self._paused = False
 
     def _after_use(self, now: float) -> None:
-        """Offer free slots to the other links of the client; close the connection if its hold time is over."""
+        """Work after each call: let other links use free slots; close the connection when its hold time is over."""
         if self._scope is not None:
             self._scope.serve(now)
         if self._hold == math.inf or self._transport is None or self._is_used() or self.session.deadline() is not None:
@@ -503,7 +503,7 @@ class AsyncLinkDriver:
         self._life.released(now, reason)
 
     def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
-        """Log and report an event of the connection."""
+        """Log an event of the connection, such as connected or lost, and report it to the user's callback."""
         if news:
             # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
@@ -561,7 +561,7 @@ class AsyncLinkDriver:
         self._wake()
 
     def _wake(self) -> None:
-        """Wake the callers of completed calls."""
+        """Wake the callers whose calls have all their outcomes."""
         session = self.session
         finished = session.finished[:]
         session.finished.clear()
@@ -620,7 +620,7 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _on_line_timer(self, now: float) -> float:
-        """Wait exactly for the end of a gap with ``precise_timing``, and ignore silence while a frame is being sent."""
+        """Send waiting frames at the exact end of a gap; while a frame is being sent, note when its end leaves."""
         if self._spin and now < self._timer_at <= now + 2 * self._spin:
             self._pump(self._timer_at)  # preparing the frame takes a tenth of a millisecond
             now = self._clock()
@@ -635,7 +635,7 @@ class AsyncLinkDriver:
 
 
 def _clock_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
-    """The clock of an event loop; for asyncio's own loops ``time.monotonic`` itself, which saves a call."""
+    """Return the function that tells the time of an event loop; ``time.monotonic`` itself for asyncio's own loops."""
     is_plain = getattr(loop.time, "__func__", None) is asyncio.BaseEventLoop.time
     return time.monotonic if is_plain else loop.time
 

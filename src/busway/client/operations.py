@@ -1,4 +1,4 @@
-"""The operations of a unit, such as reading values, as generators of requests and replies, without any IO.
+"""Operations of a unit, such as reading values, as generators that yield requests and take replies, without IO.
 
 Knows which requests an operation needs and what its result is made of; knows no link. Both interfaces run them: each
 operation is a generator that yields requests (one, or several to send together) and is sent their replies.
@@ -143,7 +143,7 @@ def read_identification(level: str, object_id: int | None) -> Operation:
 
 
 def place_of(address: int | str | Address) -> Address:
-    """Parse an address that must name its table. Raises `InvalidRequest`."""
+    """Parse a data address such as ``4x101`` that must name its table. Raises `InvalidRequest`."""
     place = parse_address(address)
     if place.table is None:
         raise InvalidRequest(f"address {address} names no table; {_hint_of_number(place)}")
@@ -151,7 +151,7 @@ def place_of(address: int | str | Address) -> Address:
 
 
 def _hint_of_number(place: Address) -> str:
-    """A suggestion for a bare number used as an address: manuals call the first holding register 40001."""
+    """Return a suggestion for a bare number given as an address, as manuals call the first holding register 40001."""
     offset = place.offset
     with contextlib.suppress(InvalidRequest):
         meant = parse_address(str(offset))
@@ -169,7 +169,7 @@ READ: dict[Table, type[ReadBits] | type[ReadRegisters]] = {
 
 
 def _natural_type(place: Address, width: int) -> str:
-    """The default value type of a register that is ``width`` bytes wide."""
+    """Return the value type used if none is given, for registers that are ``width`` bytes wide."""
     if width not in (2, 4, 8):
         raise InvalidRequest(f"{place}: a register of {width} bytes is no number by itself; name a type")
     return f"uint{8 * width}"
@@ -201,7 +201,7 @@ def _check_single(place: Address, items: int, limit: int, function: WriteFunctio
 
 
 def diagnostic_request(sub_function: int, data: bytes) -> Request:
-    """Build the request of function 08 with a sub-function number, known or not."""
+    """Build the request of function 08 from a sub-function number, known or not, and its data."""
     if not 0 <= as_integer("sub-function", sub_function) <= 0xFFFF:
         raise InvalidRequest(f"sub-function must be 0…65535, not {sub_function}")
     pdu = bytes((FunctionCode.DIAGNOSTICS,)) + sub_function.to_bytes(2, "big") + bytes(data)
@@ -212,6 +212,6 @@ def diagnostic_request(sub_function: int, data: bytes) -> Request:
 
 
 def diagnostic_data(reply: Message) -> bytes:
-    """The data field of a reply to function 08."""
+    """Return the data field of a reply to function 08."""
     data: bytes = reply.values()["data"]
     return data[2:] if isinstance(reply, OpaqueReply) else data

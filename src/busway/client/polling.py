@@ -14,13 +14,13 @@ _LONGEST_WAIT: Final = 0.25
 
 
 class ExactPoll:
-    """Waits at one serial port as exactly as the system can, waking up ``spin`` seconds early for a busy wait."""
+    """Waits until one serial port is ready, with exact timing: it wakes ``spin`` seconds early and waits busily."""
 
     def __init__(self, spin: float) -> None:
         self._spin = spin
 
     def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
-        """Wait. Returns whether bytes can be received (or sent, if ``writes``) within ``seconds``."""
+        """Wait until bytes can be received (or sent, if ``writes``); return False after ``seconds`` without."""
         if seconds > self._spin:
             seconds -= self._spin
         try:
@@ -31,7 +31,7 @@ class ExactPoll:
 
 
 class Poll:
-    """Waits at one socket, by ``poll`` if the system has it, because it has no limit of descriptors."""
+    """Waits until one socket is ready, with ``poll`` where the system has it: it has no highest descriptor."""
 
     def __init__(self, connection: Channel) -> None:
         self._poll = select.poll() if hasattr(select, "poll") else None
@@ -40,7 +40,7 @@ class Poll:
             self._poll.register(connection, select.POLLIN)
 
     def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
-        """Wait. Returns whether bytes can be received (or sent, if ``writes``) within ``seconds``."""
+        """Wait until bytes can be received (or sent, if ``writes``); return False after ``seconds`` without."""
         if self._poll is None:
             readable, writable, _ = select.select([connection], [connection] if writes else [], [], seconds)
             return bool(readable or writable)

@@ -14,21 +14,21 @@ from .shared_links import SharedLinks
 
 
 class LinkPool:
-    """The links of one event loop."""
+    """All asyncio links of one event loop, by endpoint."""
 
     def __init__(self) -> None:
         self._links: SharedLinks[AsyncLinkDriver] = SharedLinks(_made)
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AsyncLinkDriver:
-        """Get the link for one more user of an endpoint. Raises `ConfigError`, `Overloaded`."""
+        """Return the link to an endpoint for one more user, made if necessary. Raises `ConfigError`, `Overloaded`."""
         return self._links.acquire(settings, shared=shared)
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AsyncLinkDriver:
-        """Choose one of the links to the endpoint for a request. Raises `LinkDown` if there are none."""
+        """Choose one of several links to the same endpoint for a request. Raises `LinkDown` if there are none."""
         return self._links.choose(settings, rule)
 
     async def release(self, settings: LinkSettings, link: AsyncLinkDriver) -> None:
-        """Give a link back; the last user closes its connection."""
+        """Give a link back after use; the last user's release closes its connection."""
         if self._links.release(settings, link):
             await link.close()
 

@@ -28,9 +28,7 @@ Wanted: TypeAlias = (
 
 @dataclass(frozen=True, slots=True)
 class _Item:
-    """One named value to read: ``items`` of a table from ``offset`` on; ``form`` is None for bits, ``count`` for one
-    value.
-    """
+    """One named value to be read: ``items`` registers or bits of a table from ``offset`` on, and its type."""
 
     name: str
     table: Table
@@ -46,7 +44,7 @@ class _Item:
 
 @dataclass(slots=True)
 class _Range:
-    """The range of one request, and the named values that it reads."""
+    """The addresses that one read request asks for, and the named values that lie in them."""
 
     table: Table
     offset: int
@@ -58,7 +56,7 @@ class _Range:
 
 
 def read_together(wanted: Mapping[str, Wanted], order: str, width: int = NARROW) -> Operation:
-    """Read all named values with few requests. Returns them by name, in the order of the names."""
+    """Read all named values with few requests. Returns a dict of them, in the order of the names."""
     if width != NARROW:
         raise InvalidRequest(f"read_many needs registers of 2 bytes, not of {width}; read each value by itself")
     items = [_item(name, one, order) for name, one in wanted.items()]
@@ -109,7 +107,7 @@ def _placed(
 
 
 def _ranges(items: Iterable[_Item]) -> list[_Range]:
-    """Group the values into ranges of one request each; no value lies in two of them."""
+    """Group the values to be read into ranges of one request each; no value lies in two of them."""
     ranges: list[_Range] = []
     for item in sorted(items, key=lambda one: (one.table.value, one.offset, one.end)):
         last = ranges[-1] if ranges else None

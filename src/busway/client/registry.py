@@ -1,4 +1,4 @@
-"""Registry of the client connections of this process: their status and their limit.
+"""Registry of the client connections of this process: shows their status and limits their number.
 
 Holds links weakly and asks only them, never a peer.
 
@@ -29,7 +29,7 @@ DEFAULT_LIMIT: Final = 10_000
 
 @dataclass(frozen=True, slots=True)
 class LocalConnectionStatus:
-    """Status of one link of this process and its current connection.
+    """Status of one link of this process and of the connection that it has now.
 
     Attributes:
         endpoint: URL of the peer, without options.
@@ -70,7 +70,7 @@ class LocalConnectionStatus:
 
 
 class LocalLink(Protocol):
-    """A link as the registry sees it.
+    """Interface of a link that is entered in the registry of the process.
 
     Attributes:
         home: the event loop it lives on; None of a blocking link.
@@ -91,10 +91,10 @@ class LocalLink(Protocol):
         """Whether the link is connected now."""
 
     def status(self) -> LocalConnectionStatus:
-        """A snapshot of state, traffic and counters of the link."""
+        """Return state, traffic and counters of the link at this moment."""
 
     def make_room(self) -> bool:
-        """Close the connection if it is unused. Returns whether it was closed. Called on the link's own loop."""
+        """Close the connection if no call uses it; returns whether it was closed. Called on the link's own loop."""
 
 
 class LocalConnections:
@@ -110,12 +110,12 @@ class LocalConnections:
         self._lock = threading.Lock()
 
     def add(self, link: LocalLink) -> None:
-        """Register a new link."""
+        """Enter a new link in the registry."""
         with self._lock:
             self._links.add(link)
 
     def discard(self, link: LocalLink) -> None:
-        """Remove a closed link."""
+        """Remove a closed link from the registry."""
         with self._lock:
             self._links.discard(link)
 
@@ -130,13 +130,13 @@ class LocalConnections:
         return sum(link.is_connected for link in self.links())
 
     def limit(self, supported: int) -> None:
-        """Set the highest number of connections of the process. Raises `ConfigError` outside 1…65535."""
+        """Set how many connections the process may have open. Raises `ConfigError` outside 1…65535."""
         if not 1 <= supported <= 65_535:
             raise ConfigError(f"must be 1…65535, not {supported}", key="supported")
         self.supported = supported
 
     def make_room(self, newcomer: LocalLink, endpoint: str) -> None:
-        """Make room for a new connection of the link ``newcomer``. Raises `LinkDown` if all connections are in use."""
+        """Close an unused connection if the process is at its limit. Raises `LinkDown` if all are in use."""
         if len(self._links) <= self.supported:
             return
         standing = [link for link in self.links() if link.is_connected and link is not newcomer]
@@ -211,7 +211,7 @@ def status_of(
 
 
 def _address(name: object) -> str:
-    """A socket address as ``host:port``, IPv6 in brackets."""
+    """Return a socket address as text: ``host:port``, IPv6 in brackets."""
     if not isinstance(name, tuple) or len(name) < 2:
         return ""
     host = f"[{name[0]}]" if ":" in str(name[0]) else name[0]

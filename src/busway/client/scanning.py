@@ -32,7 +32,7 @@ LISTEN_SECONDS: Final = 2.0
 
 @dataclass(slots=True)
 class FoundUnit:
-    """A unit that answered a scan.
+    """A unit that answered a scan, and how it answered.
 
     Attributes:
         unit: its number.
@@ -86,7 +86,7 @@ def scan(
 
 
 def units_to_ask(endpoint: Endpoint, units: Iterable[int] | None) -> list[int]:
-    """The units of a scan, each once and ascending. Raises `ConfigError`; on a line unit 0 has no device."""
+    """Return the units that a scan asks, ascending. Raises `ConfigError`; on a line unit 0 (broadcast) is no device."""
     is_line = endpoint.framing != "mbap"
     if units is None:
         return [*range(1, LAST_SERIAL_UNIT + 1), *([] if is_line else [TCP_DEVICE_UNIT])]
@@ -107,7 +107,7 @@ def refuse_busy_line(
     hint: str = "listen=None asks all the same",
     begun: Callable[[], None] = lambda: None,
 ) -> None:
-    """Listen to a line; raise `ConfigError` if there is traffic. Nothing was sent.
+    """Listen to a line before a scan; raise `ConfigError` if there is traffic. Nothing was sent.
 
     Args:
         endpoint: what is about to be scanned; over UDP, and where it is no line, nothing is listened to.
@@ -132,7 +132,7 @@ def refuse_busy_line(
 
 
 def _for_listening(endpoint: Endpoint) -> Endpoint:
-    """An endpoint without the options that have no effect when a line is only listened to."""
+    """Return an endpoint without the options that have no effect when a serial line is only listened to."""
     taken = Offer.at(endpoint, "monitor", MONITORS).options
     kept = {name: text for name, text in endpoint.options.items() if aliases().get(name, name) in taken}
     return replace(endpoint, options=kept)
@@ -181,7 +181,7 @@ class UnitScan:
         self._link: BlockingLink = connect(endpoint, shared=False, **chosen)
 
     def found(self) -> Iterator[FoundUnit]:
-        """Yield each unit as soon as it answers. Raises `LinkDown`."""
+        """Ask the units one after the other and yield each as soon as it answers. Raises `LinkDown`."""
         with self._link:
             self._link.connect()
             yield from self._ask(self._units)
@@ -201,7 +201,7 @@ class UnitScan:
             yield found
 
     def _probe(self, unit: int) -> FoundUnit | None:
-        """Send a harmless request to a unit. Returns how it answered, or None if it did not."""
+        """Send a harmless read to a unit. Returns how it answered, or None if it did not."""
         counters, timeout = self._link.counters, self.adaptive_timeout.timeout
         late_before = counters.late_replies
         began = time.monotonic()

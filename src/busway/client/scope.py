@@ -19,14 +19,14 @@ from ..session.call import Places, places
 
 
 class ScopedLink(Protocol):
-    """A link that takes its slots for requests in flight from a `ClientScope`."""
+    """A link whose requests in flight are counted together with those of other links (`ClientScope`)."""
 
     def serve(self, now: float) -> None:
-        """Send requests of the link that wait for a slot."""
+        """Send waiting requests of the link, because a shared slot is free."""
 
 
 class ClientScope:
-    """The slots for requests in flight that the links of one client share.
+    """The limit of requests in flight that the links of one client share.
 
     Attributes:
         limit: requests in flight on all its connections together, 1…16.
@@ -42,11 +42,11 @@ class ClientScope:
 
     @property
     def is_used(self) -> bool:
-        """Whether any link uses this scope."""
+        """Whether any link still takes its slots here."""
         return any(link() is not None for link in self._links)
 
     def enter(self, link: ScopedLink) -> None:
-        """Add a new link to those that share the slots."""
+        """Let a new link take its slots here."""
         self._links.append(weakref.ref(link))
 
     def leave(self, link: ScopedLink) -> None:
@@ -65,7 +65,7 @@ class ClientScope:
 
 
 def same_scope(scope: ClientScope | None, limit: int) -> ClientScope:
-    """The scope for one more link of a client; a new one if none is in use.
+    """Return the common limit for one more link of a client; a new one if no link of it is open.
 
     Raises:
         ConfigError: its other links have another limit.

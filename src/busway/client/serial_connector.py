@@ -1,4 +1,4 @@
-"""A serial port as the connection of a link, with the methods of a stream.
+"""The connector for serial ports: opens a port for a link, waits for a missing one, and makes it look like a stream.
 
 Knows ports, and tells the session when the last character of its frame has left; knows no request.
 
@@ -29,7 +29,7 @@ HOLDS_AT_MOST: Final = 16
 
 
 class SerialConnector:
-    """Opens one serial port, and opens it again after a loss."""
+    """Opens the serial port of a link, and opens it again after a loss."""
 
     def __init__(
         self,
@@ -80,14 +80,14 @@ class SerialConnector:
         self._claim.release()
 
     def _named(self, error: LinkDown | ConfigError) -> LinkDown:
-        """Translate an error of opening the port. An impossible setting is raised at once: waiting would not help."""
+        """Raise `LinkDown` for an error of opening the port; a setting that the port cannot have is raised at once."""
         down = LinkDown(error.message, endpoint=self._endpoint.url)
         down.__cause__ = error
         return down
 
 
 class _Waited:
-    """Limit of the time for which a missing port is waited for."""
+    """The time for which a link waits for a serial port that is not there."""
 
     def __init__(self, opening: OpeningParameters) -> None:
         self._policy = reopen_policy(opening)
@@ -95,7 +95,7 @@ class _Waited:
         self._failures = 0
 
     def pause(self, error: LinkDown) -> float:
-        """Seconds to wait before the next attempt to open; raises ``error`` when the wait is over."""
+        """Return the seconds before the next attempt to open the port; raise ``error`` when the wait is over."""
         self._failures += 1
         left = self._until - time.monotonic()
         if isinstance(error.__cause__, ConfigError) or left <= 0:
@@ -104,7 +104,7 @@ class _Waited:
 
 
 class SerialStream:
-    """An open serial port under asyncio, with the methods of a stream transport."""
+    """An open serial port of an asyncio link, with the methods of a stream transport."""
 
     def __init__(self, session: SerialClientSession, end: LinkEnd) -> None:
         self._session = session
@@ -115,7 +115,7 @@ class SerialStream:
         self._puts_off = 0
 
     def opened(self, connection: "SerialConnection") -> None:
-        """Keep the opened port and tell the session its properties."""
+        """Keep the opened port and tell the link's session its baud rate and other properties."""
         self._connection = connection
         self._session.characters_take_time = not connection.pseudo_terminal
         self._overruns = Overruns(connection.counters)
@@ -123,7 +123,7 @@ class SerialStream:
     # What the port tells.
 
     def received(self, data: bytes, errors: int) -> None:
-        """Pass received bytes to the link; ``errors``: how many of them are marked as damaged."""
+        """Pass received bytes to the link; ``errors``: how many of them the port marked as damaged."""
         overrun = self._overruns is not None and self._overruns.more()
         if errors or overrun:
             self._end.arrived_damaged(data, overrun=overrun)
@@ -131,14 +131,14 @@ class SerialStream:
             self._end.arrived(data)
 
     def lost(self, error: LinkDown) -> None:
-        """Handle the loss of the port."""
+        """Report to the link that the serial port is gone, for example unplugged."""
         self._connection = None
         self._end.connection_lost(error)
 
     # What a link calls.
 
     def write(self, data: bytes) -> None:
-        """Send a frame, and tell the session when it will have left."""
+        """Send a frame on the serial port, and tell the session when its last character will have left."""
         connection = self._connection
         if connection is None:
             return
@@ -152,7 +152,7 @@ class SerialStream:
             asyncio.get_running_loop().call_soon(self._end.connection_lost, error)
 
     def still_sending(self) -> None:
-        """Tell the session if characters are still unsent, so that a timeout does not start too early."""
+        """Tell the session if characters of a frame are still unsent, so that the timeout does not start too early."""
         if self._connection is None or self._puts_off >= HOLDS_AT_MOST:
             return
         try:
@@ -195,13 +195,11 @@ class SerialChannel:
         self._puts_off = 0
 
     def fileno(self) -> int:
-        """The file descriptor of the port, to wait for readiness. Raises `OSError` if ports have none."""
+        """Return the port's file descriptor, for waiting until it is ready. Raises `OSError` if ports have none."""
         return self._port.fileno()
 
     def recv_into(self, buffer: bytearray) -> int:
-        """Receive bytes into a buffer. Raises `BlockingIOError` if nothing usable came, and `LinkDown` (an
-        `OSError`).
-        """
+        """Receive bytes into a buffer. Raises `BlockingIOError` if nothing usable came, `LinkDown` without port."""
         data, errors = self._port.read(0)
         overrun = bool(data) and self._overruns.more()
         if errors or overrun:
@@ -213,13 +211,13 @@ class SerialChannel:
         return len(data)
 
     def send(self, data: bytes) -> int:
-        """Send a frame, and tell the session when it will have left. Raises `LinkDown` (an `OSError`)."""
+        """Send a frame and tell the session when its last character will have left. Raises `LinkDown`."""
         self._puts_off = 0
         self._session.written(self._port.write(data))
         return len(data)
 
     def still_sending(self) -> None:
-        """Tell the session if characters are still unsent, so that a timeout does not start too early."""
+        """Tell the session if characters of a frame are still unsent, so that the timeout does not start too early."""
         if self._puts_off >= HOLDS_AT_MOST:
             return
         try:

@@ -22,7 +22,7 @@ from .settings import LinkSettings
 
 
 class ClientSession(Protocol):
-    """Interface of a client session: `TcpClientSession` or `SerialClientSession`.
+    """Interface of a client session, which decides without IO what a link sends, awaits and repeats.
 
     Attributes:
         counters: counters of the link.
@@ -38,58 +38,56 @@ class ClientSession(Protocol):
 
     @property
     def breakers(self) -> Breakers | None:
-        """The circuit breakers of the units; None without breakers."""
+        """The circuit breakers of the units; None if the option is off."""
 
     @property
     def has_calls(self) -> bool:
-        """Whether calls wait to be sent."""
+        """Whether calls wait that have requests left to send."""
 
     @property
     def has_gap(self) -> bool:
-        """Whether waiting calls may be sent only later, after a gap."""
+        """Whether requests wait only because a gap between requests is not over."""
 
     @property
     def in_flight(self) -> int:
-        """Number of requests whose reply is awaited."""
+        """Number of requests that were sent and whose reply is awaited."""
 
     @property
     def queued(self) -> int:
-        """Number of calls with something left to send."""
+        """Number of calls that have requests left to send."""
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue a call. Raises `ModbusError`; nothing was sent then."""
+        """Queue the requests of a call to be sent. Raises `ModbusError`; nothing was sent then."""
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """Send a call at once and return its frame; None if it has to be queued with `submit`."""
+        """Return the frame of a call that can be sent at once; None if it has to be queued with `submit`."""
 
     def serve_units_in_turn(self) -> None:
-        """Serve the units of each caller in turn, instead of its calls in order."""
+        """Send requests to the units in turn, not in the order of the calls, so that a slow unit holds up no other."""
 
     def cancel(self, call: Call) -> bool:
-        """Cancel a call. Returns whether some of its requests are in flight."""
+        """Cancel a call. Returns whether requests of it were sent and are unanswered."""
 
     def connected(self, now: float) -> None:
-        """Report that a connection is open."""
+        """Tell the session that a connection is open."""
 
     def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
-        """Report the end of the connection; ``lost`` is False if the client itself closed an unused one."""
+        """Tell the session that the connection ended; ``lost`` is False if the client itself closed it unused."""
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """Report that no connection could be opened: waiting calls fail; ``keep_repeated`` spares those about to be
-        repeated.
-        """
+        """End waiting calls because no connection could be opened; ``keep_repeated`` spares those to be repeated."""
 
     def transmit(self, now: float) -> list[bytes]:
-        """The frames to send now, in order."""
+        """Return the frames that are due to be sent at ``now``, in order."""
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
-        """Process the received first ``size`` bytes of ``buffer``."""
+        """Process the first ``size`` bytes of ``buffer``, which the connection has received."""
 
     def deadline(self) -> float | None:
-        """When `tick` or `transmit` has something to do, in the clock of ``now``; None for never."""
+        """The time at which `tick` or `transmit` has something to do, by the clock of ``now``; None for never."""
 
     def tick(self, now: float) -> None:
-        """Handle timeouts and deadlines that have passed."""
+        """End requests and calls whose timeout or deadline has passed."""
 
 
 def client_session_for(
@@ -132,7 +130,7 @@ def client_session_for(
 
 
 def reconnect_for(settings: LinkSettings) -> Reconnect:
-    """Create the reconnecting state of a link with its pauses; a serial port has pauses of its own."""
+    """Create the state that decides when a link connects again; a serial port has pauses of its own."""
     if settings.line is not None and settings.line.port is not None:
         opening = settings.line.opening
         return Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
@@ -141,7 +139,7 @@ def reconnect_for(settings: LinkSettings) -> Reconnect:
 
 
 def timing_of(port: SerialSettings | None) -> SerialTiming:
-    """Character times for the settings of a port; those of a network if ``port`` is None."""
+    """Return the character times for the settings of a serial port; those of a network if ``port`` is None."""
     if port is None:
         return SerialTiming.of_network()
     return SerialTiming.of_line(

@@ -1,4 +1,4 @@
-"""The settings of a link: a URL with its options, and keywords, as checked parameter objects.
+"""The settings of a link, read from its URL and from keywords, as checked objects.
 
 Knows which parts of a link take which parameter classes; what an option means, and with which schemes, is declared in
 `busway.options`.
@@ -25,7 +25,7 @@ CALL_DEFAULTS: Final = tuple(name for name, one in declared(ClientParameters).it
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """Additional settings of a link that uses RTU or ASCII framing.
+    """Settings that a link has only with RTU or ASCII framing.
 
     Attributes:
         conversation: turnaround, gaps, drain.
@@ -65,7 +65,7 @@ class LinkSettings:
     security: TlsParameters | None = None
 
     def differs(self, other: "LinkSettings") -> str:
-        """Name of the first connection setting that differs from ``other``; empty if none does."""
+        """Return the name of the first setting of the connection that differs from ``other``; empty if none does."""
         for mine, theirs in zip(self._parts(), other._parts(), strict=False):
             for name, option in declared(type(mine)).items():
                 if Mark.PER_CALL not in option.marks and getattr(mine, name) != getattr(theirs, name):
@@ -119,5 +119,5 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
 
 
 def options_of(endpoint: Endpoint) -> frozenset[str]:
-    """The options that a link to an endpoint may have; the others have no effect with its scheme."""
+    """Return the names of the options that a link to an endpoint may have; others have no effect with its scheme."""
     return Offer.at(endpoint, "client", LINKS).names

@@ -1,4 +1,4 @@
-"""The users of links by endpoint: who shares a link, how many there are, and which link a request takes.
+"""Links by endpoint: who shares one, how many there are, and which link a request takes.
 
 Knows links as the selection rules see them; knows no event loop, lock or request (Messaging on TCP/IP V1.0b §4.2.1).
 
@@ -28,7 +28,7 @@ class _Shared(Generic[AnyLink]):
 
 
 class SharedLinks(Generic[AnyLink]):
-    """The links of one client by endpoint.
+    """The links of one client by endpoint, each shared by its users.
 
     Args:
         make: makes a link from its settings, whether it is shared, and the scope of its transactions if it has one.
@@ -41,7 +41,7 @@ class SharedLinks(Generic[AnyLink]):
         self._scope: ClientScope | None = None
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AnyLink:
-        """Get the link for one more user of an endpoint. Raises `ConfigError`, `Overloaded`."""
+        """Return the link to an endpoint for one more user, made if necessary. Raises `ConfigError`, `Overloaded`."""
         name = settings.endpoint.url
         if not shared:
             check_room(list(self._links.get(name, ())), settings)
@@ -54,11 +54,11 @@ class SharedLinks(Generic[AnyLink]):
         return entry.link
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AnyLink:
-        """Choose one of the links to the endpoint for a request. Raises `LinkDown` if there are none."""
+        """Choose one of several links to the same endpoint for a request. Raises `LinkDown` if there are none."""
         return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 
     def release(self, settings: LinkSettings, link: AnyLink) -> bool:
-        """Give a link back; whether that was its last user, who closes it then."""
+        """Give a link back after use; returns whether that was the last user, who must close it."""
         name = settings.endpoint.url
         entry = self._shared.get(name)
         if entry is not None and entry.link is link:

@@ -1,4 +1,4 @@
-"""Connections of asyncio and blocking links over TLS (MODBUS/TCP Security, port 802).
+"""The connector for TLS: opens connections of asyncio and blocking links (MODBUS/TCP Security, port 802).
 
 Knows TCP, TLS and the meaning of their failures; knows no session.
 
@@ -111,7 +111,7 @@ class TlsConnector:
         return layer
 
     async def _look_at_date(self, failure: TlsFailure) -> TlsFailure:
-        """Add the date of the refused certificate to a failure, if a second connection shows it (rule 4)."""
+        """Add the dates of the server's certificate to an error about them, if a second handshake shows it (rule 4)."""
         try:
             layer = await self._agree(timeless_context(self._security), _silent_protocol)
         except (OSError, ValueError):
@@ -141,7 +141,7 @@ class TlsConnector:
         return TlsSocket(connection, context, server_name=self._server_name, timeout=self._security.handshake_timeout)
 
     def _look_at_date_now(self, failure: TlsFailure) -> TlsFailure:
-        """Add the date of the refused certificate to a failure, blocking (as `_look_at_date`)."""
+        """Add the dates of the server's certificate to an error about them, blocking (as `_look_at_date`)."""
         try:
             connection = self._agree_now(timeless_context(self._security))
         except (OSError, ValueError):
@@ -182,7 +182,7 @@ class TlsConnector:
 
 
 def _silent_protocol() -> "asyncio.BufferedProtocol":
-    """A protocol that ignores all events, for a connection that carries no data."""
+    """Return an asyncio protocol that ignores all events, for a connection that carries no data."""
     import asyncio
 
     class Silent(asyncio.BufferedProtocol):

@@ -1,4 +1,4 @@
-"""Runs: the memory of a device's tables, as items at consecutive addresses in wire order.
+"""Memory of a device's tables: runs of registers or bits at consecutive addresses, in wire order.
 
 Knows bytes, positions and the lock that writers share; knows no table, no address rule, no hook and no request.
 
@@ -39,19 +39,19 @@ class Run(Protocol):
 
     @property
     def memory(self) -> "RegisterRun | BitRun":
-        """The run that owns the bytes: this one, or the run of registers that this one shows as bits."""
+        """The run that stores the bytes: this one, or the run of registers that this one shows as bits."""
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy items out of ``data``, which is the bytes of ``memory`` or a copy of them."""
+        """Copy items out of ``data``: the bytes of this run's ``memory``, or a copy of them in a group of changes."""
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write items into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
+        """Write items into ``data`` in one assignment: the bytes of this run's ``memory``, or a copy of them."""
 
     def get(self, position: int, count: int) -> bytes:
-        """The current items of a range. ``position`` counts from the begin of the run; bytes as replies have them."""
+        """Return the current items of a range as bytes of a reply. ``position`` counts from the run's first item."""
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the items of a range by bytes as writes have them; as for `get`. Safe from any thread."""
+        """Replace the items of a range by bytes of a write; ``position`` as for `get`. Safe from any thread."""
 
 
 class RegisterRun:
@@ -73,23 +73,23 @@ class RegisterRun:
 
     @property
     def memory(self) -> "RegisterRun":
-        """This run: registers own their bytes."""
+        """This run itself: registers are stored here."""
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy registers out of ``data``, which is the bytes of ``memory`` or a copy of them."""
+        """Copy registers out of ``data``: the bytes of ``memory``, or a copy of them in a group of changes."""
         return bytes(data[2 * position : 2 * (position + count)])
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write registers into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
+        """Write registers into ``data`` in one assignment: the bytes of ``memory``, or a copy of them."""
         data[2 * position : 2 * (position + count)] = items
 
     def get(self, position: int, count: int) -> bytes:
-        """The current registers of a range, big-endian."""
+        """Return the current registers of a range as big-endian bytes."""
         return bytes(self.data[2 * position : 2 * (position + count)])
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the registers of a range; safe from any thread."""
+        """Replace the registers of a range by big-endian bytes; safe from any thread."""
         if count <= _PACKED:
             with self._lock:
                 _PACK[count](self.data, 2 * position, data)
@@ -128,23 +128,23 @@ class BitRun:
 
     @property
     def memory(self) -> "BitRun":
-        """This run: its bits own their bytes."""
+        """This run itself: its bits are stored here."""
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy bits out of ``data``, which is the bytes of ``memory`` or a copy of them."""
+        """Copy bits out of ``data``: the bytes of ``memory``, or a copy of them in a group of changes."""
         return slice_bits(data, position, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write bits into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
+        """Write bits into ``data`` in one assignment: the bytes of ``memory``, or a copy of them."""
         splice_bits(data, position, count, items)
 
     def get(self, position: int, count: int) -> bytes:
-        """The current bits of a range, packed from the lowest bit of the first byte."""
+        """Return the current bits of a range, packed from the lowest bit of the first byte."""
         return slice_bits(self.data, position, count)
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the bits of a range; safe from any thread."""
+        """Replace the bits of a range by packed bytes; safe from any thread."""
         with self._lock:
             splice_bits(self.data, position, count, data)
 
@@ -178,19 +178,19 @@ class RegisterBits:
         self._lock = lock
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy bits out of ``data``, which is the bytes of the registers or a copy of them."""
+        """Copy bits out of ``data``: the bytes of the registers, or a copy of them in a group of changes."""
         low, high = self._bytes_of(position, count)
         return slice_bits(_bytes_swapped(data[low:high]), position & 15, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write bits into ``data``, which is the bytes of the registers or a copy of them, in one assignment."""
+        """Write bits into ``data`` in one assignment: the bytes of the registers, or a copy of them."""
         low, high = self._bytes_of(position, count)
         words = _bytes_swapped(data[low:high])
         splice_bits(words, position & 15, count, items)
         data[low:high] = _bytes_swapped(words)
 
     def get(self, position: int, count: int) -> bytes:
-        """The current bits of a range of the registers, packed from the lowest bit of the first byte."""
+        """Return the current bits of a range of the registers, packed from the lowest bit of the first byte."""
         return self.fetch(self.memory.data, position, count)
 
     def put(self, position: int, count: int, data: bytes) -> None:
@@ -199,7 +199,7 @@ class RegisterBits:
             self.patch(self.memory.data, position, count, data)
 
     def _bytes_of(self, position: int, count: int) -> tuple[int, int]:
-        """First byte and byte after the last of the registers that contain a range of bits."""
+        """Return the first byte, and the byte after the last, of the registers that contain a range of bits."""
         return 2 * (self._start + position // 16), 2 * (self._start + (position + count + 15) // 16)
 
 
@@ -213,7 +213,7 @@ def replace_all(fresh: Mapping[RegisterRun | BitRun, bytearray]) -> None:
 
 
 def _bytes_swapped(words: bytearray) -> bytearray:
-    """Registers with the two bytes of each swapped: converts between big-endian and bits packed from the lowest."""
+    """Return registers with their two bytes swapped: from big-endian to bits packed from the lowest, and back."""
     swapped = bytearray(len(words))
     swapped[0::2] = words[1::2]
     swapped[1::2] = words[0::2]

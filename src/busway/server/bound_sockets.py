@@ -30,7 +30,7 @@ async def listening_sockets(loop: asyncio.AbstractEventLoop, settings: ListenerS
 
 
 def bound_name(scheme: str, bound: socket.socket) -> str:
-    """The URL of a bound socket, with its real port."""
+    """Return the URL of a listener's bound socket, with its real port."""
     host, port = bound.getsockname()[:2]
     return f"{scheme}://[{host}]:{port}" if bound.family == socket.AF_INET6 else f"{scheme}://{host}:{port}"
 

@@ -1,4 +1,4 @@
-"""Reads a user's declaration of the items of a table or file: addresses, initial values, read-only ranges.
+"""Checks how a user declared the items of a table or file: addresses, initial values, read-only ranges.
 
 Knows numbers, sequences and mappings; knows no lock, no store and no request.
 
@@ -21,7 +21,7 @@ Ranges = Iterable[tuple[int, int]]
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """The declared items of one table, or the declared records of one file: values by address, or a count.
+    """A user's declaration of the items of one table, or of the records of one file: values by address, or a count.
 
     Args:
         first: address of the first item, 0-based.
@@ -57,9 +57,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class CellLayout:
-    """The checked declaration of a table: pieces and read-only ranges (first address, address after the last),
-    ascending.
-    """
+    """The checked declaration of a table: pieces of initial values, and read-only ranges, both ascending."""
 
     pieces: tuple[Piece, ...]
     read_only: tuple[tuple[int, int], ...]
@@ -110,9 +108,7 @@ def _as_cells(declared: TableLike, key: str) -> Cells:
 
 
 def _pieces(cells: Cells, key: str, bits: bool, size: int) -> list[Piece]:
-    """The declared values as pieces; where a count was declared, one piece of that many items with the values filled
-    in.
-    """
+    """Return the declared values as pieces of consecutive addresses; a declared count becomes one piece."""
     first = _whole("the first address", cells.first, key)
     values = cells.values
     if cells.count is None:
@@ -148,7 +144,7 @@ def _piece(address: int, values: int | Sequence[int], key: str, bits: bool) -> P
 
 
 def _value(address: int, value: object, key: str, bits: bool) -> int:
-    """A declared value as an ``int``, whatever integer type the user gave."""
+    """Return one declared value as ``int``, from any integer or bool type that the user gave."""
     try:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
@@ -160,7 +156,7 @@ def _value(address: int, value: object, key: str, bits: bool) -> int:
 
 
 def _merged(pieces: list[Piece], key: str) -> list[Piece]:
-    """Sort pieces by address and join adjacent ones."""
+    """Sort pieces of initial values by address and join adjacent ones."""
     found: list[Piece] = []
     for piece in sorted(pieces, key=lambda each: each.first):
         if not piece.values:

@@ -120,7 +120,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     # What the event loop calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Handle a new connection: ask connection management for a slot, and close it if there is none."""
+        """Handle a new connection: ask connection management for a slot, and close it if none is free."""
         self._transport = transport
         address = transport.get_extra_info("peername")
         self.peer, self.host = peer_name(address), host_of(address)
@@ -133,11 +133,11 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def get_buffer(self, sizehint: int) -> memoryview:
-        """The buffer that the event loop or the TLS layer writes received bytes into."""
+        """Return the buffer into which the event loop or the TLS layer writes received bytes."""
         return self._window
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Process received bytes and send the replies, up to the share of a turn."""
+        """Process received bytes and send the replies, as far as the connection's share of a turn goes."""
         session = self.session
         if session is None:
             return
@@ -155,7 +155,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._look_at_share(session, nbytes)
 
     def _finish(self, session: Session, size: int) -> None:
-        """Start deferred answers, timeouts and error handling after ``size`` received bytes were answered."""
+        """After ``size`` received bytes were answered: start late replies and timeouts, report failures."""
         if session.deferred:
             self._start_waiting(session)
         if session.failures:
@@ -204,7 +204,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     # Turns.
 
     def _must_wait(self, session: Session, nbytes: int) -> bool:
-        """Whether received bytes must wait, and are queued, because other connections are waiting for their turn."""
+        """Whether received requests must be queued because other connections wait for their turn."""
         if self.is_priority or not (self.is_greedy or not self._management.turns.has_time):
             return False
         session.put_off(self._buffer, nbytes)
@@ -213,7 +213,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         return True
 
     def _look_at_share(self, session: Session, nbytes: int) -> None:
-        """Make the connection wait for its next turn if it has used more than its share of the event loop."""
+        """Queue the connection for its next turn if it has used its share of the event loop's time."""
         session.spent = 0
         self._management.turns.worked()
         self.is_greedy = bool(session.rest) or nbytes == len(self._window)
@@ -227,7 +227,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._management.turns.wait(self)
 
     def take_turn(self) -> bool:
-        """Answer a share of the queued requests. Returns whether more remain for the next turn."""
+        """Answer as many queued requests as one share allows. Returns whether more remain for the next turn."""
         try:
             more = self._work_on()
         except (SystemExit, KeyboardInterrupt):
@@ -261,7 +261,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     # What connection management and the session ask.
 
     def deliver(self, adu: bytes) -> None:
-        """Send a late reply; an empty one means that a request in progress ended without a reply.
+        """Send the late reply to a request; empty bytes mean that the request ends without a reply.
 
         Those that come in one turn of the event loop leave together: a gateway gets many at once from the line behind,
         and a segment for each costs more than all the rest of the way.
@@ -277,7 +277,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self.deliver_together(late or [])
 
     def deliver_together(self, late: list[bytes]) -> None:
-        """Send several late replies in one write."""
+        """Send the late replies to several requests in one write."""
         if self.session is not None and not self._transport.is_closing():
             if late:
                 self._write(late)
@@ -285,7 +285,7 @@ class ServerConnection(asyncio.BufferedProtocol):
                 self._transport.close()
 
     def attend(self) -> None:
-        """Handle what the session reports without new bytes, such as a frame that ended by silence."""
+        """Handle what the session has to report without new bytes, such as a frame that ended by silence."""
         session = self.session
         if session is not None and session.deferred:
             self._start_waiting(session)
@@ -293,11 +293,11 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._report(session)
 
     def hold(self) -> None:
-        """Stop reading from the client until `go_on`."""
+        """Stop reading from the client until `go_on` is called."""
         self._transport.pause_reading()
 
     def go_on(self) -> None:
-        """Resume work and reading, unless the connection must stay paused for another reason."""
+        """Read from the client again after `hold`, unless there is another reason for a pause."""
         if self._is_stuck or self._is_queued or self._transport.is_closing():
             return
         if self.session is not None and self.session.rest:
@@ -310,7 +310,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._transport.resume_reading()
 
     def close(self) -> None:
-        """Close the connection after all replies given so far have been sent."""
+        """Close the connection after the replies given so far have been sent."""
         if self._late:
             self._send_late()
         if self._transport is not None:
@@ -322,7 +322,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def make_room(self) -> None:
-        """Close the connection because its slot was given to another one."""
+        """Close the connection because a new connection has got its slot."""
         self._management.evict(self)
 
     @property
@@ -339,7 +339,7 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     @property
     def is_idle(self) -> bool:
-        """Whether the idle timeout may close the connection."""
+        """Whether the connection is quiet, so that the idle timeout may close it: no request or reply is pending."""
         return not (self.is_priority or self.is_busy or self.unfinished or self._management.is_held(self))
 
     @property
@@ -354,7 +354,7 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     @property
     def state(self) -> ServedConnectionState:
-        """State of the connection for the status, such as closing or held back."""
+        """Return the state of the connection for the server's status, such as closing or held back."""
         if self.session is None or self._transport.is_closing():
             return ServedConnectionState.CLOSING
         if self._is_stuck or self._management.is_held(self):
@@ -366,7 +366,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     # Inside.
 
     def _limit_receiving(self) -> None:
-        """If the host has a request rate, limit one receive to about a second's worth of requests."""
+        """Receive at most about a second's worth of requests at once if the host has a request rate."""
         rates = self._management.rates
         if rates is not None and not self.is_priority:
             self._is_rated = True

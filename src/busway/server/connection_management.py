@@ -1,4 +1,4 @@
-"""Connection management of a listener: admits, limits and closes connections (Messaging on TCP/IP §4.2).
+"""Connection management of a TCP or TLS listener: admits, limits and closes connections (Messaging on TCP/IP §4.2).
 
 Knows connections and their limits; knows no request.
 
@@ -46,7 +46,7 @@ _COUNTED_AS: Final = {one: f"{one.value}s" for one in _SENTENCES}
 
 
 class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
-    """A connection as its connection management sees it.
+    """Interface of a server connection that a listener's connection management admits and closes.
 
     Attributes:
         charged: requests that its host's rate was charged with.
@@ -55,32 +55,32 @@ class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
     charged: int
 
     def hold(self) -> None:
-        """Stop reading from the client until `go_on`."""
+        """Stop reading from the client until `go_on` is called."""
 
     def go_on(self) -> None:
-        """Resume work and reading, unless the connection must stay paused for another reason."""
+        """Read from the client again after `hold`, unless there is another reason for a pause."""
 
     def abort(self) -> None:
         """Close the connection at once; unsent replies are lost."""
 
     def make_room(self) -> None:
-        """Close the connection because its slot was given to another one."""
+        """Close the connection because a new connection has got its slot."""
 
 
 class HandshakeAcceptor(Protocol):
-    """The runner of a listener's TLS handshakes, as its connection management sees it."""
+    """Interface of what runs a listener's TLS handshakes, as connection management needs it."""
 
     def end_unauthorized(self) -> int:
         """Abort the handshakes of hosts that may no longer connect; returns their number."""
 
     def status(self) -> SecurityStatus:
-        """The TLS status of the listener now."""
+        """Return the listener's TLS status: its certificate and counts of handshakes."""
 
     def reload(self) -> None:
-        """Read certificate, key and authorities again. Raises `ConfigError`; then the old ones stay in use."""
+        """Read the listener's certificate, key and authorities again. Raises `ConfigError`; the old ones stay then."""
 
     def close(self) -> None:
-        """Abort all pending handshakes."""
+        """Abort all TLS handshakes that are not complete."""
 
 
 class ConnectionManagement:
@@ -121,7 +121,7 @@ class ConnectionManagement:
 
     @property
     def loop(self) -> asyncio.AbstractEventLoop:
-        """The event loop that the connections run on."""
+        """The event loop on which the listener's connections run."""
         return self.listener_context.loop
 
     @property
@@ -146,18 +146,18 @@ class ConnectionManagement:
 
     @property
     def diagnosis(self) -> Diagnosis:
-        """The source of the listener's status indicators."""
+        """The times of traffic and faults from which the listener's status indicators follow."""
         return self.listener_context.diagnosis
 
     @property
     def rates(self) -> Rates | None:
-        """Request rates by host; None without a limit."""
+        """Limits of requests per second by client host; None without a limit."""
         return self.listener_context.rates
 
     # Coming and going.
 
     def accept(self, transport: asyncio.BaseTransport) -> bool:
-        """Whether a new connection may stay, checked before a byte of it is read; sets the parameters of its socket.
+        """Check a new connection before a byte of it is read; returns whether it may stay. Sets its socket options.
 
         A refusal is counted and logged; closing is the caller's.
         """
@@ -172,7 +172,7 @@ class ConnectionManagement:
         return True
 
     def admit(self, connection: ManagedConnection) -> Session | None:
-        """Give a new connection a slot, and return its session; None if no slot can be freed for it."""
+        """Give a new connection a slot and return its session; None if no slot is free or can be freed."""
         listener_context = self.listener_context
         connection.is_priority = listener_context.is_priority(connection.host)
         admission = self.pools.admit(connection)
@@ -197,7 +197,7 @@ class ConnectionManagement:
         return listener_context.session_for(connection, share=REQUESTS_OF_A_TURN)
 
     def evict(self, connection: ManagedConnection) -> None:
-        """Close a connection that has lost its slot to a new one."""
+        """Close a connection because a new connection has got its slot."""
         self.counters.evicted += 1
         self.listener_context.say(
             logging.WARNING,
@@ -238,7 +238,7 @@ class ConnectionManagement:
     # Limits while they last.
 
     def watch_frame(self, connection: ManagedConnection, *, begun_now: bool) -> None:
-        """Start the frame timeout of a connection with an incomplete frame; ``begun_now`` if the frame is new."""
+        """Start the timeout of an incomplete frame on a connection; ``begun_now``: the frame is a new one."""
         if connection.is_priority:
             return
         now = time.monotonic()
@@ -256,7 +256,7 @@ class ConnectionManagement:
         self._deadlines.taken(connection)
 
     def charge(self, connection: ManagedConnection, session: Session) -> None:
-        """Charge a host with the requests of its connection; pause the connection if the host is above its rate."""
+        """Count the requests of a connection against its host's rate; pause the connection above it."""
         assert self.rates is not None  # or this is not called
         now = time.monotonic()
         requests, connection.charged = session.requests - connection.charged, session.requests
@@ -281,7 +281,7 @@ class ConnectionManagement:
         self._set_timer_by(self._deadlines.next_due(now, has_connections=bool(self._connections)), now)
 
     def _set_timer_by(self, due: float | None, now: float) -> None:
-        """Set the timer for deadlines to ``due``, unless it is set to an earlier time."""
+        """Set the timer for the next timeout of a connection to ``due``, unless it is set to an earlier time."""
         if due is None or (self._timer is not None and self._timer_at <= due):
             return
         self._stop_timer()
@@ -294,7 +294,7 @@ class ConnectionManagement:
             self._timer = None
 
     def _look(self) -> None:
-        """Close overdue connections, resume paused ones, and set the timer for the next deadline."""
+        """Close connections whose timeout is over, resume paused ones, and set the timer for the next timeout."""
         self._timer = None
         now = time.monotonic()
         for connection, what in self._deadlines.due(self._connections, now):
@@ -319,12 +319,12 @@ class ConnectionManagement:
     # What is shown.
 
     def status(self) -> list[ConnectionStatus]:
-        """The status of each open connection, the oldest first."""
+        """Return the status of each open connection, the oldest first."""
         now = time.monotonic()
         return [self.listener_context.connected_peer_status(one, now) for one in self._connections]
 
     def listener_status(self) -> ListenerStatus:
-        """The status of the listener: its indicators, counters and limits."""
+        """Return the status of the listener: its indicators, counters and limits."""
         diagnosis = self.diagnosis
         diagnosis.traffic = max((one.last_used for one in self._connections), default=diagnosis.traffic)
         pools = [one.pool for one in self._connections]
@@ -332,7 +332,7 @@ class ConnectionManagement:
         return self.listener_context.status(pools.count, security=security)
 
     def add_living(self, counters: ServerCounters) -> None:
-        """Add the counters of open connections; closed ones are already in the totals."""
+        """Add the counters of open connections to totals that contain the closed ones already."""
         for one in self._connections:
             if one.session is not None:
                 add_living(counters, one, one.session)

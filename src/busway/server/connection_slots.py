@@ -31,14 +31,14 @@ _LOOKS: Final = 64
 
 
 class Pool(Enum):
-    """One of the two pools of connection slots: that of priority hosts, or that of all others."""
+    """The two pools of connection slots: one for priority hosts, one for all other hosts."""
 
     PRIORITY = "priority"
     OTHER = "other"
 
 
 class PoolMember(Protocol):
-    """A connection as the slot pools see it.
+    """Interface of a connection that holds a slot of a pool.
 
     Attributes:
         host: host of the client.
@@ -68,7 +68,7 @@ One = TypeVar("One", bound=PoolMember)
 
 @dataclass(frozen=True, slots=True)
 class PoolLimits:
-    """Limits of the slot pools: numbers of slots in total and per host.
+    """Limits of the two slot pools: numbers of slots in total and per host.
 
     Attributes:
         priority: slots of the priority pool.
@@ -84,7 +84,7 @@ class PoolLimits:
 
     @classmethod
     def of(cls, parameters: ListenerParameters) -> "PoolLimits":
-        """The limits that the options of a listener set."""
+        """Return the limits of slots that the options of a listener set."""
         return cls(
             priority=parameters.max_priority_connections,
             other=parameters.max_connections,
@@ -107,7 +107,7 @@ class Admission(Generic[One]):
 
 
 class Pools(Generic[One]):
-    """The priority pool and the other pool of connection slots."""
+    """All connection slots of a listener: those for priority hosts and those for other hosts."""
 
     def __init__(self, limits: PoolLimits) -> None:
         self.limits = limits
@@ -124,11 +124,11 @@ class Pools(Generic[One]):
         return len(self._priority) + len(self._other)
 
     def count(self, pool: Pool) -> int:
-        """Number of used slots of a pool."""
+        """Return the number of used slots of a pool."""
         return len(self._priority if pool is Pool.PRIORITY else self._other)
 
     def admit(self, candidate: One) -> Admission[One]:
-        """Give a new connection a slot, if necessary that of another connection."""
+        """Give a new connection a slot, if necessary that of another connection, which is returned to be closed."""
         if candidate.is_priority and self._has_priority_place(candidate.host):
             self._prefer(candidate)
             return Admission(True)
@@ -145,7 +145,7 @@ class Pools(Generic[One]):
         return Admission(True, evicted)
 
     def leave(self, member: One) -> None:
-        """Free the slot of an ended connection; no effect if it was evicted before."""
+        """Free the slot of a connection that has ended; no effect if it had lost its slot before."""
         if member in self._other:
             self._remove(member)
         elif member in self._priority:
@@ -158,7 +158,7 @@ class Pools(Generic[One]):
     # Who goes.
 
     def _of_same_device(self, candidate: One) -> One | None:
-        """The connection to close for a new one of a host at its limit: that host's oldest. None for priority hosts."""
+        """Return the oldest connection of a host at its limit, to be closed for a new one; None for priority hosts."""
         limit = self.limits.per_device
         if limit is None or candidate.is_priority:
             return None
@@ -166,9 +166,7 @@ class Pools(Generic[One]):
         return next(iter(own)) if len(own) >= limit else None
 
     def _silent_one(self, candidate: One) -> One | None:
-        """A connection to close first: it has sent nothing, and its client closed it or `SECONDS_TO_SPEAK` have
-        passed.
-        """
+        """Return a connection to close first: it never sent a byte, and has ended or outlived `SECONDS_TO_SPEAK`."""
         for member in list(islice(self._silent, _LOOKS)):
             if member.received:
                 del self._silent[member]
@@ -177,7 +175,7 @@ class Pools(Generic[One]):
         return None
 
     def _longest_unused(self) -> One | None:
-        """The connection without priority that was unused longest, or the oldest one if all are busy."""
+        """Return the connection without priority that was unused longest, or the oldest if all are busy."""
         found = self._first_idle()
         if found is None:
             # Sorted once for many new connections: what has not been used since then stands in its order still, and all
@@ -204,7 +202,7 @@ class Pools(Generic[One]):
         return found
 
     def _oldest_priority(self, candidate: One) -> One | None:
-        """The oldest priority connection, to be closed if the other pool has priority connections only (rule 4)."""
+        """Return the oldest priority connection in the other pool if that pool has no others to close (rule 4)."""
         if not candidate.is_priority:
             return None
         own = (member for member in self._other if member.host == candidate.host)
@@ -240,7 +238,7 @@ class Pools(Generic[One]):
                 del self._of_device[member.host]
 
     def _move_up(self) -> None:
-        """Move the oldest priority connection of the other pool into a free priority slot."""
+        """Move the oldest priority connection that has a normal slot into a free priority slot."""
         for member in self._other:
             if member.is_priority and self._has_priority_place(member.host):
                 self._remove(member)

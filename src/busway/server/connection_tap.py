@@ -14,7 +14,7 @@ from typing import Protocol
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class TappedConnection:
-    """An open connection on which a tap can send: over TCP or TLS, to a peer over UDP, or of a serial port.
+    """An open connection, UDP peer or serial port on which a connection tap can send bytes of its own.
 
     Attributes:
         listener, peer: as in `RequestContext`.
@@ -35,14 +35,14 @@ class TappedConnection:
 
 
 class ConnectionTap(Protocol):
-    """An observer of opened and closed connections, called in the thread of the server's event loop."""
+    """Observer of a server's opened and closed connections, called in the thread of the server's event loop."""
 
     def connection_opened(self, connection: TappedConnection) -> None:
-        """A connection was admitted, a UDP peer sent its first datagram, or a serial port was opened."""
+        """Note that a connection was admitted, a UDP peer sent its first datagram, or a serial port was opened."""
 
     def connection_closed(self, connection: TappedConnection) -> None:
-        """A connection or port was closed, or a UDP peer was forgotten."""
+        """Note that a connection or port was closed, or a UDP peer was forgotten."""
 
 
 def stay() -> None:
-    """Do nothing: UDP peers and serial ports cannot be closed by a tap (`TappedConnection.close`)."""
+    """Do nothing where a tap asks to close a UDP peer or serial port, which it cannot (`TappedConnection.close`)."""

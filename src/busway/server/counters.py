@@ -17,7 +17,7 @@ class ClassCounters:
 
 @dataclass(slots=True)
 class ServerCounters:
-    """Counters of a server since its creation; ``requests`` and the following are complete when a connection ends.
+    """Counters of a server since its creation; requests of a connection are added when it ends.
 
     Attributes:
         accepted, closed: connections, and peers over UDP.
@@ -60,11 +60,11 @@ class ServerCounters:
     other: ClassCounters = field(default_factory=ClassCounters)
 
     def of_class(self, *, is_priority: bool) -> ClassCounters:
-        """The counters of priority hosts, or those of all others."""
+        """Return the counters of priority hosts' connections, or those of all other hosts."""
         return self.priority if is_priority else self.other
 
     def take_off(self, counted: "ServerCounters") -> None:
-        """Subtract earlier counts, so that only later events remain."""
+        """Subtract earlier counts from these, so that only later events remain."""
         for mine, theirs in ((self, counted), (self.priority, counted.priority), (self.other, counted.other)):
             for one in fields(mine):
                 value = getattr(mine, one.name)
@@ -72,5 +72,5 @@ class ServerCounters:
                     setattr(mine, one.name, value - getattr(theirs, one.name))
 
     def copy(self) -> Self:
-        """A copy of the counters that does not change any more."""
+        """Return a copy of the server's counters that does not change any more."""
         return replace(self, priority=replace(self.priority), other=replace(self.other))

@@ -1,4 +1,4 @@
-"""Timeouts of a listener's connections: which are overdue, and when to check again.
+"""Timeouts of a listener's connections: which connections are overdue, and when to check again.
 
 Pure: knows connections by name and times handed in; closes nothing and has no timer. One look serves all connections.
 
@@ -22,7 +22,7 @@ _LOOKS: Final = 16
 
 
 class Timed(Protocol):
-    """A connection as its deadlines see it."""
+    """Interface of a connection whose timeouts are watched."""
 
     last_used: float
 
@@ -43,7 +43,7 @@ One = TypeVar("One", bound=Timed)
 
 
 class Overdue(Enum):
-    """The kind of time that is over for a connection: a frame, write or idle timeout, or a pause."""
+    """Which time is over for a connection: its frame, write or idle timeout, or its pause."""
 
     HEADER = "header_timeout"
     FRAME = "frame_timeout"
@@ -71,12 +71,12 @@ class Deadlines(Generic[One]):
     # What happens.
 
     def frame_begun(self, one: One, now: float, *, anew: bool) -> float | None:
-        """Note partial frame data; returns its deadline. ``anew``: it begins a new frame, whose time starts now."""
+        """Note that a connection holds part of a frame; returns its deadline. ``anew``: the frame is a new one."""
         since = self._begun[one] = now if anew else self._begun.get(one, now)
         return self._frame_deadline(one, since)
 
     def stuck(self, one: One, now: float) -> float | None:
-        """Start the write timeout: the client has stopped reading. Returns when to check again."""
+        """Start the write timeout of a client that has stopped reading. Returns when to check again."""
         timeout = self._parameters.write_timeout
         if timeout is None:
             return None
@@ -84,16 +84,16 @@ class Deadlines(Generic[One]):
         return now + timeout
 
     def taken(self, one: One) -> None:
-        """Stop the write timeout: the client reads its replies again."""
+        """Stop the write timeout of a client that reads its replies again."""
         self._stuck.pop(one, None)
 
     def hold(self, one: One, until: float) -> float:
-        """Pause a connection until a time, which is returned."""
+        """Pause a connection until a time; returns that time."""
         self._held[one] = until
         return until
 
     def is_held(self, one: One) -> bool:
-        """Whether reading from a connection is paused."""
+        """Whether reading from a connection is paused now."""
         return one in self._held
 
     def forget(self, one: One) -> None:
@@ -105,7 +105,7 @@ class Deadlines(Generic[One]):
     # What is due.
 
     def next_due(self, now: float, *, has_connections: bool) -> float | None:
-        """When to call `due` next; None while no timeout runs. ``has_connections``: whether any is open."""
+        """Return when to call `due` next; None while no timeout runs. ``has_connections``: whether any is open."""
         times = [self._frame_deadline(one, since) for one, since in self._begun.items()]
         times += [stuck.since + (self._parameters.write_timeout or 0.0) for stuck in self._stuck.values()]
         times += self._held.values()
@@ -116,7 +116,7 @@ class Deadlines(Generic[One]):
         return min((one for one in times if one is not None), default=None)
 
     def due(self, allow_all: Iterable[One], now: float) -> list[tuple[One, Overdue]]:
-        """The connections whose timeout or pause is over at ``now``, each once, with the kind of it."""
+        """Return the connections whose timeout or pause is over at ``now``, each once, with which of them it is."""
         found = [*self._frames(now), *self._writes(now)]
         for one, until in list(self._held.items()):
             if now >= until:

@@ -44,7 +44,7 @@ _HIGHEST_FUNCTION: Final = 127
 
 
 class Device:
-    """A Modbus device, to be served under one or several units.
+    """A Modbus device: tables, files, queues and identification. A server offers it under one or several units.
 
     Args:
         holding_registers: the table: a number of items from address 0 on, a list of their values, a mapping of address
@@ -127,7 +127,7 @@ class Device:
     # ---- the application: values
 
     def update(self) -> AbstractContextManager[None]:
-        """Context manager that groups changes which become visible together: ``with device.update(): …``.
+        """Context manager for changes that clients see all at once: ``with device.update(): …``.
 
         No Modbus client and no other thread sees some of the group's changes to tables and files without the others,
         not even by several requests one after the other. The group takes effect when the block ends; when it ends with
@@ -318,7 +318,7 @@ class Device:
             self._offers_changed()
 
     def enabled(self, code: int) -> bool:
-        """Whether the device offers the function with this code."""
+        """Whether the device offers the function with this code to clients."""
         return self._functions is None or code in self._functions
 
     def set_identification(self, objects: Mapping[int, str | bytes]) -> None:
@@ -336,7 +336,7 @@ class Device:
         self._exception_status = status_source(status)
 
     def _hook_maker(self, hooks: Hooks, when: str, address: int | None, count: int | None) -> Callable[[Any], Any]:
-        """A decorator that adds a function to ``hooks`` and returns it unchanged: of any type, hence Any."""
+        """Return a decorator that adds a function to ``hooks`` and returns it unchanged: of any type, hence Any."""
         moment = _moment(when)
         first, end = _hooked_range(address, count)
 
@@ -356,7 +356,7 @@ class Device:
         return self._generation
 
     def watch(self, changed: Callable[[], object]) -> None:
-        """Call a bound method whenever ``generation`` changes, for as long as its object lives."""
+        """Call a bound method whenever ``generation`` changes, for as long as the method's object lives."""
         self._watchers.append(WeakMethod(changed))
 
     def _offers_changed(self) -> None:
@@ -369,7 +369,9 @@ class Device:
                 changed()
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """The memory of a table for direct access; None if it has several runs, a hook, or read-only items to write."""
+        """Return a table's memory for direct access; None if it has several runs, a hook, or read-only items to
+        write.
+        """
         store = self._stores[table]
         if len(store.runs) != 1 or (self._write_hooks if writes else self._read_hooks)[table]:
             return None
@@ -379,19 +381,19 @@ class Device:
         return run
 
     def find_run(self, table: Table, address: int, count: int) -> Run | None:
-        """The run that contains a range of items, for applications that change many items at once by their bytes.
+        """Return the memory that holds a range of items, for applications that change many items by their bytes.
 
         It does so as `busway.server.blocks` says: under ``lock``, and by `replace_all`. None unless all items exist.
         """
         return self._stores[table].find(address, count)
 
     def peek(self, table: Table, address: int, count: int) -> bytes | None:
-        """The current items of a range in wire order, without calling a hook; None unless all of them exist."""
+        """Return the current items of a range in wire order, without calling a hook; None unless all exist."""
         run = self._stores[table].find(address, count)
         return None if run is None else run.get(address - run.first, count)
 
     def peek_file(self, file: int, record: int, count: int) -> bytes | None:
-        """The current records of a file, without calling a hook; None unless all of them exist."""
+        """Return the current records of a file, without calling a hook; None unless all exist."""
         found = self.files.get(file)
         try:
             run = None if found is None else found.accessed(record, count, writes=False)
@@ -484,15 +486,15 @@ class Device:
         return pack_registers(list(queue))
 
     def exception_status(self) -> int:
-        """The eight status bits for function 07."""
+        """Return the eight status bits that function 07 reads."""
         return self._exception_status()
 
     def server_id(self) -> bytes:
-        """The data of a reply to function 17."""
+        """Return the data that function 17 (report server ID) reads."""
         return self._server_id
 
     def identification(self) -> Mapping[int, bytes]:
-        """The identification objects by number, for function 43/14."""
+        """Return the identification objects by number that function 43/14 reads."""
         return self._identification
 
     def canopen(self, data: bytes) -> bytes:
@@ -535,7 +537,7 @@ def _moment(when: str) -> When:
 
 
 def _hooked_range(address: int | None, count: int | None) -> tuple[int, int]:
-    """First address, and address after the last, of the range that a hook is registered for."""
+    """Return first address, and address after the last, of the range of a table that a hook is registered for."""
     if address is None:
         if count is not None:
             raise ConfigError("a count of items needs their first address", key="address")

@@ -1,4 +1,4 @@
-"""Warnings for listeners reachable from the network.
+"""Warnings in the log for listeners that other hosts can reach.
 
 Knows bound URLs and whether requests are authorized; changes nothing.
 

@@ -23,7 +23,7 @@ from .blocks import BitRun, RegisterRun, Run, replace_all
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """One recorded change of an open group."""
+    """One change that an application made inside an open group and that is not visible yet."""
 
     run: Run
     position: int
@@ -32,7 +32,7 @@ class _Entry:
 
 
 class _Group:
-    """The recorded changes of one open group, and copies of the memory that show their effect."""
+    """The changes of one open group, and copies of the memory that show their effect to the application."""
 
     __slots__ = ("copies", "is_open", "journal", "owner")
 
@@ -55,7 +55,7 @@ _open_groups: ContextVar[tuple[_Group, ...]] = ContextVar("busway_open_groups", 
 
 
 class Groups:
-    """Reads and writes that an application makes on the runs of one device, at once or in a group.
+    """An application's reads and writes of one device's memory, at once or in a group of changes.
 
     Args:
         lock: the lock of the device.
@@ -67,14 +67,14 @@ class Groups:
         self._lock = lock
 
     def get(self, run: Run, position: int, count: int) -> bytes:
-        """The current items of a range; inside an open group, with the changes of the group."""
+        """Return the current items of a range; inside an open group, with the changes of that group."""
         group = self._current()
         if group is None:
             return run.get(position, count)
         return run.fetch(group.copy_of(run), position, count)
 
     def put(self, run: Run, position: int, count: int, items: bytes) -> None:
-        """Replace items at once, or when the open group ends."""
+        """Replace items of a device's memory: at once, or when the open group of changes ends."""
         # Under the lock, because a thread that was started inside the group may come while the group ends.
         with self._lock:
             group = self._current()

@@ -49,7 +49,7 @@ class Access:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A write by Modbus, as a write hook gets it.
+    """A write by Modbus, as a write hook gets it: the old and new values and who wrote them.
 
     Attributes:
         peer: address of the client, ``host:port`` or the name of a serial line.
@@ -111,7 +111,7 @@ class Hooks:
         return found
 
     def wanted(self, address: int, count: int) -> tuple[Hook, ...]:
-        """The hooks that an access to this range calls, in the order they were added."""
+        """Return the hooks to call for an access to this range, in the order in which they were added."""
         if not self._all:
             return ()
         return tuple(hook for hook in self._all if hook.first < address + count and address < hook.end)
@@ -127,12 +127,12 @@ def call(hooks: tuple[Hook, ...], when: When, access: Access | Change) -> None:
 
 
 def function_of(context: Context) -> int | None:
-    """The function code of the request that a hook was called for; None if there is no request."""
+    """Return the function code of the request that a hook is called for; None if there is no request."""
     function = getattr(context, "function", None)
     return function if isinstance(function, int) else None
 
 
 def role_of(context: Context) -> str | None:
-    """The role of the client that a hook was called for; None if it has none."""
+    """Return the role of the client that a hook is called for; None if it has none."""
     role = getattr(context, "role", None)
     return role if isinstance(role, str) else None

@@ -1,4 +1,4 @@
-"""Identification data of a device: the replies to functions 07, 17 and 43/14.
+"""Checks of a device's identification: what functions 07, 17 and 43/14 answer.
 
 Knows the objects and their limits; knows no request.
 """
@@ -24,9 +24,7 @@ ExceptionStatus = int | Callable[[], int]
 
 
 def identification_objects(declared: Mapping[int, str | bytes] | None) -> dict[int, bytes]:
-    """The declared identification objects by number, ascending, mandatory ones always; `ConfigError` for a
-    wrong one.
-    """
+    """Return declared identification objects by number, the mandatory ones always; `ConfigError` for a wrong one."""
     objects = dict(MANDATORY_OBJECTS)
     for number, value in (declared or {}).items():
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= 255:
@@ -41,14 +39,14 @@ def identification_objects(declared: Mapping[int, str | bytes] | None) -> dict[i
 
 
 def server_id_data(declared: bytes) -> bytes:
-    """Check the data of a reply to function 17; `ConfigError` if they are no bytes or too long."""
+    """Check and return the data of a reply to function 17; `ConfigError` if they are no bytes or too long."""
     if not isinstance(declared, bytes | bytearray) or len(declared) > SERVER_ID_LIMIT:
         raise ConfigError(f"a server id is at most {SERVER_ID_LIMIT} bytes, not {shown(declared)}", key="server_id")
     return bytes(declared)
 
 
 def status_source(declared: ExceptionStatus) -> Callable[[], int]:
-    """A function that returns the eight status bits of function 07; `ConfigError` for a number outside 0…255."""
+    """Return a function that gives the status bits of function 07; `ConfigError` for a number outside 0…255."""
     if callable(declared):
         return declared
     if isinstance(declared, bool) or not isinstance(declared, int) or not 0 <= declared <= 255:

@@ -11,12 +11,12 @@ from ..pdu.write_items import pack_registers
 
 
 def unpacked(data: bytes, count: int, *, bits: bool) -> list[int]:
-    """Items in wire order as values: registers as ``int``, bits as ``bool``."""
+    """Return items in wire order as values: registers as ``int``, bits as ``bool``."""
     return list(unpack_bits(data, count)) if bits else unpack_registers(data)
 
 
 def packed(values: Sequence[int], *, bits: bool) -> bytes:
-    """Values of registers or bits in wire order; `InvalidRequest` for a value that does not fit."""
+    """Return values of registers or bits in wire order; `InvalidRequest` for a value that does not fit."""
     if not bits:
         return pack_registers(values)
     return pack_bits(as_states(values))

@@ -47,7 +47,7 @@ _NOT_THERE: Final = frozenset({errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EI
 
 
 class SerialListener:
-    """A serial port on which a server answers for its units.
+    """A serial port on which a server answers the requests to its units.
 
     Attributes:
         name: URL of the endpoint.
@@ -102,7 +102,7 @@ class SerialListener:
     # Life.
 
     async def open(self) -> None:
-        """Open the port; if it is absent, wait for it in the background.
+        """Open the serial port; if it is absent, wait for it in the background.
 
         Raises:
             LinkDown: it is taken (the message names the holder), or not for this user.
@@ -125,7 +125,7 @@ class SerialListener:
             raise
 
     def take_no_more(self) -> None:
-        """Accept no further request; the reply to the last one is still sent."""
+        """Accept no further request on the line; the reply to the last one is still sent."""
         self._session.take_no_more()
 
     async def close(self) -> None:
@@ -154,7 +154,7 @@ class SerialListener:
             self._claim = None
 
     def status(self) -> ListenerStatus:
-        """The status of this listener: whether its port is open, indicators and counters."""
+        """Return the status of this listener: whether its port is open, indicators and counters."""
         diagnostics, session = self.diagnostics, self._session
         return ListenerStatus(
             endpoint=self.name,
@@ -172,7 +172,7 @@ class SerialListener:
 
     @property
     def requests(self) -> int:
-        """Number of requests for units of this server so far."""
+        """Number of requests to units of this server that the line has carried so far."""
         return self._session.requests
 
     # The port.
@@ -248,7 +248,7 @@ class SerialListener:
         self._follow(emissions)
 
     def _follow(self, emissions: list[FrameToSend]) -> None:
-        """Carry out what the session asks for: send replies, await responders, log failures, set the timer."""
+        """Do what the session asks for: send replies, await responders, log failures, set the timer."""
         session = self._session
         if emissions:
             # Who sends a second request has given up the first; the session has counted that.
@@ -283,7 +283,7 @@ class SerialListener:
     # Answers.
 
     def _late_answer(self, emission: FrameToSend) -> None:
-        """Send the reply of a responder that needed time."""
+        """Send the reply of a responder that needed time to answer."""
         self._schedule(emission)
         self._watch_silence()
 
@@ -296,7 +296,7 @@ class SerialListener:
             self._emit()
 
     def _drop_pending(self) -> None:
-        """Discard a reply that was not sent before another station transmitted; the session counts it."""
+        """Discard a reply that was not sent before another station sent something; the session counts it."""
         self._pending = None
         if self._emission_alarm is not None:
             self._emission_alarm.cancel()
@@ -321,7 +321,7 @@ class SerialListener:
             self._traced().sent(emission.frame)
 
     def transmit(self, data: bytes) -> None:
-        """Send raw bytes on the line now; the caller has to keep the silence before them."""
+        """Send raw bytes on the serial line now; the caller has to keep the silence before them."""
         connection = self._connection
         if connection is None:
             return
@@ -344,6 +344,6 @@ class SerialListener:
 
 
 def _may_come(error: LinkDown) -> bool:
-    """Whether an error only means that the port is absent for now, such as an unplugged USB adapter."""
+    """Whether an error only means that the serial port is absent for now, such as an unplugged USB adapter."""
     cause = error.__cause__
     return cause is None or getattr(cause, "errno", None) in _NOT_THERE

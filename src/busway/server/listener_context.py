@@ -39,7 +39,7 @@ _log = logging.getLogger("busway.server")
 
 
 class ConnectedPeer(Protocol):
-    """A connection, or a peer over UDP, as its listener sees it.
+    """Interface of a connection, or of a peer over UDP, as its listener uses it.
 
     Attributes:
         peer: ``host:port``.
@@ -64,11 +64,11 @@ class ConnectedPeer(Protocol):
 
     @property
     def session(self) -> Session | None:
-        """The session of the peer; None before it begins and after it has ended."""
+        """The server session of this connection; None before it begins and after it has ended."""
 
     @property
     def state(self) -> ServedConnectionState:
-        """State of the connection for the status."""
+        """The state of the connection for the server's status."""
 
     def deliver(self, adu: bytes) -> None:
         """Send a late reply to the peer."""
@@ -77,7 +77,7 @@ class ConnectedPeer(Protocol):
         """Send several late replies to the peer at once."""
 
     def attend(self) -> None:
-        """Handle what the session reports without new bytes."""
+        """Handle what the session has to report without new bytes, such as a late reply."""
 
     def close(self) -> None:
         """Close the connection after the replies given so far have been sent."""
@@ -137,7 +137,7 @@ class ListenerContext:
         self._tapped_connections: dict[ConnectedPeer, TappedConnection] = {}
 
     def bound_as(self, names: Sequence[str]) -> None:
-        """Note the URLs as they are bound; rules may name the listener by them, and as it was configured."""
+        """Note the URLs of the bound sockets: access rules may name the listener by them, or as it was configured."""
         configured = (self.settings.endpoint.url, self.settings.beside)
         self.listener = names[0]
         self.listener_names = tuple(dict.fromkeys(name for name in (*configured, *names[1:]) if name))
@@ -148,7 +148,7 @@ class ListenerContext:
         return self.settings.endpoint.framing
 
     def welcomes(self, host: str, address: object) -> bool:
-        """Whether a new connection at a socket address may stay. A refusal is counted and logged."""
+        """Whether a client may connect from a socket address. A refusal is counted and logged."""
         if self._authorize(host):
             return True
         self.counters.unauthorized += 1
@@ -157,7 +157,7 @@ class ListenerContext:
         return False
 
     def may_stay(self, connected_peer: ConnectedPeer) -> bool:
-        """Whether a peer is still authorized, after address lists have changed. A refusal is counted and logged."""
+        """Whether a connected client may stay after address lists have changed. A refusal is counted and logged."""
         if self._authorize(connected_peer.host):
             return True
         self.counters.no_longer_authorized += 1
@@ -165,11 +165,11 @@ class ListenerContext:
         return False
 
     def is_priority(self, host: str) -> bool:
-        """Whether a host is a priority host."""
+        """Whether a host is a priority host of this listener."""
         return host in self.parameters.priority
 
     def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> Session:
-        """Make the session of a new connection; ``share``: most requests that one call of it processes, on TCP."""
+        """Make the session of a new connection; ``share``: most requests processed in one go, on TCP."""
         client = ClientIdentity(
             connected_peer.peer, self.listener, connected_peer.role, connected_peer.is_priority, self.listener_names
         )
@@ -198,7 +198,7 @@ class ListenerContext:
         )
 
     def _listed_unit(self, unit: int) -> int:
-        """The configured unit whose device answers for ``unit``; ``unit`` itself if there is none."""
+        """Return the configured unit number whose device answers for ``unit``; ``unit`` itself if there is none."""
         served = self._pipeline.responder.serves(unit)
         return unit if served is None else served.unit
 
@@ -239,9 +239,7 @@ class ListenerContext:
         report_failures(peer, failures)
 
     def say(self, level: int, about: str, message: str, *arguments: object) -> None:
-        """Log a message that may repeat: at most once a minute for the same ``about``, with the number of those left
-        out.
-        """
+        """Log a message at most once a minute for the same ``about``, with the number of those left out."""
         repeated = self._repeats.again(f"{about} {message}", time.monotonic())
         if repeated is not None:
             _log.log(level, f"{message}%s", *arguments, so_often(repeated))
@@ -249,7 +247,7 @@ class ListenerContext:
     # What is shown.
 
     def connected_peer_status(self, connected_peer: ConnectedPeer, now: float) -> ConnectionStatus:
-        """The status of one connection or UDP peer."""
+        """Return the status of one connection or UDP peer."""
         session = connected_peer.session
         return ConnectionStatus(
             peer=connected_peer.peer,
@@ -267,7 +265,7 @@ class ListenerContext:
         )
 
     def status(self, count: Callable[[Pool], int], *, security: "SecurityStatus | None" = None) -> ListenerStatus:
-        """The status of the listener; ``count`` gives the number of used slots of a pool."""
+        """Return the status of the listener; ``count`` gives the number of used slots of a pool."""
         diagnostics = self.diagnostics
         return ListenerStatus(
             endpoint=self.listener,

@@ -54,7 +54,7 @@ class ListenerSettings:
     def line_framing(
         self, units: Container[int], functions: FunctionTable, *, started: float | None = None
     ) -> LineFraming:
-        """The framing for one port or connection, as a server with ``units`` uses it. Raises `ConfigError`."""
+        """Return the RTU or ASCII framing of one port or connection of a server. Raises `ConfigError`."""
         port = self.port
         timing = SerialTiming.of_network() if port is None else port.timing
         return line_framing(
@@ -73,7 +73,7 @@ class ListenerSettings:
 def listener_settings(
     listener: Listener, *, limits: ListenerParameters, tls: TlsParameters | None = None
 ) -> ListenerSettings:
-    """Read the settings of a listener; ``limits`` and ``tls`` of the server are its defaults.
+    """Read the settings of a listener from its URL; ``limits`` and ``tls`` of the server are the defaults.
 
     Raises:
         ConfigError: the URL cannot be listened on, with the options of its scheme.
@@ -95,7 +95,7 @@ def listener_settings(
 
 
 def _security(parameters: TlsParameters | None, options: dict[str, object]) -> TlsParameters:
-    """The TLS parameters of a listener: options in its URL override the others. Raises `ConfigError`."""
+    """Return the TLS parameters of a listener: its URL's options override the server's. Raises `ConfigError`."""
     general = {} if parameters is None else {name: getattr(parameters, name) for name in declared(TlsParameters)}
     chosen = build_parameters(TlsParameters, general | options)
     chosen.check_server()

@@ -25,7 +25,7 @@ from .device import Device
 
 
 class DeviceResponder:
-    """Answers requests with the devices of this process.
+    """Responder that executes requests on the devices of this process.
 
     Args:
         units: device by unit identifier, 0…255.
@@ -81,9 +81,7 @@ class DeviceResponder:
         self.generation += 1
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """The configured unit whose device answers for ``unit``: the first one if a sole device has several; None
-        without any.
-        """
+        """Return the configured unit number of the device that answers for ``unit``; None if no device does."""
         return self._served.get(unit)
 
     def find(self, unit: int) -> Device | None:
@@ -91,7 +89,7 @@ class DeviceResponder:
         return self._devices.get(unit)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Execute a request on the unit's device."""
+        """Execute a request on the device of its unit and return the reply."""
         device = self._devices.get(context.unit)
         if device is None:
             absent = ExceptionResponse(context.function, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
@@ -112,7 +110,7 @@ class DeviceResponder:
 
 
 def _replaced(device: Device, request: Request) -> Replaced:
-    """The current values of each range that a write would replace; the caller holds the device's lock."""
+    """Return the values that a write will replace, for each written range; the caller holds the device's lock."""
     if isinstance(request, WriteFileRecord):
         return tuple(device.peek_file(group.file, group.record, group.count) for group in request.groups)
     return tuple(device.peek(span.table, span.address, span.count) for span in request.spans() if span.writes)

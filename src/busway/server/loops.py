@@ -1,4 +1,4 @@
-"""Runs programs that this library starts itself on an event loop: uvloop if installed, otherwise that of asyncio.
+"""Runs the event loops that this library starts itself: uvloop's if it is installed, otherwise asyncio's.
 
 A program that runs its own loop chooses itself; nothing is switched behind its back.
 """

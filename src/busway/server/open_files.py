@@ -1,4 +1,4 @@
-"""The system's limit of open files: one connection needs one, and the soft limit is often 1024."""
+"""The system's limit of open files, which limits connections: each needs one, and 1024 is a common limit."""
 
 import sys
 

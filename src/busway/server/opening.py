@@ -34,7 +34,7 @@ _log = logging.getLogger("busway.server")
 
 @dataclass(slots=True)
 class Opening:
-    """Opens listeners for one start of a server, with what all of them share.
+    """Opens all listeners of a server at its start; holds what they share.
 
     Attributes:
         loop: the event loop they live on.

@@ -34,7 +34,7 @@ class RecordFile(TableView):
         self.is_consistent: bool = True
 
     def accessed(self, record: int, count: int, *, writes: bool) -> Run:
-        """The stored run with these records; raises `Refusal` if one of them does not exist or is read-only.
+        """Return the memory that holds these records; raises `Refusal` if one is absent or read-only.
 
         Raises:
             Refusal: 03 if ``count`` is 0, 02 if a record is missing or read-only, 08 if the file is inconsistent.

@@ -1,4 +1,4 @@
-"""Awaits responders that need time, and logs and answers for responders that raise an exception.
+"""Handles responders that need time or raise an exception: awaits them, logs, and answers for them.
 
 Knows contexts and their replies; knows no transport.
 """
@@ -18,7 +18,7 @@ _log = logging.getLogger("busway.server")
 
 
 def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
-    """Log the exceptions that responders raised."""
+    """Log the exceptions that responders raised instead of answering."""
     for failure in failures:
         _log.error(
             "%s: unit %s, function %s: the responder failed and the client was answered 04",
@@ -32,7 +32,7 @@ def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
 def begin_late_answers(
     deferred: Iterable[Deferred], loop: asyncio.AbstractEventLoop, tasks: set[asyncio.Task[None]]
 ) -> None:
-    """Make a task of each deferred reply; ``tasks`` holds those that have not ended."""
+    """Start a task for each reply that a responder will give later; ``tasks`` holds those not ended."""
     for one in deferred:
         task = loop.create_task(answer_later(one))
         tasks.add(task)
@@ -40,7 +40,7 @@ def begin_late_answers(
 
 
 async def answer_later(deferred: Deferred) -> None:
-    """Await the reply of a responder that needed time, and hand it to the connection."""
+    """Await the reply of a responder that needs time, and hand it to the connection."""
     context = deferred.context
     try:
         reply: Message = await deferred.awaitable

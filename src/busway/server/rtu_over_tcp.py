@@ -1,4 +1,4 @@
-"""Server sessions with RTU or ASCII frames over TCP or UDP, with the interface of the MBAP session.
+"""Server sessions for RTU or ASCII frames over TCP or UDP, used by connections like the MBAP session.
 
 Knows a session and a clock; knows no connection: `ServerConnection` drives it like `TcpServerSession`.
 
@@ -58,7 +58,7 @@ class FramedSession:
         attend: Callable[[], None],
         client: ClientIdentity,
     ) -> None:
-        """Create the session; ``attend`` is called when `deferred` or `failures` may have a new entry."""
+        """Create the session; it calls ``attend`` when `deferred` or `failures` may have a new entry."""
         self._loop = loop
         self._deliver = deliver
         self._attend = attend
@@ -82,17 +82,17 @@ class FramedSession:
 
     @property
     def waiting(self) -> int:
-        """Number of requests that are still to be answered."""
+        """Number of received requests that have no reply yet."""
         return self._session.waiting
 
     @property
     def unfinished(self) -> int:
-        """Bytes of an incomplete frame; always 0, because the RTU/ASCII receiver discards incomplete frames itself."""
+        """Number of bytes of an incomplete frame; always 0, since the RTU/ASCII receiver discards these itself."""
         return 0
 
     @property
     def requests(self) -> int:
-        """Number of requests for units of this server so far."""
+        """Number of requests to units of this server so far."""
         return self._session.requests
 
     @property
@@ -102,7 +102,7 @@ class FramedSession:
 
     @property
     def deferred(self) -> list[Deferred]:
-        """Replies that the driver has to await."""
+        """Replies of responders that need time, which the connection must await."""
         return self._session.deferred
 
     @deferred.setter
@@ -111,7 +111,7 @@ class FramedSession:
 
     @property
     def failures(self) -> list[ResponderFailure]:
-        """Exceptions of responders that the driver has to log."""
+        """Exceptions raised by responders, which the connection must log."""
         return self._session.failures
 
     @failures.setter
@@ -119,7 +119,7 @@ class FramedSession:
         self._session.failures = value
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
-        """Process the first ``size`` bytes of ``buffer``; returns the frames to send, in order."""
+        """Process the first ``size`` bytes of ``buffer``; returns the replies to send, in order."""
         if self.rest or size > SHARE_OF_BYTES:
             self.put_off(buffer, size)
             return self.go_on()
@@ -130,13 +130,13 @@ class FramedSession:
         return [one.frame for one in emissions]
 
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
-        """Queue the first ``size`` bytes of ``buffer`` unprocessed, until `go_on`."""
+        """Queue the first ``size`` bytes of ``buffer``, to be processed by `go_on`."""
         self._stop_timer()  # they came before the silence was over
         self._came = time.monotonic()
         self.rest += bytes(memoryview(buffer)[:size])
 
     def go_on(self) -> list[bytes]:
-        """Process queued bytes up to the connection's share; returns the frames to send, in order."""
+        """Process queued bytes up to the connection's share; returns the replies to send, in order."""
         now, self.rest = self.rest[:SHARE_OF_BYTES], self.rest[SHARE_OF_BYTES:]
         self.spent = len(now) // 16
         emissions = self._session.receive(now, self._came)

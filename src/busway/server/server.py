@@ -132,11 +132,11 @@ class Server:
 
     @property
     def functions(self) -> FunctionTable:
-        """The table of functions that the server decodes."""
+        """The table of function codes, with their messages, that the server decodes."""
         return self._responder.functions
 
     def wrap_responder(self, wrap: Callable[[Responder], Responder]) -> None:
-        """Put another responder around the server's, which may change replies. Only while stopped.
+        """Put a responder around the server's own, which may change or replace replies. Only while stopped.
 
         Raises:
             ConfigError: the server is running, and its sessions use the responder already.
@@ -146,7 +146,7 @@ class Server:
         self._responder = wrap(self._responder)
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer of requests. Only while stopped.
+        """Register an observer that is told of each request and its reply. Only while stopped.
 
         Raises:
             ConfigError: the server is running.
@@ -166,7 +166,7 @@ class Server:
         self._tap = tap
 
     def replace_policy(self, policy: "Policy") -> None:
-        """Replace the access policy, from the next request on.
+        """Use another access policy from the next request on.
 
         Raises:
             ConfigError: the server was made without one.
@@ -195,7 +195,7 @@ class Server:
             raise failures[0]
 
     def end_unauthorized(self) -> int:
-        """Call ``authorize`` for every connected host, and abort the connections of those it refuses.
+        """Check each connected host with ``authorize`` again, and abort the connections of those it refuses.
 
         For address lists that have changed. Replies that were not sent yet are lost; executed writes stay executed.
         Peers over UDP lose their slot, and their next datagram is refused.
@@ -206,7 +206,7 @@ class Server:
         return sum(listener.end_unauthorized() for listener in self._with_peers())
 
     async def start(self) -> None:
-        """Open all listeners. A serial port that is not there is waited for.
+        """Open all listeners. A serial port that is not there is waited for in the background.
 
         Raises:
             LinkDown, ConfigError: a listener cannot be opened; then none is open.
@@ -314,7 +314,7 @@ class Server:
             await self.stop()
 
     def status(self) -> ServerStatus:
-        """The current status: listeners, connections and counters."""
+        """Return the current status of the server: listeners, connections and counters."""
         connections = tuple(one for listener in self._with_peers() for one in listener.status())
         pools = {id(each.management.pools): each.management.pools.limits for each in self._streams}
         return ServerStatus(
@@ -342,7 +342,7 @@ class Server:
         return [*(each.management for each in self._streams), *self._datagrams]
 
     def _counters_now(self) -> ServerCounters:
-        """The counters of the server, with those of open connections added."""
+        """Return the counters of the server, with those of open connections added."""
         counters = self.counters.copy()
         counters.requests += sum(line.requests for line in self._lines)
         for listener in self._with_peers():

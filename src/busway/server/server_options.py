@@ -1,4 +1,4 @@
-"""Applies the preset of a server to its options and listeners.
+"""Applies the preset of a server, such as ``strict``, to its options and listeners.
 
 Knows the listeners of a server and where each of them takes options; knows not what these mean.
 """
@@ -15,7 +15,7 @@ Place = str | Endpoint | Listener
 
 
 def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -> tuple[list[Place], ChosenOptions]:
-    """The listeners and options after the preset among the options was applied; unchanged without a preset.
+    """Return listeners and options after the preset named among the options was applied to them.
 
     Args:
         places: where the server listens.
@@ -31,9 +31,7 @@ def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -
 
 
 def _strict(place: Place) -> Place:
-    """Apply the preset ``strict`` to one listener: in the URL of a serial or TLS one, otherwise as a limit of frames
-    per segment.
-    """
+    """Apply the preset ``strict`` to one listener: in its URL (serial, TLS), or as a limit of frames per segment."""
     listener = place if isinstance(place, Listener) else Listener(place)
     endpoint = parse_endpoint(listener.endpoint)
     if (endpoint.framing != "mbap" or endpoint.carrier == "tls") and OPTION not in endpoint.options:

@@ -1,4 +1,4 @@
-"""`serve`, `serve_forever` and `serve_in_thread`: a server in a coroutine, in a blocking program, or in a thread."""
+"""Functions that run a server: `serve` in a coroutine, `serve_forever` in a blocking program, `serve_in_thread`."""
 
 import asyncio
 import contextlib
@@ -215,7 +215,7 @@ def serve_in_thread(
 
 
 class _Ready:
-    """Start-up result of the server thread: the running server, or the error that stopped it."""
+    """What the server thread reports when it has started: the running server, or the error that stopped it."""
 
     def __init__(self) -> None:
         self.event = threading.Event()

@@ -22,7 +22,7 @@ from .stores import ItemStore, register_store
 
 @dataclass(frozen=True, slots=True)
 class SingleBlock:
-    """One block of registers that several tables of a device show.
+    """A declaration of one block of registers that several tables of a device show.
 
     Args:
         registers: the registers, in one run: a number of them from 0 on, their values, or `Cells`.
@@ -38,7 +38,7 @@ class SingleBlock:
 
 
 def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, ItemStore]:
-    """The store of each table that the block serves; `ConfigError` if the block is declared wrongly."""
+    """Return the store of each table that shows the block; `ConfigError` if the block is declared wrongly."""
     words = register_store(lay_out(block.registers, key="block.registers"), lock)
     if len(words.runs) != 1:
         raise ConfigError(f"a block is one run of registers, not {len(words.runs)}", key="block.registers")
@@ -55,7 +55,7 @@ def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, It
 
 
 def as_table(table: Table | str) -> Table:
-    """The table with a given name, such as ``holding_registers``; `ConfigError` if there is none."""
+    """Return the table with a name such as ``holding_registers``; `ConfigError` if there is none."""
     try:
         return Table(table)
     except ValueError as error:

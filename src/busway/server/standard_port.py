@@ -20,7 +20,7 @@ _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
 def with_standard_port(wanted: Sequence[ListenerSettings], choice: bool | None) -> list[ListenerSettings]:
-    """The listeners, with those on port 502 added that the option and the rules of this file ask for.
+    """Return the listeners with those on port 502 added that the option and the rules of this file ask for.
 
     Args:
         wanted: as they were asked for.

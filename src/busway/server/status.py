@@ -1,4 +1,4 @@
-"""Servers, listeners and connections as a status shows them (Messaging on TCP/IP V1.0b §5.1.2). Times are seconds."""
+"""The status of a server: data classes for the server, its listeners and connections. Times are seconds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from .status_indicators import StatusIndicators
 
 
 class ServedConnectionState(Enum):
-    """The states of a connection to a server, as its status names them.
+    """States of a connection in the status of a server, such as closing or held back.
 
     Attributes:
         IDLE: no request is in progress.

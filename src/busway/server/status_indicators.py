@@ -38,7 +38,7 @@ class StatusIndicators:
 
 
 class Diagnosis:
-    """Times of the last traffic and faults of a listener, from which its status indicators follow.
+    """When a listener last had traffic and faults, from which the states of its status indicators follow.
 
     Attributes:
         is_open: whether it can be reached.
@@ -56,7 +56,7 @@ class Diagnosis:
         self.internal_fault: float = _NEVER
 
     def indicators(self, now: float, *, listen_only: bool = False) -> StatusIndicators:
-        """The states of the status indicators at ``now``."""
+        """Return the states of the three status indicators at ``now``."""
         error = StatusIndicator.OFF
         if now < self.internal_fault + FAULT_SHOWN:
             error = StatusIndicator.ON

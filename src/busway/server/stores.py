@@ -1,4 +1,4 @@
-"""The memory of one table of a device: its runs, found by address, and the ranges that Modbus cannot write.
+"""Stores: the memory of one table of a device by address, and the ranges that Modbus cannot write.
 
 Knows runs and addresses; knows no hook, no group of changes and no request.
 
@@ -16,7 +16,7 @@ from .cells import CellLayout
 
 
 class ItemStore:
-    """The items of one table or file of a device.
+    """The registers or bits of one table, or the records of one file, of a device.
 
     Args:
         runs: in ascending order, no two adjacent.
@@ -32,7 +32,7 @@ class ItemStore:
         self._firsts = [run.first for run in runs]
 
     def find(self, address: int, count: int) -> Run | None:
-        """The run that holds the ``count`` (1 or more) items from ``address`` on; None unless all of them exist."""
+        """Return the run that holds the ``count`` (1 or more) items from ``address`` on; None unless all exist."""
         index = bisect_right(self._firsts, address) - 1
         if index < 0:
             return None
@@ -40,18 +40,18 @@ class ItemStore:
         return run if 0 < count <= run.first + run.count - address else None
 
     def is_read_only(self, address: int, count: int) -> bool:
-        """Whether Modbus may not write one of the items."""
+        """Whether one of the items in a range is read-only for Modbus."""
         return any(first < address + count and address < end for first, end in self.read_only)
 
 
 def register_store(layout: CellLayout, lock: threading.RLock) -> ItemStore:
-    """Create a store of registers with the declared initial values."""
+    """Create a table's store of registers with the declared initial values."""
     runs = tuple(RegisterRun(piece.first, bytearray(pack_registers(piece.values)), lock) for piece in layout.pieces)
     return ItemStore(runs, layout.read_only)
 
 
 def bit_store(layout: CellLayout, lock: threading.RLock) -> ItemStore:
-    """Create a store of bits with the declared initial values."""
+    """Create a table's store of bits with the declared initial values."""
     runs = tuple(
         BitRun(piece.first, len(piece.values), bytearray(pack_bits([bool(value) for value in piece.values])), lock)
         for piece in layout.pieces

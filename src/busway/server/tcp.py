@@ -52,7 +52,7 @@ class TcpListener:
         self._acceptors: list[Acceptor] = []
 
     async def open(self) -> None:
-        """Start listening. Raises `OSError` or `ConfigError`; then nothing is open."""
+        """Start listening on all addresses. Raises `OSError` or `ConfigError`; then nothing is open."""
         settings, loop = self._settings, self.management.loop
         bound = await listening_sockets(loop, settings)
         with contextlib.ExitStack() as undo:
@@ -79,7 +79,7 @@ class TcpListener:
         listener_context.diagnosis.is_open = True
 
     def _protocols(self) -> Callable[[], asyncio.BaseProtocol]:
-        """The factory of the protocol for each new connection; over TLS, that of the handshake."""
+        """Return the factory of the protocol for each new connection; over TLS, that of the handshake."""
         management = self.management
         if self._settings.tls is None:
             return lambda: ServerConnection(management)
@@ -95,7 +95,7 @@ class TcpListener:
         listener_context.say(logging.ERROR, "", sentence, listener_context.listener, network_reason(error))
 
     def accept_no_more(self) -> None:
-        """Accept no new connections. Those being accepted arrive within `settle`."""
+        """Accept no new connections. Those in the system's queue still arrive, within `settle`."""
         for acceptor in self._acceptors:
             acceptor.accept_no_more()
 
@@ -111,6 +111,6 @@ class TcpListener:
 
 
 async def settle() -> None:
-    """Wait a few turns of the event loop, until connections being accepted have arrived."""
+    """Wait a few turns of the event loop, so that connections just accepted have reached their listener."""
     for _ in range(TURNS_TO_SETTLE):
         await asyncio.sleep(0)

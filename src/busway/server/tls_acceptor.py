@@ -1,4 +1,4 @@
-"""The TLS handshake acceptor of a secure listener: admits connections whose handshake and certificate are right.
+"""Admits clients of a TLS listener: runs the handshakes and checks host, certificate and role.
 
 Knows connections that are not admitted yet; knows no request. The rights of a role are decided by the policy.
 
@@ -35,7 +35,7 @@ _FIRST_SUBJECT: Final = 0
 
 
 def handshake_acceptor(management: ConnectionManagement, parameters: TlsParameters) -> "TlsHandshakeAcceptor":
-    """Create the handshake acceptor of a listener; it is called for the protocol of each new connection.
+    """Create the TLS handshake acceptor of a listener, which makes the protocol of each new connection.
 
     Raises:
         ConfigError: a file cannot be used, or ``cryptography`` is missing.
@@ -69,7 +69,7 @@ class TlsHandshakeAcceptor:
         return _PendingHandshake(self)
 
     def reload(self) -> None:
-        """Read certificate, key and authorities again. Raises `ConfigError`; then the old ones stay in use."""
+        """Read the listener's certificate, key and authorities again. Raises `ConfigError`; the old ones stay then."""
         self._context.name = self._management.listener
         self._context.reload()
         self._look_at_own()
@@ -90,7 +90,7 @@ class TlsHandshakeAcceptor:
         return len(ended)
 
     def close(self) -> None:
-        """Abort all pending handshakes."""
+        """Abort all TLS handshakes that are not complete."""
         for layer in list(self._waiting):
             layer.failure = TlsFailure(FailureKind.GONE, "the listener was closed")
             layer.abort()
@@ -103,7 +103,7 @@ class TlsHandshakeAcceptor:
         return len(self._waiting)
 
     def status(self) -> SecurityStatus:
-        """The TLS status of the listener now."""
+        """Return the listener's TLS status: its certificate and counts of handshakes."""
         own = self._look_at_own()
         return SecurityStatus(
             subject=own.subject,
@@ -118,7 +118,7 @@ class TlsHandshakeAcceptor:
         )
 
     def _look_at_own(self) -> CertificateFacts:
-        """The listener's own certificate; logs once a day and after each change if it is about to expire."""
+        """Read the listener's own certificate; log once a day and after changes if it is about to expire."""
         context = self._context
         if self._own is None or self._own_of != context.generation:
             assert self._parameters.certificate is not None  # or there would be no context
@@ -137,7 +137,7 @@ class TlsHandshakeAcceptor:
     # What new connections and their TLS report.
 
     def arrived(self, transport: asyncio.Transport) -> None:
-        """Start the handshake of an accepted connection, if its host may connect."""
+        """Start the TLS handshake of an accepted connection, if its host may connect."""
         management = self._management
         if not management.accept(transport):
             transport.abort()
@@ -173,7 +173,7 @@ class TlsHandshakeAcceptor:
         layer.connection_made(transport)
 
     def _agreed(self, layer: TlsLayer) -> asyncio.BufferedProtocol | None:
-        """The handshake is complete: check the certificate, and admit the client."""
+        """After a complete handshake: check the client's certificate, and admit the client."""
         tls = layer.get_extra_info("ssl_object")
         certificate = tls.getpeercert(binary_form=True)
         try:
@@ -189,7 +189,7 @@ class TlsHandshakeAcceptor:
         return ServerConnection(self._management, role=role, subject=subject, accepted=True)
 
     def _identity(self, peer: str, certificate: bytes | None) -> tuple[str | None, str]:
-        """Role and subject of a client's certificate. Raises `TlsFailure` if the client is refused."""
+        """Return role and subject of a client's certificate. Raises `TlsFailure` if the client is refused."""
         if not certificate:
             raise TlsFailure(FailureKind.NO_CERTIFICATE, "the client sent no certificate")
         reading = role_of_certificate(certificate)
@@ -210,7 +210,7 @@ class TlsHandshakeAcceptor:
         return reading.role, facts.subject
 
     def _failed(self, layer: TlsLayer, failure: TlsFailure) -> None:
-        """Handle a handshake that failed or whose client disconnected."""
+        """Handle a TLS handshake that failed or whose client disconnected."""
         self._strangers.pop(layer, None)
         self._refuse(self._waiting.pop(layer, "?"), failure)
         if layer.state is TlsState.REFUSED:
@@ -221,7 +221,7 @@ class TlsHandshakeAcceptor:
             self._leaving[layer] = None
 
     def _refuse(self, peer: str, failure: TlsFailure) -> None:
-        """Count and log a refused client."""
+        """Count and log a client that was refused after or during its handshake."""
         self._refused[failure.kind.value] += 1
         about = f"{_host_of(peer)} {failure.kind.value}"
         self._say(about, "%s: refused at %s: %s", peer, self._management.listener, failure)
@@ -239,7 +239,7 @@ def _host_of(peer: str) -> str:
 
 
 class _PendingHandshake(asyncio.Protocol):
-    """The first protocol of an accepted connection: it starts the handshake in `connection_made`."""
+    """The protocol of an accepted connection until its TLS handshake begins in `connection_made`."""
 
     def __init__(self, handshake_acceptor: TlsHandshakeAcceptor) -> None:
         self._acceptor = handshake_acceptor

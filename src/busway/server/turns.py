@@ -1,4 +1,4 @@
-"""Turns of connections on an event loop: none works longer than its share while others wait.
+"""Turns: connections that share an event loop get it in turn, so that a busy one does not hold up the others.
 
 Knows who waits, in which order, and the clock; knows no connection and no request.
 
@@ -22,7 +22,7 @@ _QUEUE_SECONDS: Final = 0.0005
 
 
 class Waiting(Protocol):
-    """A connection with work for another turn.
+    """Interface of a connection that has requests left for its next turn.
 
     Attributes:
         is_priority: whether it is a priority host's.
@@ -33,11 +33,11 @@ class Waiting(Protocol):
     is_greedy: bool
 
     def take_turn(self) -> bool:
-        """Do one share of work; returns whether more of it waits. Raises nothing."""
+        """Work for one share of a turn; returns whether work is left for another turn. Raises nothing."""
 
 
 class Turns:
-    """The queue of the connections of one event loop that wait for a turn.
+    """The queue of connections on one event loop that wait for their next turn.
 
     Attributes:
         is_crowded: whether other connections wait, or the time of this turn is used up.
@@ -56,18 +56,18 @@ class Turns:
 
     @property
     def has_time(self) -> bool:
-        """Whether time is left in the current turn of the event loop."""
+        """Whether time is left for connections in the current turn of the event loop."""
         return seconds() < self._until
 
     def worked(self) -> None:
-        """Note that a connection has done considerable work; updates `is_crowded`."""
+        """Note that a connection has worked for a considerable time; updates `is_crowded`."""
         if not self._is_due:
             self._begin()
         elif not self.has_time:
             self.is_crowded = True
 
     def wait(self, one: Waiting) -> None:
-        """Queue a connection that is not queued yet."""
+        """Put a connection into the queue for a turn, unless it is there."""
         self._row(one).append(one)
         self.is_crowded = True
         if not self._is_due:
@@ -84,7 +84,7 @@ class Turns:
         self._loop.call_soon(self._next_turn)
 
     def _next_turn(self) -> None:
-        """Start a turn: let queued connections work until the time of the turn is used up."""
+        """Let the queued connections work, until the time of this turn of the event loop is used up."""
         self._is_due = False
         if not self.is_crowded:
             return  # no connection waits
@@ -98,7 +98,7 @@ class Turns:
             self._until = began + TURN_SECONDS
 
     def _work(self, row: deque[Waiting], until: float | None) -> None:
-        """Let the connections of one queue work once each, in order, until ``until``; the first one always works."""
+        """Let each connection of one queue work once, in order, until the time ``until``; the first always works."""
         for _ in range(len(row)):
             one = row.popleft()
             if one.take_turn():

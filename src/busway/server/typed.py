@@ -1,4 +1,4 @@
-"""Typed values, such as ``float32``, in the tables of a device, by their written address.
+"""Reads and writes of typed values, such as ``float32``, in a device's tables by an address in text form.
 
 Knows views, notations and types; knows no request.
 """
@@ -16,7 +16,7 @@ from .views import TableView
 
 
 class TypedAccess:
-    """Typed reads and writes in the tables of one device, for `Device.read` and `Device.write`.
+    """Reads and writes typed values in the tables of one device, for `Device.read` and `Device.write`.
 
     Args:
         views: the tables.
@@ -37,7 +37,7 @@ class TypedAccess:
         order: str = "ABCD",
         count: int | None = None,
     ) -> Any:  # Any: what the type says
-        """Read the value at an address, or a list of ``count`` values."""
+        """Read the value at an address of the device, or a list of ``count`` values."""
         where, view = self._located(address)
         items = _item_type(where, type, order)
         number = 1 if count is None else count
@@ -57,7 +57,7 @@ class TypedAccess:
     def write(
         self, address: str | Address, value: object, type: str | ValueType[Any] | None = None, *, order: str = "ABCD"
     ) -> None:
-        """Write a value, or a list of values from an address on, in one step."""
+        """Write a value, or a list of values, to an address of the device in one step."""
         where, view = self._located(address)
         items = _item_type(where, type, order)
         values: list[Any] = value if isinstance(value, list) else [value]  # Any: the type judges them
@@ -85,7 +85,7 @@ class TypedAccess:
 
 
 def _item_type(where: Address, type: str | ValueType[Any] | None, order: str) -> ValueType[Any] | None:
-    """The type of the values at an address; None if the values are plain registers or bits."""
+    """Return the value type of the values at an address; None if they are plain registers or bits."""
     if type is None:
         return None
     if where.table is not None and where.table.holds_bits:

@@ -35,7 +35,7 @@ from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
 
 class UdpListener:
-    """One UDP endpoint of a server and its peers, on one socket, or on one for IPv4 and one for IPv6.
+    """One UDP endpoint of a server with the peers that send to it; it has one socket, or one each for IPv4 and IPv6.
 
     Attributes:
         listener_context: what the listener knows beside its peers.
@@ -73,11 +73,11 @@ class UdpListener:
     # What the server asks.
 
     def take_no_more(self) -> None:
-        """Drop all further datagrams; requests in progress are still answered."""
+        """Drop all further datagrams; requests already received are still answered."""
         self._takes_more = False
 
     def close(self) -> None:
-        """Close the listener; requests in progress get no reply."""
+        """Close the listener; requests that are not answered yet get no reply."""
         for one in self._sockets:
             one.close()
 
@@ -94,23 +94,23 @@ class UdpListener:
         return len(ended)
 
     def status(self) -> list[ConnectionStatus]:
-        """The status of each peer, in the order of their first datagrams."""
+        """Return the status of each peer, in the order of their first datagrams."""
         now = time.monotonic()
         return [self.listener_context.connected_peer_status(peer, now) for peer in self._peers.values()]
 
     def listener_status(self) -> ListenerStatus:
-        """The status of this listener: its slots and counters."""
+        """Return the status of this listener: its slots and counters."""
         return self.listener_context.status(self._pools.count)
 
     def add_living(self, counters: ServerCounters) -> None:
-        """Add the counters of current peers; those of forgotten peers are already in the totals."""
+        """Add the counters of current peers to totals that contain the forgotten ones already."""
         for peer in self._peers.values():
             add_living(counters, peer, peer.session)
 
     # What its sockets tell.
 
     def peer_of(self, socket: "_Socket", data: bytes, address: Any, now: float) -> "_Peer | None":
-        """The peer that sent a datagram; None if the datagram is dropped."""
+        """Return the peer that sent a datagram; None if the datagram is dropped."""
         if not self._takes_more:
             return None
         listener_context = self.listener_context
@@ -134,13 +134,13 @@ class UdpListener:
         return self._peers.get((socket, address)) or self._admit(socket, address)
 
     def closed(self, socket: "_Socket") -> None:
-        """Handle the end of a socket: drop its peers."""
+        """Handle the end of one socket of the listener: drop its peers."""
         self.listener_context.diagnosis.is_open = False
         for peer in [one for one in self._peers.values() if one.socket is socket]:
             self.leave(peer)
 
     def leave(self, peer: "_Peer") -> None:
-        """Remove a peer that has lost its slot."""
+        """Remove a peer whose slot went to another one."""
         del self._peers[peer.socket, peer.address]
         self._pools.leave(peer)
         peer.close()
@@ -162,7 +162,7 @@ class UdpListener:
         return peer
 
     def _forget_unused(self) -> bool:
-        """Forget an idle priority peer without a priority slot; returns whether there was one (rule 4 of this file)."""
+        """Forget an idle priority peer that has a normal slot; returns whether there was one (rule 4 of this file)."""
         unused = [one for one in self._peers.values() if one.pool is Pool.OTHER and not one.is_busy]
         if not unused:
             return False
@@ -172,7 +172,7 @@ class UdpListener:
 
 
 class _Socket(asyncio.DatagramProtocol):
-    """One bound UDP socket of a listener, as asyncio protocol.
+    """The asyncio protocol of one bound UDP socket of a listener.
 
     Attributes:
         closed: done when it is.
@@ -224,12 +224,12 @@ class _Socket(asyncio.DatagramProtocol):
     # What others ask.
 
     def send(self, adu: bytes, address: Any) -> None:
-        """Send a reply to a peer; dropped if the socket is closing or its buffer is full."""
+        """Send a reply to a UDP peer; dropped if the socket is closing or its buffer is full."""
         if self._transport is not None and not self._is_full and not self._transport.is_closing():
             self._transport.sendto(adu, address)
 
     def ends(self, address: Any) -> SocketAddresses:
-        """Local and remote address of the exchange with a peer."""
+        """Return local and remote address of the exchange with a UDP peer."""
         own = None if self._transport is None else self._transport.get_extra_info("sockname")
         return SocketAddresses(own, address, is_datagram=True)
 
@@ -242,7 +242,7 @@ class _Socket(asyncio.DatagramProtocol):
 
 
 class _Peer:
-    """One sender of datagrams and its session; attributes as in `busway.server.listener_context.ConnectedPeer`."""
+    """One sender of datagrams and its session; a `busway.server.listener_context.ConnectedPeer`."""
 
     session: Session
 
@@ -265,14 +265,14 @@ class _Peer:
         self.session = listener_context.session_for(self)
 
     def heard(self, data: bytes, now: float) -> None:
-        """Count and trace a datagram of this peer."""
+        """Count and trace a datagram that this peer has sent."""
         self.last_used = now
         self.received += len(data)
         if TRACE.level:
             self._traced().received(data)
 
     def attend(self) -> None:
-        """Handle what the session reports without a new datagram: deferred replies and failures."""
+        """Handle what the session has to report without a new datagram: late replies and failures."""
         session = self.session
         if session.deferred:
             deferred, session.deferred = session.deferred, []
@@ -312,7 +312,7 @@ class _Peer:
 
     @property
     def state(self) -> ServedConnectionState:
-        """Whether a request of this peer is in progress, for the status."""
+        """Return for the status whether a request of this peer is in progress."""
         return ServedConnectionState.BUSY if self.is_busy else ServedConnectionState.IDLE
 
     def _traced(self) -> ConnectionTrace:

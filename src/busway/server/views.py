@@ -106,7 +106,7 @@ class TableView:
         return run
 
     def _range(self, key: slice) -> tuple[int, int]:
-        """First address and number of items that a slice means."""
+        """Return first address and number of the items that a slice means."""
         if key.step not in (None, 1):
             raise IndexError(f"{self._name}: a slice of items has no step")
         runs = self._store.runs
