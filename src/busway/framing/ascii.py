@@ -47,7 +47,7 @@ def encode_ascii(unit: int, pdu: bytes, delimiter: int = LF) -> bytes:
 
 
 class AsciiState(Enum):
-    """States of the ASCII receiver (figure 18)."""
+    """States of the ASCII receiver (figure 18 of Serial Line V1.02)."""
 
     IDLE = "idle"
     RECEIVING = "reception"
@@ -55,7 +55,7 @@ class AsciiState(Enum):
 
 
 class AsciiReceiver:
-    """Receiver of ASCII frames: takes characters with their times, returns frames and damaged chunks.
+    """Receiver of ASCII frames: takes characters with their times, returns frames and damaged bytes.
 
     Attributes:
         state: where the receiver is.
@@ -99,7 +99,7 @@ class AsciiReceiver:
         reply_window: float = REPLY_WINDOW,
         echo: Echo = Echo.OFF,
     ) -> None:
-        """Make a receiver that has seen nothing yet; the class and the module describe the arguments.
+        """Create a receiver that has received nothing yet.
 
         Raises:
             ValueError: a delimiter outside 0…127 or a timeout that is not above 0.
@@ -126,7 +126,7 @@ class AsciiReceiver:
     # What the driver calls.
 
     def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
-        """The frames and damaged chunks that ``data``, read at ``now`` (seconds), completes, in order."""
+        """Return the frames and damaged bytes that ``data``, read at ``now`` (seconds), completes, in order."""
         if not data:
             return []
         began = max(self._last, now - len(data) * self.timing.character)
@@ -136,7 +136,7 @@ class AsciiReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """Discard and return the frame in progress if the time between two characters has run out."""
+        """Return the unfinished frame as damaged if the time between two characters has run out."""
         found: list[Received] = []
         released = self.echo.tick(now)
         if released:
@@ -146,7 +146,7 @@ class AsciiReceiver:
         return found
 
     def deadline(self) -> float | None:
-        """When the time between two characters runs out; None between frames."""
+        """The time at which the gap between two characters becomes too long; None between frames."""
         echo = self.echo.deadline()
         if self.state is AsciiState.IDLE:
             return echo
@@ -155,20 +155,20 @@ class AsciiReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """Note that a master's request went to ``unit`` and that a reply with ``function`` is expected."""
+        """Note that a master has asked ``unit`` and expects a reply with ``function``."""
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:
-        """Note that no reply is expected any more."""
+        """Note that a master expects no reply any more."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Note that a frame sent by this station occupies the line until ``ends``; its echo is removed."""
+        """Note that a frame of this station occupies the line until ``ends``; its echo will be removed."""
         self._sent_until = ends
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Handle a parity or framing error, or lost characters: the frame in progress is discarded (S14).
+        """Discard the unfinished frame, because the port reports an error or lost characters in it (S14).
 
         A mark between frames is reported too, as a damaged chunk of no characters.
         """
@@ -178,7 +178,7 @@ class AsciiReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Decide all pending characters now: at a response timeout, or at the end."""
+        """Return what can be decided about unfinished characters now: at a response timeout, or at the end."""
         found: list[Received] = []
         released = self.echo.release()
         if released:
@@ -188,7 +188,7 @@ class AsciiReceiver:
         return found
 
     def clear_at(self) -> float:
-        """The earliest time at which a frame may be sent: when the last character on the line has ended."""
+        """Return the earliest time at which a frame may be sent: when the last character on the line has ended."""
         return max(self._last, self._sent_until)
 
     # From characters to frames.
@@ -205,7 +205,7 @@ class AsciiReceiver:
             at += len(part) + 1
 
     def _colon(self, time: float, found: list[Received]) -> None:
-        """Begin a frame at a colon received at ``time``; an unfinished frame is lost."""
+        """Begin a frame at a colon received at ``time``; an unfinished frame before it is lost."""
         if self.state is AsciiState.WAITING_FOR_DELIMITER and self.delimiter == COLON:
             self._complete(time + self.timing.character, found)
             return
@@ -221,7 +221,7 @@ class AsciiReceiver:
         self._began = time
 
     def _content(self, part: bytes, began: float, found: list[Received]) -> None:
-        """Process characters without a colon, within a frame."""
+        """Process received characters inside a frame; there is no colon among them."""
         if self.state is AsciiState.RECEIVING:
             end = part.find(CR)
             self._text += part[: ASCII_ADU_LIMIT if end < 0 else min(end, ASCII_ADU_LIMIT)]
@@ -262,7 +262,7 @@ class AsciiReceiver:
             self._text.clear()
 
     def _direction(self, content: bytes, now: float) -> Direction:
-        """The likeliest direction of a frame by its length; RTU lengths count one byte more."""
+        """Return whether a frame is likelier a request or a reply, by its length."""
         frame = bytearray(content) + b"\0"
         length_of_frame = len(content) - 2 + AROUND_PDU
         for direction in self.conversation.order(content[0], content[1], now):
@@ -271,7 +271,7 @@ class AsciiReceiver:
         return self.conversation.guess(content[0], content[1], now)
 
     def _discard(self, reason: Damage, ended: float, found: list[Received], *, overrun: bool = False) -> None:
-        """Discard the unfinished frame; characters are skipped until the next colon."""
+        """Discard the unfinished frame and skip characters until the next colon."""
         in_frame = self.state is not AsciiState.IDLE
         raw = b":" + bytes(self._text) if in_frame else b""
         began = self._began if in_frame else ended
@@ -284,7 +284,7 @@ class AsciiReceiver:
         self._text.clear()
 
     def _report_interrupted(self, ended: float, found: list[Received]) -> None:
-        """Report frames that a colon cut off, before the good frame that it began."""
+        """Report frames that a colon cut off, before the good frame that the colon began."""
         if self._interrupted_size:
             raw = bytes(self._interrupted[:ASCII_ADU_LIMIT])
             found.append(Damaged(raw, Damage.RESTARTED, self._interrupted_size, self._interrupted_began, ended))

@@ -1,4 +1,4 @@
-"""Estimates when each byte of a stream was on the line, from the times of the reads.
+"""Estimates when each received byte was on the serial line, from the times at which bytes were read.
 
 Knows places in a stream and times; knows no bytes. What was read at once is taken as sent without gaps.
 """
@@ -13,7 +13,7 @@ NEVER: Final = float("-inf")
 
 @dataclass(frozen=True, slots=True)
 class _Burst:
-    """The bytes of one read: position of the first in the stream, its time, and seconds per byte."""
+    """The bytes that one read returned: position of the first in the stream, its time, and seconds per byte."""
 
     place: int
     began: float
@@ -24,7 +24,7 @@ _place = attrgetter("place")
 
 
 class Bursts:
-    """The reads of a stream with their times; positions count from the first byte kept."""
+    """The times of all kept bytes of a received stream; positions count from the first byte kept."""
 
     __slots__ = ("_bursts", "_forgotten")
 
@@ -38,24 +38,22 @@ class Bursts:
         return self._bursts[-1].began
 
     def add(self, place: int, began: float, each: float) -> None:
-        """Note a read whose first byte is at position ``place`` and began at ``began``, with ``each`` seconds
-        per byte.
-        """
+        """Note a read whose first byte has position ``place`` and began at ``began``; ``each``: seconds per byte."""
         self._bursts.append(_Burst(self._forgotten + place, began, each))
 
     def forget(self, count: int) -> None:
-        """Forget the first ``count`` bytes; positions count from the byte after them."""
+        """Forget the first ``count`` bytes; from now on positions count from the byte after them."""
         self._forgotten += count
         del self._bursts[: bisect_right(self._bursts, self._forgotten, key=_place) - 1]
 
     def began(self, place: int) -> float:
-        """The time in seconds at which the byte at position ``place`` began."""
+        """Return the time in seconds at which the byte at position ``place`` began on the line."""
         place += self._forgotten
         burst = self._bursts[max(bisect_right(self._bursts, place, key=_place) - 1, 0)]
         return burst.began + (place - burst.place) * burst.each
 
     def ended(self, place: int) -> float:
-        """The time in seconds at which the byte before position ``place`` ended."""
+        """Return the time in seconds at which the byte before position ``place`` ended on the line."""
         place += self._forgotten
         burst = self._bursts[max(bisect_left(self._bursts, place, key=_place) - 1, 0)]
         return burst.began + (place - burst.place) * burst.each

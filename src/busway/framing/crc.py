@@ -39,7 +39,7 @@ _WORD_TABLE: Final = array("H", (high ^ low for high in _HIGH for low in _LOW))
 
 
 def crc16(data: bytes | bytearray, state: int = PRESET) -> int:
-    """The CRC-16 of ``data``, 0…65535; ``state`` is the result for preceding bytes.
+    """Return the CRC-16 of ``data``, 0…65535; ``state`` is the result for preceding bytes.
 
     0 for a whole frame with its CRC behind it (Serial Line V1.02 §6.2.2).
     """
@@ -52,18 +52,18 @@ def crc16(data: bytes | bytearray, state: int = PRESET) -> int:
 
 
 def crc_bytes(data: bytes | bytearray) -> bytes:
-    """The two CRC bytes that follow ``data`` on the wire, low byte first."""
+    """Return the two CRC bytes that follow ``data`` on the wire, low byte first."""
     return crc16(data).to_bytes(2, "little")
 
 
 def running_states(data: Iterable[int], state: int = 0) -> list[int]:
-    """The CRC register after each byte of ``data``, starting from ``state``."""
+    """Return the value of the CRC register after each byte of ``data``, starting from ``state``."""
     table = BYTE_TABLE
     return [state := state >> 8 ^ table[(state ^ byte) & 0xFF] for byte in data]
 
 
 class SpanCheck:
-    """Check for frames of one length: whether the CRC fits between two running states, in one comparison.
+    """A fast test whether the CRC of a frame of one length is right, from the CRC register before and after it.
 
     ``check.low[before & 0xFF] ^ check.high[before >> 8] == after``, where ``before`` is the running state ahead of the
     span and ``after`` the one behind it. (The preset is folded into the tables.)
@@ -77,19 +77,19 @@ class SpanCheck:
         self.high: list[int] = _combinations(images[8:])[::-1]
 
     def fits(self, before: int, after: int) -> bool:
-        """Whether the CRC of the span between two running states is right."""
+        """Whether the CRC of a frame is right, given the CRC register before its first and after its last byte."""
         return self.low[before & 0xFF] ^ self.high[before >> 8] == after
 
 
 @cache
 def span_check(length: int) -> SpanCheck:
-    """The CRC check for spans of ``length`` bytes; created at its first use."""
+    """Return the fast CRC test for frames of ``length`` bytes; created at its first use."""
     return SpanCheck(_images(length))
 
 
 @cache
 def _images(length: int) -> list[int]:
-    """The CRC register after ``length`` zero bytes, for each single bit set at the start."""
+    """Return what the CRC register becomes after ``length`` zero bytes, for each single bit set at the start."""
     if length == 0:
         return [1 << bit for bit in range(16)]
     if length > 1:
@@ -107,7 +107,7 @@ def _apply(images: list[int], state: int) -> int:
 
 
 def _combinations(images: list[int]) -> list[int]:
-    """The CRC image of each value 0…255, combined from the images of its bits."""
+    """Return what the CRC register becomes for each start value 0…255, combined from that of its bits."""
     values = [0]
     for image in images:
         values += [value ^ image for value in values]

@@ -28,7 +28,7 @@ class Echo(Word):
 
 
 class EchoFilter:
-    """Removes the echo of each sent frame from the received bytes.
+    """Removes the echo of each frame that this station sends from the bytes that it receives.
 
     Attributes:
         mode: what was configured.
@@ -49,7 +49,7 @@ class EchoFilter:
 
     @property
     def pending(self) -> bool:
-        """Whether received bytes are held back, because they may be an echo."""
+        """Whether received bytes are held back because they may be an echo."""
         return bool(self._held)
 
     def deadline(self) -> float | None:
@@ -57,16 +57,14 @@ class EchoFilter:
         return self._until if self._held and len(self._held) < len(self._awaited) else None
 
     def sent(self, raw: bytes, ends: float, *, may_be_reply: bool) -> None:
-        """Note that a frame sent by this station is on the line until ``ends``; ``may_be_reply``: the reply may look
-        the same.
-        """
+        """Note that a frame of this station is sent until ``ends``; ``may_be_reply``: its reply may look the same."""
         if self.mode is Echo.OFF:
             return
         self._awaited, self._held, self._until = raw, b"", ends + self.window
         self._may_be_reply = may_be_reply
 
     def receive(self, data: bytes, now: float) -> bytes:
-        """Remove the echo from received ``data``. Held bytes that turn out to be no echo come first."""
+        """Return received bytes without the echo. Held bytes that turn out to be no echo come first."""
         awaited = self._awaited
         if not awaited:
             return data
@@ -87,12 +85,12 @@ class EchoFilter:
         return b""
 
     def tick(self, now: float) -> bytes:
-        """Release held bytes if the rest of the echo has not come in time; empty before."""
+        """Return the held bytes if the rest of the echo has not come in time; before that, nothing."""
         deadline = self.deadline()
         return b"" if deadline is None or now < deadline else self._no_copy(self._held)
 
     def release(self) -> bytes:
-        """Release all held bytes, because no more will come that could complete the echo."""
+        """Return all held bytes, because no more will come that could complete the echo."""
         if not self._held:
             self._awaited = b""
             return b""

@@ -1,4 +1,4 @@
-"""Tells whether the next frame on a shared serial line is a request or a reply.
+"""Tells whether the next frame on a shared serial line, heard by any station, is a request or a reply.
 
 Knows units, functions and the request that was seen last; knows no bytes of a frame beyond its first two.
 
@@ -38,8 +38,7 @@ class LineRole(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Due:
-    """A reply that is expected: unit, function code without the exception bit, bytes of its PDU if known, and until
-    when."""
+    """A reply that is expected on the line: unit, function code, length of its PDU if known, and until when."""
 
     unit: int
     function: int
@@ -47,12 +46,12 @@ class Due:
     until: float = float("inf")
 
     def answers(self, unit: int, code: int, now: float) -> bool:
-        """Whether a frame with this unit and function code, at ``now``, may be the expected reply."""
+        """Whether a frame with this unit and function code, at the time ``now``, may be the expected reply."""
         return unit == self.unit and code & 0x7F == self.function and now <= self.until
 
 
 class Conversation:
-    """Follows the frames of one line to tell requests from replies.
+    """Follows the frames on one line, to tell requests from replies by what came before.
 
     Attributes:
         role: whose receiver it is.
@@ -70,7 +69,7 @@ class Conversation:
         self.reply_window: float = reply_window
 
     def order(self, unit: int, code: int, now: float) -> tuple[Direction, ...]:
-        """The directions that a frame beginning with this unit and function code may have, the likeliest first."""
+        """Return whether a frame with this unit and function code may be request or reply, the likelier first."""
         if code & 0x80:
             return _REPLY_ONLY
         if self.role is LineRole.MASTER:
@@ -83,7 +82,7 @@ class Conversation:
         return _REPLY_FIRST if due is not None and due.answers(unit, code, now) else _REQUEST_FIRST
 
     def guess(self, unit: int, code: int, now: float) -> Direction:
-        """The direction of a whole frame whose length fits no length rule."""
+        """Return the likelier direction of a whole frame whose length fits neither a request nor a reply."""
         if code & 0x80 or (self.due is not None and self.due.answers(unit, code, now)):
             return Direction.REPLY
         if self.role is LineRole.SERVER and (unit == BROADCAST_UNIT or self.is_own(unit)):
@@ -91,11 +90,11 @@ class Conversation:
         return Direction.UNKNOWN
 
     def is_own(self, unit: int) -> bool:
-        """Whether a server answers for this unit itself."""
+        """Whether a unit is one of those that this station, a server, answers for itself."""
         return self.role is LineRole.SERVER and unit in self.units
 
     def follow(self, unit: int, code: int, direction: Direction, now: float) -> None:
-        """Note a frame of the line that ended at ``now``, to predict the next one."""
+        """Note a frame that ended on the line at ``now``, to predict the direction of the next one."""
         if self.role is LineRole.MASTER:
             return
         if direction is Direction.REPLY or unit == BROADCAST_UNIT or self.is_own(unit):

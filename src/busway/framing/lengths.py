@@ -1,5 +1,4 @@
-"""Lengths of frames by function code, precomputed from a function table so that one look-up gives the length of an RTU
-frame.
+"""Lengths of RTU frames by function code, prepared so that one look-up gives the length of a frame.
 
 Knows the table; knows no stream. The functions say themselves how long their messages are (`busway.pdu`); what they
 say is turned here into one number per function code, because a receiver asks for every byte of a noisy line.
@@ -37,12 +36,12 @@ LengthRule = Callable[[bytes, int, int], int]
 
 @cache
 def lengths_of(functions: FunctionTable) -> "FrameLengths":
-    """The frame lengths of a function table, computed once for all receivers that use it."""
+    """Return the frame lengths of a table of functions, computed once for all receivers that use it."""
     return FrameLengths(functions)
 
 
 class FrameLengths:
-    """Lengths of the frames of a function table, by direction and function code.
+    """Lengths of all frames of a table of functions, by direction and function code.
 
     Attributes:
         requests, replies: the flattened rule of each byte 0…255 in the place of the function code.
@@ -64,7 +63,7 @@ class FrameLengths:
         self.asked_replies: AskedLengths = AskedLengths(functions, Direction.REPLY)
 
     def length(self, direction: Direction, data: bytearray, at: int, end: int) -> int:
-        """Length of the frame that starts at ``at``, from what ``data[at:end]`` shows.
+        """Return the length of the frame that starts at ``at``, from the bytes ``data[at:end]`` received so far.
 
         `NEED_MORE` while it cannot be told, `UNKNOWN_LENGTH` where the content never tells it, and a number above
         256 where the byte count cannot be.
@@ -83,7 +82,7 @@ class FrameLengths:
 
 
 class AskedLengths:
-    """Frame lengths of one direction that depend on more than one byte, computed for each frame.
+    """Frame lengths, of requests or replies, that depend on more than one byte; computed for each frame.
 
     Attributes:
         answers: what it said lately, by the first three bytes of the PDU.
@@ -99,7 +98,7 @@ class AskedLengths:
         self._rules: dict[int, LengthRule] = {}
 
     def length(self, data: bytearray, at: int, end: int) -> int:
-        """Length of the frame whose PDU starts at ``at``, as `FrameLengths.length` gives it.
+        """Return the length of the frame whose PDU starts at ``at``, in the way of `FrameLengths.length`.
 
         Three bytes decide for all but the objects of function 43. There the rule is kept instead of the answer: a line
         full of what looks like such replies is asked at every one of them.
@@ -132,7 +131,7 @@ def _around(length: int) -> int:
 
 
 def shape_of(rule: int) -> tuple[int, int] | None:
-    """Convert a length rule to (offset of the byte count or 0, bytes that it does not count); None if impossible.
+    """Return a length rule as (offset of the byte count or 0, bytes that it does not count); None if impossible.
 
     (0, 0) where the table has to be asked; None where the function is unknown.
     """
@@ -144,7 +143,7 @@ def shape_of(rule: int) -> tuple[int, int] | None:
 
 
 def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
-    """Find the length rule of one function code by asking the table with longer and longer beginnings of a message."""
+    """Find the length rule of one function code by asking its class with longer and longer beginnings of a message."""
     if code & 0x7F == 0:
         return 0
     known = code in functions
@@ -164,7 +163,7 @@ def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
 
 
 def _counted(code: int, shown: int, length: LengthRule) -> int:
-    """The offset of the byte count, if that byte counts exactly the bytes after it; else `ASK`."""
+    """Return the offset of the byte count if that byte counts exactly the bytes after it; else `ASK`."""
     for count in _SAMPLES:
         for filler in (0x00, 0x5A, 0xFF):
             message = bytes((code,)) + bytes((filler,)) * (shown - 2) + bytes((count,))

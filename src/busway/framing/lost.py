@@ -1,4 +1,4 @@
-"""Collects the bytes of one disturbance on a serial line: what was received, when, and why it is no frame.
+"""Collects bytes on a serial line that are no frame: what was received in one disturbance, when, and why it is none.
 
 Knows bytes and times; knows no framing. However long it lasts, it keeps no more bytes than a frame has, and it is
 reported once.
@@ -14,7 +14,7 @@ _NEVER: Final = float("-inf")
 
 
 class LostBytes:
-    """Bytes of one disturbance on a serial line, collected while it lasts.
+    """The bytes of one disturbance on a serial line, collected until it ends.
 
     Attributes:
         reason: why the bytes are no frame; that no CRC fits, until a better reason is known.
@@ -32,7 +32,7 @@ class LostBytes:
         self.size: int = 0
 
     def add(self, data: bytes | bytearray, began: float, ended: float) -> None:
-        """Add bytes to the disturbance."""
+        """Add received bytes that belong to the disturbance."""
         if self._began == _NEVER:
             self._began = began
         self._ended = ended
@@ -42,7 +42,7 @@ class LostBytes:
             self._raw += data[:room]
 
     def mark(self, reason: Damage, now: float) -> None:
-        """Add an error that the port marked in the received bytes."""
+        """Add an error, such as wrong parity, that the port marked in the received bytes."""
         if self._began == _NEVER:
             self._began = now
         self._ended = now
@@ -51,7 +51,7 @@ class LostBytes:
         self.is_marked = True
 
     def report(self) -> Damaged:
-        """The whole disturbance as one damaged chunk."""
+        """Return the whole disturbance as one `Damaged`, and begin anew."""
         reason = self.reason
         if reason is None:
             reason = Damage.TOO_LONG if self.size > RTU_ADU_LIMIT else Damage.CHECKSUM

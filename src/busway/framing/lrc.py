@@ -5,5 +5,5 @@ Knows bytes; knows no characters. The two's complement of the sum of all bytes, 
 
 
 def lrc(data: bytes | bytearray) -> int:
-    """The LRC of binary data, 0…255; 0 for data that end with their own LRC."""
+    """Return the LRC of binary data, 0…255; 0 for data that end with their own LRC."""
     return -sum(data) & 0xFF

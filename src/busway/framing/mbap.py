@@ -27,7 +27,7 @@ HEAD_AND_FUNCTION = struct.Struct(">HHHBB")
 
 
 class FrameKind(Enum):
-    """Kinds of results of the MBAP receiver: a valid, foreign or broken frame."""
+    """What the MBAP receiver found: a valid frame, one of another protocol, or a broken stream."""
 
     FRAME = "frame"
     FOREIGN_PROTOCOL = "foreign protocol"
@@ -36,7 +36,7 @@ class FrameKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MbapFrame:
-    """One ADU. For ``BROKEN``, ``pdu`` holds the rest of the stream and ``reason`` says what is invalid."""
+    """One received frame (ADU). For ``BROKEN``, ``pdu`` is the rest of the stream and ``reason`` says what is wrong."""
 
     kind: FrameKind
     transaction: int
@@ -52,12 +52,12 @@ def encode_mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
 
 
 def impossible_length(length: int) -> str:
-    """The error text for an invalid length field."""
+    """Return the error text for a length field of the MBAP header that cannot be right."""
     return f"length field {length}, where {MIN_LENGTH}…{MAX_LENGTH} can be"
 
 
 class StreamBuffer:
-    """Keeps the beginning of a frame until the rest of it arrives.
+    """Keeps the beginning of a frame between two reads of a stream, until the rest of it arrives.
 
     A connection that is in step keeps nothing, so thousands of idle ones cost nothing. A frame has at most 260
     bytes, and no more than that is ever kept.
@@ -69,7 +69,7 @@ class StreamBuffer:
         self.kept: bytes = b""
 
     def join(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
-        """The kept bytes followed by the first ``size`` bytes of ``buffer``, and their length."""
+        """Return the kept bytes followed by the first ``size`` bytes of ``buffer``, and their length."""
         if not self.kept:
             return buffer, size
         whole = self.kept + bytes(buffer[:size])
@@ -82,7 +82,7 @@ class StreamBuffer:
 
 
 class MbapReceiver:
-    """Receiver of MBAP frames from a stream. After a ``BROKEN`` frame it returns nothing more."""
+    """Receiver of MBAP frames from a TCP stream. After a ``BROKEN`` frame it returns nothing more."""
 
     __slots__ = ("_buffer", "broken")
 
@@ -92,7 +92,7 @@ class MbapReceiver:
 
     @property
     def pending(self) -> int:
-        """Number of bytes of an unfinished frame."""
+        """Number of received bytes of an unfinished frame."""
         return len(self._buffer.kept)
 
     def receive(self, data: bytes | bytearray, now: float = 0.0) -> list[MbapFrame]:
@@ -120,9 +120,9 @@ class MbapReceiver:
         return frames
 
     def tick(self, now: float) -> list[MbapFrame]:
-        """Always empty: on a stream, silence completes no frame."""
+        """Return nothing, always: on a TCP stream, silence completes no frame."""
         return []
 
     def deadline(self) -> float | None:
-        """Always None: on a stream, only received bytes matter."""
+        """None, always: on a TCP stream, time completes no frame."""
         return None

@@ -1,4 +1,4 @@
-"""Results of the receivers of serial lines (frames, damaged chunks), and the interfaces of all receivers.
+"""What receivers of serial lines return (frames, damaged bytes), and the interfaces of the receivers of all framings.
 
 Knows values; knows no framing.
 
@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar
 
 
 class Direction(Enum):
-    """Direction of a frame: request or reply."""
+    """Whether a frame is a request or a reply."""
 
     REQUEST = "request"
     REPLY = "reply"
@@ -22,7 +22,7 @@ class Direction(Enum):
 
 
 class Damage(Enum):
-    """Reasons why received bytes are no frame."""
+    """Reasons why received bytes are no valid frame."""
 
     TOO_SHORT = "too few bytes for a frame"
     TOO_LONG = "more bytes than a frame has"
@@ -38,7 +38,7 @@ class Damage(Enum):
 
 @dataclass(frozen=True, slots=True)
 class SerialFrame:
-    """A received frame whose CRC or LRC is right.
+    """A received frame of a serial line whose CRC or LRC is right.
 
     Attributes:
         unit: address byte, 0…255.
@@ -60,7 +60,7 @@ class SerialFrame:
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """Received bytes that are no valid frame.
+    """Received bytes of a serial line that are no valid frame, and why.
 
     Attributes:
         raw: the bytes, at most the first 256 (RTU) or 513 (ASCII) of them.
@@ -87,34 +87,32 @@ class Receiver(Protocol[Found]):
     """Interface of the receivers of all framings: bytes and times in, complete frames out."""
 
     def receive(self, data: bytes | bytearray, now: float) -> list[Found]:
-        """The frames that ``data``, read at ``now``, completes, in order."""
+        """Return the frames that ``data``, read at ``now``, completes, in order."""
 
     def tick(self, now: float) -> list[Found]:
-        """The frames that the silence until ``now`` completes."""
+        """Return the frames that the silence until ``now`` completes."""
 
     def deadline(self) -> float | None:
-        """When `tick` will have something to decide; None while only bytes can change anything."""
+        """The time at which `tick` will have something to decide; None while only bytes can change anything."""
 
 
 class SerialReceiver(Receiver[Received], Protocol):
     """Interface of the receivers of serial lines: RTU, strict RTU and ASCII."""
 
     def expect(self, unit: int, function: int, size: int) -> None:
-        """Note that a master's request went to ``unit`` and a reply PDU of ``size`` bytes (or `UNKNOWN_LENGTH`) is
-        expected.
-        """
+        """Note that a master has asked ``unit`` and expects a reply PDU of ``size`` bytes (or `UNKNOWN_LENGTH`)."""
 
     def expect_nothing(self) -> None:
-        """Note that no reply is expected any more."""
+        """Note that a master expects no reply any more."""
 
     def sent(self, raw: bytes, ends: float) -> None:
         """Note that bytes sent by this station occupy the line until ``ends``."""
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Note that the port marked an error at this position of the stream (S14)."""
+        """Note that the port reported an error in the byte to be received next (S14)."""
 
     def flush(self, now: float) -> list[Received]:
-        """Decide about all pending bytes now, as after a long silence."""
+        """Return what can be decided about unfinished bytes now, as after a long silence."""
 
     def clear_at(self) -> float:
-        """The earliest time at which a frame may be sent."""
+        """Return the earliest time at which a frame may be sent on the line."""

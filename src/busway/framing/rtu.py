@@ -55,8 +55,7 @@ def encode_rtu(unit: int, pdu: bytes) -> bytes:
 
 
 class RtuReceiver:
-    """Receiver of RTU frames: takes bytes with their times, returns frames and damaged chunks. Lenient about gaps (rule
-    3).
+    """Receiver of RTU frames: takes bytes with times, returns frames and damaged bytes. Lenient about gaps (rule 3).
 
     Attributes:
         conversation: role, own units, and the reply that is due.
@@ -142,7 +141,7 @@ class RtuReceiver:
     # What the driver calls.
 
     def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
-        """The frames and damaged chunks that ``data``, read at ``now`` (seconds), completes, in order."""
+        """Return the frames and damaged bytes that ``data``, read at ``now`` (seconds), completes, in order."""
         found: list[Received] = []
         if not data:
             return found
@@ -154,7 +153,7 @@ class RtuReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """The frames and damaged chunks that the silence until ``now`` completes."""
+        """Return the frames and damaged bytes that the silence until ``now`` completes."""
         found: list[Received] = []
         released = self.echo.tick(now)
         if released:
@@ -163,7 +162,7 @@ class RtuReceiver:
         return found
 
     def deadline(self) -> float | None:
-        """When `tick` will have something to decide; None while only bytes can change anything."""
+        """The time at which `tick` will have something to decide; None while only bytes can change anything."""
         echo = self.echo.deadline()
         if not self._undecided:
             return echo
@@ -173,7 +172,7 @@ class RtuReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """Note that a master's request went to ``unit`` 0…255 and a reply with ``function`` 1…127 is expected.
+        """Note that a master has asked ``unit`` 0…255 and expects a reply with ``function`` 1…127.
 
         ``size`` is the length of its PDU in bytes where the request tells it (`Request.reply_shape`), which is also
         what makes replies of functions with unknown length end at once; otherwise `UNKNOWN_LENGTH`.
@@ -182,21 +181,18 @@ class RtuReceiver:
         self._scan = self._at + 1  # what was rejected was rejected for another reply
 
     def expect_nothing(self) -> None:
-        """Note that no reply is expected any more."""
+        """Note that a master expects no reply any more."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Note that bytes sent by this station occupy the line until ``ends``: their echo is removed; t3.5 counts from
-        there.
-        """
+        """Note that bytes of this station are sent until ``ends``: their echo is removed; t3.5 counts from there."""
         self._sent_until = ends
         code = raw[1] if len(raw) > 1 else 0
         may_be_reply = self.conversation.role is LineRole.MASTER and self._answers_itself(code)
         self.echo.sent(raw, ends, may_be_reply=may_be_reply)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Note that the port marked a parity or framing error, or lost characters, at this position of the stream
-        (S14).
+        """Note that the port reported an error or lost characters at this position of the received bytes (S14).
 
         The frame in progress is discarded; it is reported with the rest of the disturbance. Gives what the silence
         before the mark decided.
@@ -211,7 +207,7 @@ class RtuReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Decide about all pending bytes now, as after a silence of ``gap_limit``: at a timeout, or at the end."""
+        """Return what can be decided about unfinished bytes now, as after ``gap_limit``: at a timeout or the end."""
         found: list[Received] = []
         released = self.echo.release()
         if released:
@@ -223,7 +219,7 @@ class RtuReceiver:
         return found
 
     def clear_at(self) -> float:
-        """The earliest time at which a frame may be sent: t3.5 after the last byte on the line (S8, S10)."""
+        """Return the earliest time at which a frame may be sent: t3.5 after the last byte on the line (S8, S10)."""
         return max(self._last, self._sent_until) + self.timing.t3_5
 
     # Time and bytes.
@@ -233,7 +229,7 @@ class RtuReceiver:
         return self._at < len(self._buffer) or self._skipping or self._lost.size > 0 or self._lost.is_marked
 
     def _pass_time(self, until: float, found: list[Received]) -> None:
-        """Process the silences that end before ``until``."""
+        """Decide what the silences between received bytes complete, up to the time ``until``."""
         if self._undecided:
             if not self._quiet and until >= self._last + self.timing.t3_5:
                 self._quiet = True
@@ -244,7 +240,7 @@ class RtuReceiver:
             self._in_step = True
 
     def _due_has_begun(self) -> bool:
-        """Whether the undecided bytes are the beginning of the reply that a master expects (rule 3)."""
+        """Whether the bytes received so far begin the reply that a master expects (rule 3)."""
         due = self.conversation.due
         at, size = self._at, len(self._buffer)
         if not self._patient or due is None or at == size or self._buffer[at] != due.unit:
@@ -286,7 +282,7 @@ class RtuReceiver:
     # Decisions that need no silence (rule 1).
 
     def _follow(self, found: list[Received]) -> None:
-        """Report each frame that is complete, and give up a chunk that has become too long."""
+        """Report each complete frame among the received bytes, and drop bytes once they exceed a frame."""
         server = self.conversation.role is LineRole.SERVER
         while self._at < len(self._buffer):
             end, direction = self._look(self._at)
@@ -298,9 +294,7 @@ class RtuReceiver:
                 self._give_up_beginning(found)
 
     def _look(self, at: int) -> tuple[int, Direction]:
-        """The end of the frame that starts at ``at``, or `WAITS` while it may become one, or `DEAD`; and its
-        direction.
-        """
+        """Return the end of the frame at ``at``, or `WAITS` while it may become one, or `DEAD`; and its direction."""
         buffer = self._buffer
         size = len(buffer)
         if size - at < 2:
@@ -319,7 +313,7 @@ class RtuReceiver:
         return DEAD, Direction.UNKNOWN
 
     def _length(self, direction: Direction, at: int, end: int) -> int:
-        """The length of a frame of this direction; that of the expected reply if only its request determines it."""
+        """Return the length of the frame at ``at`` as request or reply; from the request if only that determines it."""
         length = self._lengths.length(direction, self._buffer, at, end)
         if length == UNKNOWN_LENGTH and direction is Direction.REPLY:
             due = self.conversation.due
@@ -331,7 +325,7 @@ class RtuReceiver:
         return span_check(end - at).fits(self._states[at], self._states[end])
 
     def _give_up_beginning(self, found: list[Received]) -> None:
-        """Drop the first byte of a chunk that is longer than a frame: no frame begins there."""
+        """Drop the first of more bytes than a frame can have: no frame begins there."""
         if self.conversation.role is LineRole.SERVER:
             later = next((place for place in self._silences if place > self._at), None)
             self._lose(len(self._buffer) if later is None else later)
@@ -347,7 +341,7 @@ class RtuReceiver:
     # Decisions at a silence (rules 2, 4 and 5).
 
     def _after_silence(self, found: list[Received]) -> None:
-        """Decide pending bytes after a silence of t3.5 (rules 2, 4 and 5)."""
+        """Decide what the unfinished bytes are, after a silence of t3.5 (rules 2, 4 and 5)."""
         self._skipping = False
         while self._at < len(self._buffer):
             self._follow(found)
@@ -358,7 +352,7 @@ class RtuReceiver:
         self._report_lost(found)
 
     def _after_limit(self, found: list[Received]) -> None:
-        """Give up unfinished frames after a silence of ``gap_limit``."""
+        """Report unfinished frames as damaged after a silence of ``gap_limit``."""
         while self._at < len(self._buffer):
             self._follow(found)
             if not self._take_divided(self._at, found) and not self._take_inner(found, at_limit=True):
@@ -368,7 +362,7 @@ class RtuReceiver:
         self._report_lost(found)
 
     def _take_divided(self, at: int, found: list[Received]) -> bool:
-        """Report the chunk from ``at`` on as frames, if one or several fill it exactly. Returns whether they do."""
+        """Report the bytes from ``at`` on as frames, if one or several fill them exactly. Returns whether they do."""
         pieces = self._divide(at)
         if not pieces:
             return False
@@ -379,7 +373,7 @@ class RtuReceiver:
         return True
 
     def _divide(self, at: int) -> list[tuple[int, Direction]]:
-        """Ends and directions of the frames that fill the buffer from ``at`` on; empty if no such division exists."""
+        """Return ends and directions of frames that fill the buffer exactly from ``at`` on; empty if none do."""
         size = len(self._buffer)
         # Zeros behind a frame leave its CRC at 0: where a rule fits, it decides, and not the whole.
         if SHORTEST <= size - at <= RTU_ADU_LIMIT and self._fits(at, size) and not self._end_of_known(at, size):
@@ -398,7 +392,7 @@ class RtuReceiver:
         return pieces if at == size else []
 
     def _end_of_known(self, at: int, size: int) -> int:
-        """The end of the frame at ``at`` by the length rules of either direction; 0 if none fits."""
+        """Return the end of the frame at ``at`` by the length rule of request or reply; 0 if neither fits."""
         if size - at < SHORTEST:
             return 0
         for direction in self.conversation.order(self._buffer[at], self._buffer[at + 1], self._bursts.latest):
@@ -408,7 +402,7 @@ class RtuReceiver:
         return 0
 
     def _end_of_unknown(self, at: int, size: int) -> int:
-        """The first position where the CRC fits, for a function without a length rule; 0 if none does."""
+        """Return the first position where the CRC fits, for a function without length rule; 0 if none does."""
         if size - at < SHORTEST or self._look(at)[0] == WAITS:
             return 0
         first = self._prefix_end if at == self._at else SHORTEST
@@ -421,7 +415,7 @@ class RtuReceiver:
         return 0
 
     def _direction(self, at: int, end: int) -> Direction:
-        """The likeliest direction whose length fits the frame, or a guess."""
+        """Return whether a frame is request or reply: the likelier one whose length fits, or a guess."""
         unit, code = self._buffer[at], self._buffer[at + 1]
         for direction in self.conversation.order(unit, code, self._bursts.latest):
             if self._length(direction, at, end) == end - at:
@@ -429,7 +423,7 @@ class RtuReceiver:
         return self.conversation.guess(unit, code, self._bursts.latest)
 
     def _take_inner(self, found: list[Received], *, at_limit: bool) -> bool:
-        """Report a frame that begins inside a damaged chunk: after a silence for a server, anywhere for the others."""
+        """Report a frame that begins inside damaged bytes: for a server only after a silence, for others anywhere."""
         if self.conversation.role is LineRole.SERVER:
             return any(self._take_divided(place, found) for place in self._silences if place > self._at)
         end, direction = self._search(at_limit=at_limit)
@@ -447,7 +441,7 @@ class RtuReceiver:
     # Looking for a frame inside a damaged chunk (rules 5 and 6).
 
     def _search(self, *, at_limit: bool) -> tuple[int, Direction]:
-        """Move ``_scan`` to the first later position where a frame begins or may begin.
+        """Find the first later position where a frame begins or may begin, and go on there.
 
         Gives the frame's end and direction; `WAITS` where it may become one; `DEAD` with ``_scan`` at the end of the
         buffer. ``at_limit``: what is unfinished is rejected too.
@@ -464,7 +458,7 @@ class RtuReceiver:
     # Giving and losing.
 
     def _give(self, end: int, direction: Direction, found: list[Received], *, recovered: bool) -> None:
-        """Report the lost bytes before a frame, then the frame; the rest of the chunk begins after it."""
+        """Report the lost bytes before a frame, then the frame; what follows begins anew."""
         self._report_lost(found)
         raw = bytes(self._buffer[self._at : end])
         ended = self._bursts.ended(end)
@@ -474,7 +468,7 @@ class RtuReceiver:
         self._in_step = True
 
     def _lose(self, end: int) -> None:
-        """Collect the bytes up to ``end`` as lost: they are no frame."""
+        """Report the bytes up to ``end`` as damaged, later and together with others: they are no frame."""
         if end > self._at:
             self._lost.add(self._buffer[self._at : end], self._bursts.began(self._at), self._bursts.ended(end))
             self._move_to(end)
@@ -496,6 +490,6 @@ class RtuReceiver:
             self._lost = LostBytes()
 
     def _answers_itself(self, code: int) -> bool:
-        """Whether a reply of this function may equal its request: their lengths are equal or unknown."""
+        """Whether the reply of a function may equal its request: their lengths are equal or unknown."""
         request = self._lengths.requests[code]
         return request == 0 or request == self._lengths.replies[code]

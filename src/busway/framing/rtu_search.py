@@ -29,7 +29,7 @@ Place = tuple[int, int]
 def find_reply(
     buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, due: Due | None, *, at_limit: bool
 ) -> Place:
-    """Find the first position from ``start`` on where the expected reply, or its exception, begins or may begin.
+    """Find the first position from ``start`` where the expected reply, or its exception reply, may begin.
 
     Args:
         buffer: bytes received from the line.
@@ -73,7 +73,7 @@ def find_reply(
 
 
 def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool) -> Place:
-    """Find the first position from ``start`` on where any request or reply begins whose length one look-up gives."""
+    """Find the first position from ``start`` where any request or reply begins whose length one look-up gives."""
     size = len(buffer)
     shapes, checks = lengths.shapes, _checks()
     for at, code in enumerate(buffer[start + 1 : size - SHORTEST + 2], start):
@@ -95,15 +95,13 @@ def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: Fram
 
 
 def _to_end(start: int, size: int, *, at_limit: bool) -> Place:
-    """The result if no position fits: the last bytes, too few to decide, may still begin a frame."""
+    """Return the result if no position fits: the last bytes, too few to decide, may still begin a frame."""
     place = max(start, size if at_limit else size - SHORTEST + 1)
     return place, DEAD if place == size else WAITS
 
 
 def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
-    """The length rules of the expected reply and its exception, by function code; (0, 0) if the table has to be
-    asked.
-    """
+    """Return the length rules of the expected reply and its exception, by function code; (0, 0) if not simple."""
     function, exception = due.function, due.function | 0x80
     shapes = {code: shape_of(lengths.replies[code]) for code in (function, exception)}
     if due.size > 0:
@@ -113,7 +111,7 @@ def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
 
 @cache
 def _checks() -> list[tuple[list[int], list[int]]]:
-    """The CRC tables of `span_check` by length, cached because a search uses them at every byte.
+    """Return the CRC tests of `span_check` by length, cached because a search uses them at every byte.
 
     Lengths that no frame has never fit.
     """

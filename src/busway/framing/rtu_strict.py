@@ -26,7 +26,7 @@ from .timing import SerialTiming
 
 
 class LineState(Enum):
-    """The states of the line in figure 14."""
+    """States of the serial line in figure 14 of Serial Line V1.02."""
 
     INITIAL = "initial"
     IDLE = "idle"
@@ -36,7 +36,7 @@ class LineState(Enum):
 
 
 class LineEvent(Enum):
-    """Events that change the state of the line."""
+    """Events that change the state of the serial line."""
 
     CHARACTER = "character"
     T1_5 = "t1.5 expired"
@@ -59,7 +59,7 @@ _NEXT: Final = {
 
 
 class StrictRtuReceiver:
-    """Receiver of RTU frames by the state diagram: takes bytes with their times, returns frames and damaged chunks.
+    """Receiver of RTU frames by the state diagram: takes bytes with their times, returns frames and damaged bytes.
 
     Attributes:
         state: where the line is.
@@ -94,9 +94,7 @@ class StrictRtuReceiver:
         self._began = self._last = float("-inf") if started is None else started
 
     def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
-        """The frames that the silence before ``data`` completes; ``data``, read at ``now``, count as characters without
-        gaps.
-        """
+        """Return the frames that the silence before ``data`` completes; ``data`` count as characters without gaps."""
         if not data:
             return []
         began = max(self._last, now - len(data) * self.timing.character)
@@ -108,7 +106,7 @@ class StrictRtuReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """The frame, or damaged chunk, that the silence until ``now`` completes."""
+        """Return the frame, or damaged bytes, that the silence until ``now`` completes."""
         released = self.echo.tick(now)
         if released:
             self._characters(released, self._last, self._last)
@@ -123,7 +121,7 @@ class StrictRtuReceiver:
         return self._processed_or_deleted() if received else []
 
     def deadline(self) -> float | None:
-        """When t3.5 expires; None while the line is idle."""
+        """The time at which t3.5 of silence is over; None while the line is idle."""
         echo = self.echo.deadline()
         if self.state is LineState.IDLE:
             return echo
@@ -131,15 +129,15 @@ class StrictRtuReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """Note that a master's request went to ``unit`` and a reply with ``function`` is expected."""
+        """Note that a master has asked ``unit`` and expects a reply with ``function``."""
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:
-        """Note that no reply is expected any more."""
+        """Note that a master expects no reply any more."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Note that bytes sent by this station occupy the line until ``ends``; the line is idle again t3.5 later.
+        """Note that bytes of this station occupy the line until ``ends``; the line is idle again t3.5 later.
 
         Raises:
             ValueError: the line is not idle: emission begins only there.
@@ -152,7 +150,7 @@ class StrictRtuReceiver:
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Note that the port marked a parity or framing error, or lost characters: the frame is not valid."""
+        """Note that the port reported an error or lost characters: the frame in progress is not valid."""
         found = self.tick(now)
         self._characters(b"", now, now)
         self._lost.mark(Damage.OVERRUN if overrun else Damage.CHARACTER, now)
@@ -160,14 +158,14 @@ class StrictRtuReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Decide all pending bytes as t3.5 of silence would."""
+        """Return what a silence of t3.5 would complete now."""
         released = self.echo.release()
         if released:
             self._characters(released, self._last, self._last)
         return self.tick(max(now, self._last + self.timing.t3_5))
 
     def clear_at(self) -> float:
-        """The earliest time at which a frame may be sent."""
+        """Return the earliest time at which a frame may be sent on the line."""
         return self._last + self.timing.t3_5
 
     def _move(self, event: LineEvent) -> None:

@@ -35,12 +35,12 @@ class Parity(Word):
 
 
 def stop_bits_for(parity: Parity) -> int:
-    """Stop bits by rule: 2 without parity, 1 with it (§2.5.1)."""
+    """Return the number of stop bits by rule: 2 without parity, 1 with it (§2.5.1)."""
     return 2 if parity is Parity.NONE else 1
 
 
 def character_bits(data_bits: int = 8, parity: Parity = Parity.EVEN, stop_bits: float | None = None) -> float:
-    """Number of bits of a character on the line.
+    """Return the number of bits of one character on the line.
 
     Args:
         data_bits: 7 (ASCII) or 8 (RTU).
@@ -85,7 +85,7 @@ class SerialTiming:
         parity: Parity = Parity.EVEN,
         stop_bits: float | None = None,
     ) -> "SerialTiming":
-        """The times of a serial line of ``baud`` bit/s (1 and above); other arguments as in `character_bits`.
+        """Return the times of a serial line of ``baud`` bit/s (1 and above); other arguments as in `character_bits`.
 
         Raises:
             ValueError: a rate, data or stop bits that cannot be.
@@ -99,9 +99,9 @@ class SerialTiming:
 
     @classmethod
     def of_network(cls, silence: float = NETWORK_SILENCE) -> "SerialTiming":
-        """The times for serial framing over a network, where ``silence`` seconds end a frame."""
+        """Return the times for RTU or ASCII over a network, where ``silence`` seconds end a frame."""
         return cls(0.0, silence, silence)
 
     def duration(self, characters: int) -> float:
-        """Seconds that ``characters`` take on the line without a gap."""
+        """Return the seconds that ``characters`` characters take on the line without a gap."""
         return characters * self.character

@@ -1,4 +1,4 @@
-"""Adaptive timeout of a scan for units: as short as the replies seen so far make safe.
+"""Adaptive timeout of a scan for units: as short as the replies seen so far allow without missing one.
 
 Knows response times; knows no line and no clock.
 
@@ -19,7 +19,7 @@ CHARACTERS: Final = 32
 
 
 def floor_for(character: float) -> float:
-    """The shortest safe timeout on a line, given the seconds that one character takes; 0 for a network."""
+    """Return the shortest safe timeout on a line whose characters take so many seconds; 0 for a network."""
     return ROOM + CHARACTERS * character
 
 
@@ -45,15 +45,15 @@ class AdaptiveTimeout:
 
     @property
     def timeout(self) -> float:
-        """Seconds to wait for the next unit."""
+        """Seconds to wait for the reply of the next unit that the scan asks."""
         if not self.learns or self.was_late or not self.slowest:
             return self.longest
         return min(max(FACTOR * self.slowest, self.floor), self.longest)
 
     def answered(self, seconds: float) -> None:
-        """Note that a unit has answered after ``seconds``."""
+        """Note that a unit has answered after ``seconds``, so that the timeout follows the replies."""
         self.slowest = max(self.slowest, seconds)
 
     def late(self) -> None:
-        """Note that a reply came after its timeout (rule 3)."""
+        """Note that a reply came after its timeout, so that the timeout grows (rule 3)."""
         self.was_late = True

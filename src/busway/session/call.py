@@ -34,7 +34,7 @@ HEAD_SIZE = 9
 
 
 class CallOptions(TypedDict, total=False):
-    """Options that every method of a unit accepts, such as a timeout; omitted ones are those of the link.
+    """Options that every read and write of a unit accepts, such as a timeout; omitted ones are those of the link.
 
     timeout: seconds per attempt. retries: further attempts of reads. deadline: seconds in all, queueing included.
     idempotent: a write may be executed twice, so it is repeated like a read.
@@ -47,7 +47,7 @@ class CallOptions(TypedDict, total=False):
 
 
 class Call:
-    """One or many requests to one unit that complete together.
+    """What an application asks in one go: one or many requests to one unit that complete together.
 
     Attributes:
         unit: unit identifier, 0…255.
@@ -114,16 +114,16 @@ class Call:
 
     @property
     def has_more(self) -> bool:
-        """Whether a request of this call waits to be sent."""
+        """Whether a request of this call has still to be sent, or sent again."""
         return self.next < len(self.requests) or bool(self.again)
 
     @property
     def next_position(self) -> int:
-        """Position in the call of the request that is sent next. Valid only while `has_more`."""
+        """Position in the call of the request to be sent next. Valid only while `has_more`."""
         return self.again[0] if self.again else self.next
 
     def take(self, at_most: int) -> Sequence[int]:
-        """Take the positions of up to ``at_most`` next requests to send: first repetitions, then new ones."""
+        """Return the positions of up to ``at_most`` requests to send next: first repetitions, then new ones."""
         if self.again:
             taken, self.again = self.again[:at_most], self.again[at_most:]
             return taken
@@ -138,7 +138,7 @@ class Call:
 
     @property
     def error(self) -> ModbusError | None:
-        """The first error among the outcomes."""
+        """The first error among the outcomes of the requests; None if there is none."""
         return next((outcome for outcome in self.outcomes if isinstance(outcome, ModbusError)), None)
 
 
@@ -150,7 +150,7 @@ def call_for(
     now: float,
     caller: object = None,
 ) -> Call:
-    """Build the `Call` of one method call; ``caller`` may be set later, if the call has to queue."""
+    """Build the `Call` for one use of a unit's method; ``caller`` may be set later, if the call has to queue."""
     deadline = defaults.deadline
     timeout = defaults.timeout
     retries = defaults.retries
@@ -191,7 +191,7 @@ def _checked(
 
 
 class EncodedRequest:
-    """The bytes of a request to one unit on TCP, and of its expected reply, without the transaction.
+    """The bytes of a request to one unit on TCP, and of its expected reply, without the transaction identifiers.
 
     Attributes:
         unit: the unit identifier.
@@ -219,7 +219,7 @@ class EncodedRequest:
 
 
 def encoded_request(request: Request, unit: int) -> EncodedRequest:
-    """The encoded bytes of a request to a unit; made at the first use and kept with the request."""
+    """Return the bytes of a request to a unit; made at the first use and kept with the request."""
     try:
         route: EncodedRequest = request.memo
     except AttributeError:
@@ -233,9 +233,7 @@ def encoded_request(request: Request, unit: int) -> EncodedRequest:
 
 
 def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
-    """The encoded bytes for one more unit of a request that was already encoded for others; they share a table
-    by unit.
-    """
+    """Return the bytes of a request for one more unit; a request sent to several units keeps a table of them."""
     if known.others is None:
         known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references
     found = known.others.get(unit)
@@ -246,7 +244,7 @@ def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) 
 
 
 class RequestInFlight:
-    """One request in flight, or a free slot for one; a connection reuses the same few objects."""
+    """A request that was sent and has no reply yet; the object is reused for later requests (free slot)."""
 
     __slots__ = ("call", "expires", "position", "route", "sent")
 
@@ -262,12 +260,12 @@ Places = list[RequestInFlight]
 
 
 def places(count: int) -> Places:
-    """Make ``count`` free slots for requests in flight, for one session or shared by the sessions of a client."""
+    """Make ``count`` free slots for requests in flight, for one session or for all sessions of a client."""
     return [RequestInFlight() for _ in range(count)]
 
 
 class BatchPlan:
-    """The bytes of several requests to one unit, and of their expected replies, without the transactions.
+    """The bytes of several requests to one unit, and of their expected replies, without transaction identifiers.
 
     Attributes:
         following: the requests after the first. The first request holds the plan, so the plan does not refer to it:
@@ -306,13 +304,13 @@ class BatchPlan:
             self._pack, self._unpack_from = out.pack, back.unpack_from
 
     def encode(self, transactions: Sequence[int]) -> bytes:
-        """The ADUs of all requests with these transactions, joined."""
+        """Return the frames of all requests with these transaction identifiers, joined."""
         fields = self._fields.copy()  # another thread may use the same plan
         fields[0::2] = transactions
         return self._pack(*fields)
 
     def replies(self, transactions: tuple[int, ...], buffer: bytes, at: int) -> list[Message] | None:
-        """All replies, if ``buffer`` from ``at`` on holds them complete and in the order of the requests, else None."""
+        """Return all replies if ``buffer`` from ``at`` on holds them complete and in order, else None."""
         fields = self._unpack_from(buffer, at)
         if fields[0::3] != transactions or fields[1::3] != self.heads:
             return None
@@ -323,14 +321,14 @@ class BatchPlan:
 
 @lru_cache(maxsize=256)
 def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.Struct, struct.Struct]:
-    """Struct layouts of a batch's requests and replies; ``tails`` and ``replies`` are their sizes in bytes."""
+    """Return the `struct` layouts of a batch's requests and replies; ``tails`` and ``replies`` are sizes in bytes."""
     out = "".join(f"H{size}s" for size in tails)
     back = "".join(f"H7s{size - HEAD_SIZE}s" for size in replies)
     return struct.Struct(">" + out), struct.Struct(">" + back)
 
 
 def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
-    """The batch plan of ``count`` of ``requests`` from ``first`` on, to a unit; kept with the first of them."""
+    """Return the prepared bytes of ``count`` of ``requests`` from ``first`` on, sent together to one unit; cached."""
     route = encoded_request(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])
     plan = route.plan
@@ -340,7 +338,7 @@ def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> B
 
 
 class PipelinedBatch:
-    """Consecutive requests of one call that were sent together and whose replies are expected in order.
+    """Consecutive requests of one call that were sent together, and whose replies are expected in order.
 
     Attributes:
         call: the call they belong to.
@@ -373,7 +371,7 @@ class PipelinedBatch:
         self.expires: float = sent + call.timeout
 
     def expects(self, buffer: bytes, at: int) -> bool:
-        """Whether the frame that begins at ``at`` is the next expected reply."""
+        """Whether the frame that begins at ``at`` is the next expected reply of the batch."""
         following = self.answered
         return (
             buffer[at + 2 : at + HEAD_SIZE] == self.plan.heads[following]
@@ -381,7 +379,7 @@ class PipelinedBatch:
         )
 
     def apart(self) -> Iterator[tuple[int, RequestInFlight]]:
-        """Split the batch: give each request that has no reply yet as a single one, with its transaction."""
+        """Split the batch into its unanswered requests, each with its transaction identifier."""
         call = self.call
         for index in range(self.answered, len(self.transactions)):
             awaited = self.places.pop()

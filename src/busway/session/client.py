@@ -1,4 +1,4 @@
-"""The client's side of a TCP connection: calls in, ADUs out, replies matched to their requests.
+"""The client's side of a TCP connection: sends the requests of calls and matches replies to them, without IO.
 
 Knows the rules of Messaging on TCP/IP V1.0b §4.4.1 and of devices that break them; knows no socket and no clock:
 times are ``now`` in seconds, and the driver of a session calls `TcpClientSession.tick` at `deadline`.
@@ -56,7 +56,7 @@ plus 1 (sunsynk#680): with a step of 1 that would name another request in flight
 
 
 class TcpClientSession:
-    """Client session of one link over TCP; it survives reconnections.
+    """What a client knows of one link over TCP: queue, requests in flight, replies. It survives reconnections.
 
     Attributes:
         counters: counters of the link.
@@ -133,7 +133,7 @@ class TcpClientSession:
     # Calls of the application.
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue a call. Raises `Overloaded` if the queue is full, or `UnitSuspended`; nothing was sent then."""
+        """Queue the requests of a call. Raises `Overloaded` or `UnitSuspended`; nothing was sent then."""
         if self.breakers is not None:
             pause = self.breakers.suspended_for(call.unit, now)
             if pause is not None:
@@ -141,7 +141,7 @@ class TcpClientSession:
         self._tracker.submit(call, now)
 
     def cancel(self, call: Call) -> bool:
-        """Cancel a call: nothing more of it is sent, and replies to its requests in flight are dropped.
+        """Cancel a call: no more requests of it are sent, and replies to those in flight are dropped.
 
         Returns:
             Whether some of its requests are in flight.
@@ -154,34 +154,34 @@ class TcpClientSession:
         return bool(requests_in_flight)
 
     def serve_units_in_turn(self) -> None:
-        """Serve the units of each caller in turn: for callers that act for many, such as a client of a gateway."""
+        """Send each caller's requests to its units in turn, not in call order; for a gateway's upstream links."""
         self._queue.units_in_turn = True
         self._queue.burst = BURST
 
     @property
     def has_calls(self) -> bool:
-        """Whether calls wait to be sent."""
+        """Whether calls wait that have requests left to send."""
         return self._queue.size > 0
 
     @property
     def has_gap(self) -> bool:
-        """Whether waiting calls may be sent only later: after the connect delay or the request gap."""
+        """Whether requests wait only because the connect delay or the request gap is not over."""
         return self._connected and self._not_before > 0.0
 
     @property
     def queued(self) -> int:
-        """How many calls, or requests of a gateway's clients, wait to be sent."""
+        """Number of calls, or of requests of a gateway's clients, that wait to be sent."""
         return self._queue.waiting
 
     @property
     def in_flight(self) -> int:
-        """Number of requests whose reply is awaited."""
+        """Number of requests that were sent and whose reply is awaited."""
         return len(self._pending) + sum(len(batch.places) for batch in self._batches)
 
     # Events of the connection.
 
     def connected(self, now: float) -> None:
-        """Report that a new connection is open."""
+        """Tell the session that a new connection is open."""
         self._connected = True
         self._buffer = StreamBuffer()
         self._expired.clear()
@@ -195,7 +195,7 @@ class TcpClientSession:
         self.counters.connections += 1
 
     def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
-        """Report the end of the connection: requests in flight are repeated or fail, queued calls stay.
+        """End or repeat the requests in flight because the connection ended; queued calls stay.
 
         ``lost`` is False if the client itself closed an unused connection.
         """
@@ -214,7 +214,7 @@ class TcpClientSession:
         self._pending.clear()
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """No connection could be opened: fail every waiting call at once with the same reason.
+        """Fail all waiting calls with the same reason, because no connection could be opened.
 
         With ``keep_repeated`` a call that is about to be repeated waits for the next attempt.
         """
@@ -223,7 +223,7 @@ class TcpClientSession:
     # Sending and receiving.
 
     def transmit(self, now: float) -> list[bytes]:
-        """The ADUs to send now, in order; they count as sent at ``now``."""
+        """Return the frames that are due, in order; they count as sent at ``now``."""
         out: list[bytes] = []
         queue = self._queue
         if not queue.size or not self._connected or self.recycle or not self._free:
@@ -263,7 +263,7 @@ class TcpClientSession:
         return out
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """Send a call at once and return its ADUs, joined; None if it has to be queued with `submit`."""
+        """Return the joined frames of a call that can be sent at once; None if it has to be queued with `submit`."""
         count = len(call.requests)
         if (
             self._queue.size
@@ -288,14 +288,14 @@ class TcpClientSession:
         return adus
 
     def _is_doubted(self, call: Call) -> bool:
-        """Whether the unit is suspended by its breaker, or only probed."""
+        """Whether the unit's circuit breaker is open, or lets only single requests through to try it."""
         return self.breakers is not None and self.breakers.state(call.unit) is not BreakerState.CLOSED
 
     def _may_ask(self, now: float, call: Call) -> bool:
         return self.breakers is None or self.breakers.suspended_for(call.unit, now) is None
 
     def _next_batch(self, call: Call, at_most: int, now: float) -> list[bytes]:
-        """Send up to ``at_most`` requests of a call as a pipelined batch; nothing if they cannot be batched."""
+        """Return up to ``at_most`` requests of a call as one pipelined batch; nothing if they cannot be batched."""
         requests = len(call.requests)
         if requests == 1 or call.again or call.is_write or self.parameters.single_adu_segments:
             return []
@@ -303,7 +303,7 @@ class TcpClientSession:
         return [] if together is None else [together]
 
     def _send_batch(self, call: Call, count: int, now: float) -> bytes | None:
-        """Send the next ``count`` requests as a pipelined batch and return its bytes; None if they cannot be batched.
+        """Return the bytes of the next ``count`` requests as a pipelined batch; None if they cannot be batched.
 
         While single requests are in flight the device answers one by one, or in another order, and a batch would be
         split again.
@@ -334,7 +334,7 @@ class TcpClientSession:
         return plan.encode(transactions)
 
     def _launch(self, call: Call, position: int, now: float) -> bytes:
-        """Put one request in flight, on a free slot, and return its ADU."""
+        """Return the frame of one request, which from now on is in flight in a free slot."""
         pending, expired = self._pending, self._expired
         route = encoded_request(call.requests[position], call.unit)
         transaction = self._transaction + _STEP & 0xFFFF
@@ -350,19 +350,17 @@ class TcpClientSession:
         return transaction.to_bytes(2, "big") + route.tail
 
     def _adaptive_timeout(self, call: Call, now: float) -> float:
-        """Seconds to wait for a unit with a breaker: less than the timeout for a probe."""
+        """Return the seconds to wait for a unit with a circuit breaker: fewer than the timeout for a probe."""
         assert self.breakers is not None
         usual = self._usual(call.unit)
         return self.breakers.asked(call.unit, now, call.timeout, usual or call.timeout)
 
     def _usual(self, unit: int) -> float:
-        """Seconds that a unit usually takes to answer; if unknown, those of the slowest other unit; 0 before
-        any reply.
-        """
+        """Return the seconds a unit usually takes to answer; if unknown, those of the slowest other unit, or 0."""
         return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
     def _split_batches(self) -> None:
-        """Split all pipelined batches into single requests in flight, in the order in which all were sent."""
+        """Replace all pipelined batches by single requests in flight, in the order in which they were sent."""
         if self._batches:
             in_flight = list(self._pending.items())
             for batch in self._batches:
@@ -373,7 +371,7 @@ class TcpClientSession:
             self._pending.update(in_flight)
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
-        """Process the first ``size`` bytes of ``buffer``. Calls completed by them are in ``finished``."""
+        """Process the first ``size`` bytes of ``buffer``. Calls that they complete are added to ``finished``."""
         if self._buffer.kept:
             joined, size = self._buffer.join(buffer, size)
             data = bytes(joined)
@@ -432,7 +430,7 @@ class TcpClientSession:
         self._buffer.keep(data, at, size)
 
     def _receive_batches(self, buffer: bytes, size: int, now: float) -> int:
-        """Match replies to the batches in flight while they come in order. Returns the offset after the last match.
+        """Match replies to pipelined batches while they come in order. Returns the offset after the last match.
 
         This is the hot path of `execute_many`: 0.5 µs per reply if all of a batch have arrived, 0.9 if only some have.
         """
@@ -477,7 +475,7 @@ class TcpClientSession:
         return at
 
     def in_work(self) -> list[Call]:
-        """Calls of several requests of which some were sent and others may still be in the queue.
+        """The calls of several requests of which some were sent and others may still be in the queue.
 
         A call may appear more than once, and single-request calls in flight may appear too.
         """
@@ -491,7 +489,7 @@ class TcpClientSession:
     # Timeouts.
 
     def deadline(self) -> float | None:
-        """When `tick` has something to do, in the clock of ``now``; None for never."""
+        """The time at which `tick` has something to do, by the clock of ``now``; None for never."""
         times = [awaited.expires for awaited in self._pending.values()]
         times += [batch.expires for batch in self._batches]
         if self._tracker.deadlines:
@@ -525,7 +523,7 @@ class TcpClientSession:
             self._tracker.expire_queue(now, in_flight)
 
     def _timed_out(self, transaction: int, awaited: RequestInFlight, now: float, *, over: bool) -> None:
-        """Handle a timeout: remember the identifier, and repeat or fail the request; ``over``: its deadline passed."""
+        """Handle a request without reply: reserve its identifier, repeat or fail it; ``over``: its deadline passed."""
         self._remember(transaction, awaited.sent)
         kept = self._buffer.kept
         is_given_up = self.breakers is not None and self._unit_is_silent(self.breakers, awaited, now)
@@ -547,7 +545,7 @@ class TcpClientSession:
             self._recycle(f"{self._timeouts_since_reply} timeouts, and only late replies between them")
 
     def _unit_is_silent(self, breakers: Breakers, awaited: RequestInFlight, now: float) -> bool:
-        """Report a timeout to the unit's breaker. Returns whether the unit is suspended now."""
+        """Report a timeout to the unit's circuit breaker. Returns whether the unit is suspended now."""
         unit, waited = awaited.route.unit, now - awaited.sent
         usual = self._usual(unit)
         if now < awaited.expires and not (usual and waited >= max(2 * usual, breakers.parameters.probe_timeout)):
@@ -567,12 +565,12 @@ class TcpClientSession:
                 self._tracker.give_up(call, now, reason, in_flight)
 
     def _unit_lives(self, unit: int) -> None:
-        """Close the unit's breaker: it has answered, if only with an exception."""
+        """Close the unit's circuit breaker: it has answered, if only with an exception."""
         if self.breakers is not None:
             self.breakers.answered(unit)
 
     def _learn_pace(self, unit: int, seconds: float) -> None:
-        """Update the usual response time of a unit: that of its slowest recent reply."""
+        """Update the usual response time of a unit, which is that of its slowest recent reply."""
         self._pace[unit] = max(seconds, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _no_reply(self, awaited: RequestInFlight, partial: bytes, now: float, *, over: bool) -> NoReply:
@@ -596,7 +594,7 @@ class TcpClientSession:
     # Replies that do not fit plainly.
 
     def _odd_frame(self, transaction: int, protocol: int, unit: int, adu: bytes, now: float) -> None:
-        """Handle any frame but a plainly fitting reply (Messaging on TCP/IP §4.4.1.4)."""
+        """Handle a received frame that is not plainly the reply to a request (Messaging on TCP/IP §4.4.1.4)."""
         self._split_batches()
         awaited = self._pending.get(transaction)
         if awaited is None:
@@ -646,7 +644,7 @@ class TcpClientSession:
         self._failed(awaited, call, BadReply(reason, raw=adu), now, again=False)
 
     def _accept(self, awaited: RequestInFlight, call: Call, pdu: bytes, now: float) -> None:
-        """End ``awaited`` with the reply or exception in ``pdu``. Raises `MalformedPdu` if it is broken."""
+        """End the request ``awaited`` with the reply or exception in ``pdu``. Raises `MalformedPdu` if it is broken."""
         request = call.requests[awaited.position]
         if pdu[0] & 0x80:
             code = decode_exception(pdu).exception
@@ -663,7 +661,7 @@ class TcpClientSession:
         self._tracker.conclude(call, awaited.position, reply)
 
     def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> RequestInFlight | None:
-        """The one request in flight, if the mismatch policy accepts a reply with another transaction for it."""
+        """Return the only request in flight if the option ``mismatch`` accepts another transaction identifier."""
         policy = self.parameters.transaction_policy
         if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol or self.recycle:
             # After a timeout that ends the connection, this may be the late reply to that request.
@@ -689,7 +687,7 @@ class TcpClientSession:
         return True
 
     def _unit_fits(self, awaited: RequestInFlight, unit: int, *, alone: bool) -> bool:
-        """Whether the policy accepts a reply of ``unit``; ``alone``: nothing else is in flight."""
+        """Whether the option ``mismatch`` accepts a reply of ``unit``; ``alone``: nothing else is in flight."""
         if unit == awaited.route.unit or awaited.route.unit in (0, TCP_DEVICE_UNIT):
             return True
         policy = self.parameters.unit_policy
@@ -697,7 +695,7 @@ class TcpClientSession:
 
     @property
     def _tolerant(self) -> bool:
-        """Whether the mismatch policy accepts replies with another transaction identifier."""
+        """Whether the option ``mismatch`` accepts replies with another transaction identifier."""
         return self.parameters.transaction_policy is not MismatchPolicy.STRICT
 
     def _foreign(self, protocol: int) -> None:
@@ -709,7 +707,7 @@ class TcpClientSession:
             self._recycle(f"{self._foreign_in_row} replies in a row that answer nothing asked here")
 
     def _broken_stream(self, reason: str, raw: bytes, now: float) -> None:
-        """Handle an invalid length field: nothing after it can be decoded, so the connection ends."""
+        """End the connection after an invalid length field: nothing after it can be decoded."""
         self._recycle(reason)
         self._split_batches()
         for awaited in list(self._pending.values()):
@@ -729,7 +727,7 @@ class TcpClientSession:
             self._start_gap(now)
 
     def _start_gap(self, now: float) -> None:
-        """Start the ``request_gap`` that the device needs after its reply."""
+        """Start the pause that the device needs between its reply and the next request (``request_gap``)."""
         if self.parameters.request_gap:
             self._not_before = now + self.parameters.request_gap
 
@@ -740,7 +738,7 @@ class TcpClientSession:
         self._free.append(awaited)
 
     def _remember(self, transaction: int, sent: float) -> None:
-        """Reserve an identifier while its late reply may still come."""
+        """Reserve a transaction identifier for as long as its late reply may still come."""
         if len(self._expired) >= _EXPIRED_LIMIT:
             del self._expired[next(iter(self._expired))]
         self._expired[transaction] = sent

@@ -1,4 +1,5 @@
-"""The life cycle of a client's connection, shared by the asyncio and the blocking driver.
+"""The life of a client's connection: when to connect, what to report, what happens to waiting calls; for both
+drivers.
 
 Knows a session, the states of `reconnect` and the errors that calls get; knows no socket, thread, loop or log.
 The driver opens and closes the connection, reports its events with their time, and acts on the results.
@@ -23,7 +24,7 @@ Moved = Callable[[ConnectionEvent, str, str], None]
 
 
 class ConnectionLife:
-    """Life cycle of the successive connections of one link.
+    """State of a link's successive connections, from the first attempt to the end of the link.
 
     Args:
         conversation: the client session that uses the connection.
@@ -66,35 +67,35 @@ class ConnectionLife:
         return self.reconnect.may_dial(now)
 
     def dialled(self, now: float) -> None:
-        """Report that an attempt to connect has begun; call it only after `may_dial` said yes."""
+        """Note that an attempt to connect has begun; call it only after `may_dial` said yes."""
         self._move(ConnectionEvent.DIALLED, now)
 
     def connected(self, now: float) -> None:
-        """Report that the connection is open."""
+        """Note that the connection is open."""
         self.failure = None
         self._asked_before = self._conversation.counters.requests
         self._move(ConnectionEvent.CONNECTED, now)
         self._conversation.connected(now)
 
     def failed(self, now: float, failure: LinkDown) -> None:
-        """Report that the attempt failed; every call that waited for it fails too."""
+        """Note that an attempt to connect failed; every call that waited for it fails too."""
         self.failure = failure
         self._move(ConnectionEvent.FAILED, now, failure.message)
         self._conversation.unreachable(now, failure)
 
     def interrupted(self, now: float) -> None:
-        """Report that the attempt was cancelled, which says nothing about the peer: waiting calls keep waiting."""
+        """Note that an attempt to connect was cancelled: waiting calls keep waiting, as the peer may be well."""
         self._move(ConnectionEvent.FAILED, now, "interrupted")
 
     # While it is open.
 
     def replied(self, now: float) -> None:
-        """Report received bytes while the state is not up or attempts have failed; a valid reply makes the state up."""
+        """Note that bytes have come in a state other than up; a valid reply among them makes the state up."""
         if self._conversation.valid_reply:
             self._move(ConnectionEvent.VALID_REPLY, now)
 
     def tick(self, now: float) -> bool:
-        """Let the session handle its timeouts. Returns whether a request has timed out."""
+        """Let the session end requests whose timeout is over. Returns whether there were any."""
         counters = self._conversation.counters
         timeouts = counters.timeouts
         self._conversation.tick(now)
@@ -104,7 +105,7 @@ class ConnectionLife:
         return True
 
     def spent(self, now: float, last_used: float) -> str:
-        """The reason to close an unused connection now, such as its idle time; empty while it is to be kept."""
+        """Return the reason to close an unused connection now, such as its idle time; empty to keep it."""
         if now < last_used + self.hold:
             return ""
         return f"unused for {self.hold:g} s" if self.hold else "nothing more is asked"
@@ -112,7 +113,7 @@ class ConnectionLife:
     # How it ends.
 
     def lost(self, now: float, reason: str) -> None:
-        """Report that the connection ended; after repeated failures only calls about to be repeated go on waiting."""
+        """Note that the connection ended; after repeated failures only calls about to be repeated go on waiting."""
         conversation = self._conversation
         if conversation.has_calls or conversation.counters.requests != self._asked_before:
             self._move(ConnectionEvent.LOST, now, reason, had_reply=conversation.valid_reply)
@@ -125,18 +126,18 @@ class ConnectionLife:
             conversation.unreachable(now, self.failure, keep_repeated=True)
 
     def released(self, now: float, reason: str) -> None:
-        """Report that the connection was closed because it was not needed any more."""
+        """Note that the connection was closed because it was not needed any more."""
         self._move(ConnectionEvent.RELEASED, now, reason)
         self._conversation.disconnected(now, reason, lost=False)
 
     def ended(self, now: float) -> None:
-        """Report that the link was closed for good: waiting calls fail."""
+        """Note that the link was closed for good: waiting calls fail."""
         self._conversation.unreachable(now, LinkDown("the link was closed"))
 
     # What calls are told.
 
     def refusal(self, now: float, unit: int | None = None) -> LinkDown | None:
-        """The error of a call that needs a connection while none may be tried; None if the call may wait for one."""
+        """Return the error of a call that needs a connection while none may be tried; None if the call may wait."""
         if self.closed:
             return LinkClosed("the link is closed", endpoint=self.endpoint, unit=unit)
         failure = self.failure
@@ -153,7 +154,7 @@ class ConnectionLife:
 
     @property
     def down_because(self) -> str:
-        """Why the last attempt to connect failed; empty while connected, and before the first attempt."""
+        """Say why the last attempt to connect failed; empty while connected and before the first attempt."""
         return "" if self.failure is None else self.failure.message
 
     def _move(self, event: ConnectionEvent, now: float, reason: str = "", *, had_reply: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""Diagnostics for functions 08, 11 and 12: counters, event log and listen-only mode of each unit of a listener.
+"""Diagnostics that functions 08, 11 and 12 read: counters, event log and listen-only mode of a server's units.
 
 Knows when something is counted; knows no bytes and no port (Application Protocol V1.1b3 §6.8–§6.10, Serial Line
 V1.02 appendix A).
@@ -40,7 +40,7 @@ _CHANGES = frozenset(
 
 
 class ReceiveEvent(IntFlag):
-    """Bits of a receive event; 0x80 is always set."""
+    """Bits of a receive event in the log of function 12; 0x80 is always set."""
 
     RECEIVED = 0x80
     COMMUNICATION_ERROR = 0x02
@@ -50,7 +50,7 @@ class ReceiveEvent(IntFlag):
 
 
 class SendEvent(IntFlag):
-    """Bits of a send event; 0x40 is always set."""
+    """Bits of a send event in the log of function 12; 0x40 is always set."""
 
     SENT = 0x40
     READ_EXCEPTION = 0x01
@@ -163,7 +163,7 @@ class LineDiagnostics:
         self._damage_log: deque[int] = deque(maxlen=EVENT_LOG_SIZE)
 
     def of(self, unit: int) -> "CommunicationState":
-        """The diagnostic state of a unit, 0…255."""
+        """Return the diagnostic state of the unit with this number, 0…255."""
         state = self._states.get(unit)
         if state is None:
             listed = unit if self._listed_unit is None else self._listed_unit(unit)
@@ -185,7 +185,7 @@ class LineDiagnostics:
 
     @property
     def event_count(self) -> int:
-        """The sum of the event counts of the units (function 11)."""
+        """The sum of the event counts of all units (function 11)."""
         return sum(state.event_count for state in self._distinct())
 
     @property
@@ -194,11 +194,11 @@ class LineDiagnostics:
         return bool(self.listen_only_units)
 
     def received_foreign(self) -> None:
-        """Count a whole frame that was for another unit."""
+        """Count a whole message on the line that was for a unit of another device."""
         self.heard.messages += 1
 
     def received_broadcast(self, units: Iterable[int]) -> None:
-        """Count a received broadcast: one message of the line, and one for each of ``units``."""
+        """Count a received broadcast: once for the line, and once for each of ``units``."""
         self.fold()
         self.heard.messages += 1
         self.requests += 1
@@ -206,7 +206,7 @@ class LineDiagnostics:
             self.of(unit).received_broadcast()
 
     def received_damaged(self, *, overrun: bool = False) -> None:
-        """Count and log a damaged frame; every unit hears it."""
+        """Count and log a damaged frame, for every unit, since all hear it."""
         self.fold()
         self.heard.damaged += 1
         event = ReceiveEvent.RECEIVED | ReceiveEvent.COMMUNICATION_ERROR
@@ -218,7 +218,7 @@ class LineDiagnostics:
             state.log_received(event)
 
     def fold(self) -> None:
-        """Add `exchanged`, `arrived` and `departed` to the counters and the logs."""
+        """Add the exchanges noted in `exchanged`, `arrived` and `departed` to the counters and logs of the units."""
         if not (self.exchanged or self.arrived or self.departed):
             return
         exchanged, arrived, departed = self.exchanged, self.arrived, self.departed
@@ -230,7 +230,7 @@ class LineDiagnostics:
             self.of(unit).take_many(exchanged[unit], arrived[unit], departed[unit])
 
     def _distinct(self) -> list["CommunicationState"]:
-        """The states of all units, each once: a device that answers as several units has one state."""
+        """Return the diagnostic states of all devices, each once; a device with several units has one state."""
         return [state for unit, state in list(self._states.items()) if unit == state.unit]
 
 
@@ -309,7 +309,7 @@ class CommunicationState:
     # What functions 08, 11 and 12 ask for.
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
-        """Execute a sub-function of 08 and return the data of its reply. Raises `Refusal` 01 if it is not offered."""
+        """Execute a sub-function of function 08 and return the data of its reply. Raises `Refusal` 01 if unknown."""
         self.line.fold()
         if sub_code in _CHANGES and not self.line.changes_allowed:
             raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "this listener does not take diagnostics that change it")
@@ -337,16 +337,16 @@ class CommunicationState:
         return data
 
     def event_counter(self) -> tuple[int, int]:
-        """Status word and number of successful messages, for function 11."""
+        """Return status word and number of successful messages, for the reply of function 11."""
         return 0xFFFF if self.program_command_running else 0, self.event_count
 
     def event_log(self) -> tuple[int, int, int, bytes]:
-        """Status word, event count, message count, and up to 64 event bytes, the newest first, for function 12."""
+        """Return status word, event and message counts, and up to 64 event bytes, newest first, for function 12."""
         status, events = self.event_counter()
         return status, events, self.message_count, bytes(self._log)
 
     def restart(self, *, clear_log: bool = False) -> None:
-        """Restart communications: counters cleared, listen-only mode left, the event log kept unless asked."""
+        """Restart communications (08/01): clear counters, leave listen-only mode, keep the event log unless asked."""
         self._clear()
         self.line.listen_only_units.discard(self.unit)
         self._restart_clears_log = None
@@ -373,7 +373,7 @@ class CommunicationState:
         self.log_received(ReceiveEvent.RECEIVED | ReceiveEvent.BROADCAST)
 
     def log_received(self, event: int) -> None:
-        """Log a receive event that every unit hears."""
+        """Log a receive event that all units of a line hear."""
         self._log.appendleft(event | ReceiveEvent.LISTEN_ONLY if self.listen_only else event)
 
     def answered(self, *, exception: int | None = None, counts: bool = True) -> None:
@@ -393,7 +393,7 @@ class CommunicationState:
             self._log.appendleft(event)
 
     def failed(self, exception: int) -> None:
-        """Count a request, perhaps a broadcast, that ended with an exception code."""
+        """Count a request to this unit, perhaps a broadcast, that ended with an exception code."""
         if exception == ExceptionCode.SERVER_DEVICE_BUSY:
             self.own.server_busy_count += 1
         elif exception == ExceptionCode.NEGATIVE_ACKNOWLEDGE:
@@ -413,7 +413,7 @@ class CommunicationState:
         self._finish(_SENT | SendEvent.WRITE_TIMEOUT if write_failed else _SENT)
 
     def take_many(self, exchanged: int, arrived: int, departed: int) -> None:
-        """Count and log what was added to `LineDiagnostics.exchanged`, `arrived` and `departed`."""
+        """Count and log what was noted for this unit in `exchanged`, `arrived` and `departed` of `LineDiagnostics`."""
         self.own.server_message_count += exchanged + arrived
         self._event_count += exchanged + departed
         log = self._log
@@ -422,13 +422,13 @@ class CommunicationState:
         log.extendleft(_PLAIN_EXCHANGE[:1] * min(departed, EVENT_LOG_SIZE))
 
     def _finish(self, event: int) -> None:
-        """Log the end of a message, and do the restart that it may have requested."""
+        """Log the end of a message, and carry out a restart that the message has requested."""
         self._log.appendleft(event | _SENT_MUTED if self.unit in self.line.listen_only_units else event)
         if self._restart_clears_log is not None:
             self.restart(clear_log=self._restart_clears_log)
 
     def _clear(self) -> None:
-        """Clear the counters of the unit, also those of functions 11 and 12 (§6.9, §6.10)."""
+        """Clear the diagnostic counters of the unit, also those of functions 11 and 12 (§6.9, §6.10)."""
         self.line.fold()
         self._heard_before = replace(self.line.heard)
         self.own = Counters()
@@ -436,7 +436,7 @@ class CommunicationState:
 
 
 def _with_heard(own: Counters, heard: HeardCounters, before: HeardCounters) -> Counters:
-    """The own counters of a unit, completed by what its line has heard since ``before``."""
+    """Return a unit's own counters with what its line has heard since ``before`` added."""
     return replace(
         own,
         bus_message_count=heard.messages - before.messages,

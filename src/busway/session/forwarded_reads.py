@@ -38,7 +38,7 @@ DeliverTogether = Callable[[list[bytes]], None]
 
 
 class ForwardPlan:
-    """How one particular read is forwarded: to which upstream unit, and with which request.
+    """How a gateway forwards one particular read: to which upstream unit, and with which request.
 
     Args:
         target: the unit upstream it is sent to.
@@ -64,16 +64,16 @@ class ForwardPlan:
         self.head: bytes = HEAD.pack(0, 0, 1 + request.expected_size, unit)[2:] + request.expected_prefix
 
     def refusal(self, code: int) -> bytes:
-        """An exception reply with this code, without its transaction identifier."""
+        """Return an exception reply with this code for the client, without its transaction identifier."""
         return b"\0\0\0\3" + self.head[4:5] + bytes((self.head[5] | 0x80, code))
 
     def whole(self, replies: Sequence[Message]) -> Message:
-        """The reply for the client: that of the only request, because a read on this path is not split."""
+        """Return the client's reply from the reply of the only request: a read on this path is not split."""
         return replies[0]
 
 
 class ForwardPlans:
-    """Forwarding plans of reads, by the ten bytes after the transaction.
+    """Cache that says how known reads are forwarded, by the ten bytes after the transaction identifier.
 
     Attributes:
         known: plans of the reads that are forwarded.
@@ -95,7 +95,7 @@ class ForwardPlans:
         return key in self.known or key in self.others
 
     def learn(self, key: bytes, plan: ForwardPlan | None) -> None:
-        """Keep the forwarding plan of a read; None means that it takes the generic path."""
+        """Remember how a read is forwarded; None means that it takes the generic path."""
         if plan is None:
             if len(self.others) >= _PLAN_LIMIT:
                 self.others.clear()
@@ -116,11 +116,11 @@ class ForwardPlans:
 
 
 class ReadObserver(Protocol):
-    """Observer of forwarded reads: told of their replies (`busway.session.pipeline.RequestPipeline`)."""
+    """Observer of forwarded reads, such as metrics: told of their replies (see `RequestPipeline`)."""
 
     @property
     def clock(self) -> Callable[[], float]:
-        """The clock by which ``began`` of the reads is measured."""
+        """The clock by which the time ``began`` of a read is measured."""
 
     def forwarded(self, client: "ClientIdentity", replies: Sequence[bytes], began: float) -> None:
         """Report that reads which arrived together at ``began`` were answered with these ADUs."""
@@ -131,20 +131,20 @@ class ReadObserver(Protocol):
 
 @runtime_checkable
 class ReadForwarder(Protocol):
-    """A responder that can forward reads in batches."""
+    """A gateway's responder, which can forward reads together instead of one by one."""
 
     def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
-        """The forwarding plan of a read; None if the read has to take the generic path."""
+        """Return how a read is forwarded; None if the read has to take the generic path."""
 
 
 @lru_cache(maxsize=64)
 def _shape(count: int) -> Struct:
-    """Struct layout of ``count`` reads in a row: transaction and key of each."""
+    """Return the `struct` layout of ``count`` reads in a row: the transaction identifier and the rest of each."""
     return Struct("2s10s" * count)
 
 
 class ForwardedReads:
-    """The forwarded reads of one client connection.
+    """The reads of one client connection that a gateway has forwarded, and their replies until they are sent.
 
     Attributes:
         peer: ``host:port`` of the client.
@@ -194,9 +194,7 @@ class ForwardedReads:
         self.batches: dict[Any, None] = {}  # Any: batches are the gateway's
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
-        """Forward the known reads in a buffer from ``at`` on, while slots are free. Returns the offset of the first
-        other request.
-        """
+        """Forward the known reads in ``buffer`` from ``at`` on, while slots are free. Returns where the rest begins."""
         slots = self._slots
         count = min((size - at) // READ_SIZE, slots.limit - slots.used)
         if count <= 0:
@@ -238,7 +236,7 @@ class ForwardedReads:
         return end
 
     def _known_ones(self, keys: Sequence[bytes]) -> Iterator[ForwardPlan]:
-        """The forwarding plans of the reads before the first unknown one."""
+        """Return how each read is forwarded, up to the first read that is not known yet."""
         for key in keys:
             plan = self.plans.known.get(key)
             if plan is None:
@@ -246,7 +244,7 @@ class ForwardedReads:
             yield plan
 
     def _ask_each(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan]) -> None:
-        """Forward reads to several upstream units, those of each unit together."""
+        """Forward reads to several upstream units, those of each unit in one go."""
         by_target: dict[ForwardingTarget, tuple[list[bytes], list[ForwardPlan]]] = {}
         for transaction, plan in zip(transactions, plans, strict=True):
             those = by_target.setdefault(plan.target, ([], []))
@@ -256,7 +254,7 @@ class ForwardedReads:
             target.ask(self, some, their_plans)
 
     def answer(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan], data: Sequence[bytes]) -> None:
-        """Answer reads of one upstream unit with their data; `send` transmits the replies."""
+        """Answer the reads of one upstream unit with the data it sent; `send` transmits the replies."""
         if self._is_open:
             count = len(plans)
             self.waiting -= count
@@ -272,11 +270,11 @@ class ForwardedReads:
                 self._ready += [transaction + plan.head + one for transaction, plan, one in reads]
 
     def reply(self, transaction: bytes, plan: ForwardPlan, reply: Any) -> None:  # Any: a message with ``data``
-        """Answer a read with a decoded reply; `send` transmits it."""
+        """Answer one read with the decoded reply of its upstream; `send` transmits it."""
         self.answer((transaction,), (plan,), (reply.data,))
 
     def refuse(self, transaction: bytes, plan: ForwardPlan, code: int) -> None:
-        """Answer a read with an exception code; `send` transmits it."""
+        """Answer one read with an exception code; `send` transmits it."""
         if self._is_open:
             self.waiting -= 1
             self._slots.used -= 1
@@ -284,7 +282,7 @@ class ForwardedReads:
             self._ready.append(transaction + plan.refusal(code))
 
     def send(self) -> None:
-        """Transmit all finished replies together."""
+        """Transmit all replies that are ready to the client, together."""
         ready = self._ready
         if ready:
             self._ready = []
@@ -302,7 +300,7 @@ class ForwardedReads:
             observer.forwarded(self._client, replies, arrived)
 
     def close(self) -> None:
-        """End with the client's connection: waiting reads get no reply, and their slots are freed."""
+        """End with the client's connection: reads without reply get none, and their slots are freed."""
         self._is_open = False
         if self._observed_by is not None and self.waiting:
             self._observed_by.unanswered(self._client, self.waiting)

@@ -1,5 +1,4 @@
-"""Late replies of the units of a serial line: which are outstanding, and which requests may be sent before they have
-come.
+"""Late replies on a serial line: which may still come, and which requests must wait for them to be told apart.
 
 Knows requests, units and times; knows no bytes of a frame beyond its PDU, no port and no clock.
 
@@ -43,7 +42,7 @@ _EXCEPTION: Final = 0x80
 
 
 class MarkerKind(Enum):
-    """Kinds of markers: harmless requests whose reply ends a doubt, in the order in which they are tried."""
+    """Kinds of markers, harmless requests whose reply shows that no older one is still to come, in the order tried."""
 
     RETURN_QUERY_DATA = "08/00 with a number of its own"
     OTHER_LENGTH = "a read that was answered before, with another length"
@@ -89,17 +88,17 @@ class OwedReply:
     times: int = 1
 
     def may_be(self, pdu: bytes) -> bool:
-        """Whether a received PDU may be the reply to this request."""
+        """Whether a received PDU could be the reply to this request."""
         return may_answer(self.request, pdu)
 
     def is_of(self, call: object, position: int) -> bool:
-        """Whether this owed reply belongs to an earlier attempt of the request at ``position`` of ``call``."""
+        """Whether this request was an earlier attempt of the request at ``position`` of ``call``."""
         return self.call is call and self.position == position and call is not None
 
 
 @dataclass(slots=True)
 class UnitDoubt:
-    """The owed replies of one unit and the markers that it answers.
+    """The replies that one unit may still send late, and which kinds of markers it answers.
 
     Attributes:
         owed: the replies that may still come, in the order of their requests.
@@ -145,7 +144,7 @@ class UnitDoubt:
         self.owed.append(reply)
 
     def is_older(self, pdu: bytes) -> bool:
-        """Whether a received PDU must be taken for one of the replies counted in ``older``.
+        """Whether a received PDU must be taken for one of the late replies that are only counted, in ``older``.
 
         A reply to 08/00 is not: its number identifies its request.
         """
@@ -153,14 +152,14 @@ class UnitDoubt:
         return function in self.older and pdu[0] != ReturnQueryData.code
 
     def older_came(self, pdu: bytes) -> None:
-        """Note that a reply counted in ``older`` has come; taking the earliest makes a doubt longer, never shorter."""
+        """Note that a late reply counted in ``older`` has come; the earliest is assumed, so no doubt ends too early."""
         function = pdu[0] & ~_EXCEPTION
         self.older[function] -= 1
         if not self.older[function]:
             del self.older[function]
 
     def candidates(self, pdu: bytes) -> list[OwedReply]:
-        """The owed replies that a received PDU may be, the earliest first: it must be taken for that one (rule 2)."""
+        """Return the owed replies that a received PDU could be, the earliest first, for which it is taken (rule 2)."""
         return [owed for owed in self.owed if owed.may_be(pdu)]
 
     def came(self, reply: OwedReply) -> None:
@@ -175,14 +174,14 @@ class UnitDoubt:
         self._count(reply.function)
 
     def _count(self, function: int) -> None:
-        """Count a reply with this function code, whichever request it answers (rule 5)."""
+        """Take a reply with this function code off the replies that time must exclude (rule 5)."""
         for index, owed in enumerate(self.pending):
             if owed.function == function:
                 del self.pending[index]
                 return
 
     def answered(self, request: Request) -> None:
-        """Forget ``owed`` and ``older``: the request in flight got a reply that none of them could be (rule 2)."""
+        """Forget all owed replies: the request in flight got a reply that none of them could be (rule 2)."""
         self.owed.clear()
         self.older.clear()
         if request.wire[0] != self.unasked:
@@ -191,7 +190,7 @@ class UnitDoubt:
     # Requests that may be sent.
 
     def in_doubt(self, request: Request, call: object, position: int) -> bool:
-        """Whether an owed reply of another call could be taken for the reply to this prepared request (rule 3)."""
+        """Whether a late reply to another call could be taken for the reply to this request (rule 3)."""
         function = request.wire[0]
         if self.unasked == function or function in self.older:
             return True
@@ -199,7 +198,7 @@ class UnitDoubt:
         return any(request.is_write or _same_shape(owed.request, request) for owed in others)
 
     def waits_until(self, function: int, call: object, position: int, now: float) -> float:
-        """The earliest time to send a request without relying on the order of replies (rule 5); ``now`` for at once."""
+        """Return the earliest time to send a request to a unit whose order of replies is not trusted (rule 5)."""
         if not self.pending:
             return now
         self.pending = [owed for owed in self.pending if owed.until > now]
@@ -208,23 +207,23 @@ class UnitDoubt:
 
     @property
     def owed_count(self) -> int:
-        """Number of replies that the unit owes."""
+        """Number of replies that the unit may still send late."""
         return sum(one.times for one in self.owed) + sum(self.older.values())
 
     @property
     def is_owed(self) -> bool:
-        """Whether the unit owes replies, or sent a frame unasked."""
+        """Whether the unit may still send late replies, or has sent a frame unasked."""
         return bool(self.owed or self.older or self.unasked is not None)
 
     @property
     def is_empty(self) -> bool:
-        """Whether the unit owes nothing, and no waiting time is running."""
+        """Whether the unit owes no reply and no waiting time for late replies is running."""
         return not self.is_owed and not self.pending
 
     # Markers.
 
     def marker(self, number: int, *, is_check: bool = False) -> Marker | None:
-        """The next marker to send to the unit, or None if it answered no kind of marker.
+        """Return the next marker request to send to the unit, or None if it answered no kind of marker.
 
         ``number``, 0…65535, is the data of 08/00; no marker that is still owed a reply may have used it.
         """
@@ -250,7 +249,7 @@ class UnitDoubt:
         return None if taken else request
 
     def _read_of_other_length(self) -> Request | None:
-        """A part of a read that was answered before, with a length that no owed reply and not the last reply has."""
+        """Return a marker: a part of the last good read, short enough that no late reply could be its answer."""
         good = self.good
         if good is None or good.wire[0] in self.older:
             return None
@@ -264,7 +263,7 @@ class UnitDoubt:
         return None
 
     def marked(self, kind: MarkerKind) -> None:
-        """Note that the unit answered a marker of this kind."""
+        """Note that the unit answered a marker of this kind, so that it is tried first next time."""
         self.works = kind
         self.silent.discard(kind)
         self.unasked = None
@@ -275,13 +274,13 @@ class UnitDoubt:
         self.silent.add(kind)
 
     def revived(self) -> None:
-        """Allow all kinds of markers again, because a unit that was given up answers."""
+        """Allow all kinds of markers again, because a unit that had stopped answering answers."""
         self.silent.clear()
 
     # Replies in time.
 
     def heard(self, request: Request, *, is_exception: bool) -> None:
-        """Note a reply in time, and count replies of the same shape in a row (rule 7)."""
+        """Note a reply that came in time, and count replies of the same shape in a row (rule 7)."""
         last, self.last = self.last, request
         if request is last or (
             last is not None and self._is_alike(request, last, is_exception=is_exception)
@@ -297,7 +296,7 @@ class UnitDoubt:
 
 
 def may_answer(request: Request, pdu: bytes) -> bool:
-    """Whether a received PDU may be the reply, or an exception reply, to a prepared request."""
+    """Whether a received PDU could be the reply, or an exception reply, to a request."""
     if pdu[0] & ~_EXCEPTION != request.wire[0]:
         return False
     if pdu[0] & _EXCEPTION:
@@ -310,7 +309,7 @@ _READS: Final = (ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputR
 
 
 def _same_shape(request: Request, other: Request) -> bool:
-    """Whether a normal reply to one request may be taken for a reply to the other."""
+    """Whether a normal reply to one of two requests could be taken for a reply to the other."""
     return (
         request is other
         or UNKNOWN_LENGTH in (request.expected_size, other.expected_size)
@@ -323,8 +322,7 @@ def _may_be_reply_to(part: Request, owed: OwedReply) -> bool:
 
 
 class Doubts:
-    """Owed replies of all units of one link; kept across connections, and after the link
-    (`busway.client.kept_late_replies`).
+    """The late replies that all units of one link may still send; kept across connections, and after the link.
 
     Attributes:
         units: the state of each unit that a request was sent to.
@@ -337,28 +335,28 @@ class Doubts:
         self._number = 0
 
     def of(self, unit: int) -> UnitDoubt:
-        """The state of owed replies of a unit, created at the first use."""
+        """Return the late replies of one unit, an empty record at the first use."""
         found = self.units.get(unit)
         if found is None:
             found = self.units[unit] = UnitDoubt()
         return found
 
     def marker(self, unit: int, *, is_check: bool = False) -> Marker | None:
-        """The next marker to try for a unit, or None (`UnitDoubt.marker`)."""
+        """Return the next marker request to try for a unit, or None (`UnitDoubt.marker`)."""
         self._number = (self._number + 1) & 0xFFFF
         return self.of(unit).marker(self._number, is_check=is_check)
 
     def in_doubt(self) -> list[int]:
-        """The units that owe replies, in ascending order."""
+        """Return the units that may still send late replies, in ascending order."""
         return sorted(unit for unit, doubt in self.units.items() if doubt.owed or doubt.unasked is not None)
 
     @property
     def is_owed(self) -> bool:
-        """Whether a later link to the same endpoint must know of owed replies."""
+        """Whether late replies may still come that a later link to the same endpoint must know of."""
         return any(not doubt.is_empty for doubt in self.units.values())
 
     def add(self, other: "Doubts") -> None:
-        """Add the owed replies of an earlier link to the same endpoint, in the order of their requests."""
+        """Add the late replies of an earlier link to the same endpoint, in the order of their requests."""
         for unit, theirs in other.units.items():
             ours = self.of(unit)
             ours.owed = sorted((*ours.owed, *theirs.owed), key=lambda owed: owed.sent)

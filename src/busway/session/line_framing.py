@@ -1,4 +1,4 @@
-"""The framing of a serial session: a receiver, an encoder, and the silence before sending.
+"""Framing of a serial session: the receiver, the encoder, and the silence that a frame needs before it.
 
 Knows which receiver goes with which framing and its options; knows no port and no session.
 
@@ -22,7 +22,7 @@ from ..pdu.functions import STANDARD, FunctionTable
 
 
 class LineFraming:
-    """Framing of one end of a serial line: its receiver, encoder and silent times. Made by `line_framing`.
+    """What one station uses to speak RTU or ASCII: receiver, encoder and silent times. Made by `line_framing`.
 
     Attributes:
         receiver: finds the frames.
@@ -44,13 +44,13 @@ class LineFraming:
         return not self.timing.character
 
     def encode(self, unit: int, pdu: bytes) -> bytes:
-        """The frame of a PDU of 1…253 bytes for ``unit`` 0…255."""
+        """Return the frame that carries a PDU of 1…253 bytes for ``unit`` 0…255."""
         if self._ascii is not None:
             return encode_ascii(unit, pdu, self._ascii.delimiter)
         return encode_rtu(unit, pdu)
 
     def delimit_by(self, character: int) -> None:
-        """Set the end delimiter of ASCII frames, 0…127, from now on; no effect with RTU."""
+        """Set the character, 0…127, that ends ASCII frames from now on; no effect with RTU."""
         if self._ascii is not None:
             self._ascii.delimiter = character
 
@@ -67,7 +67,7 @@ def line_framing(
     strip_parity: bool = False,
     started: float | None = None,
 ) -> LineFraming:
-    """Create the framing of one end of a line.
+    """Create receiver, encoder and times for one station on a serial line, or for serial framing over a network.
 
     Args:
         framing: ``rtu`` or ``ascii``.

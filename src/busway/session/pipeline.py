@@ -1,4 +1,4 @@
-"""The path of every request through a server: authorizer, responder and observers; and the fast path.
+"""The way of every request through a server: authorizer, responder and observers; or the fast path past them.
 
 Knows the order of the parts, and when what was learnt becomes invalid; knows no transport, no device and no rule.
 
@@ -47,50 +47,44 @@ _MOST_FUNCTIONS: Final = 4096
 
 
 class ClientRights(Protocol):
-    """The rights of a set of clients under a policy; equal for clients with equal rights."""
+    """Interface of what a policy permits to certain clients; equal for clients with equal rights."""
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """The fast answer to a function of a unit, limited to what is permitted; None if each request must be
-        decided.
-        """
+        """Return a function that answers one function code for these clients; None if each request needs a decision."""
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read is always permitted, without a rate limit, so that it may be forwarded unchecked."""
+        """Whether a read request is always permitted, without a rate limit, so that it may be forwarded unchecked."""
 
 
 class Authorizer(Protocol):
-    """Decides which requests a server executes."""
+    """Interface of what decides which requests a server executes."""
 
     @property
     def generation(self) -> int:
-        """A number that changes when earlier decisions, and results of `rights_of`, become invalid."""
+        """A number that changes when earlier decisions, or results of `rights_of`, are no longer right."""
 
     def rights_of(self, client: ClientIdentity) -> ClientRights:
-        """The rights of a client under the policy."""
+        """Return what the policy permits to a client."""
 
     def authorize(
         self, context: RequestContext, request: AnyRequest, served: ServedUnit | None
     ) -> ExceptionResponse | None:
-        """Permit a request (None), or refuse it with a reply. Sets `RequestContext.judged`."""
+        """Return None to permit a request, or the reply that refuses it. Sets `RequestContext.judged`."""
 
 
 class RequestObserver(Protocol):
-    """Observer of requests and their outcomes, without influence on them. Seconds are from a request's arrival to its
-    end.
-    """
+    """Observer of requests and their outcomes, without influence on them. Seconds count from a request's arrival."""
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Report replies that the fast path has given, ADUs of Modbus TCP, and the seconds that all of them took."""
+        """Called with replies of the fast path, as Modbus TCP frames, and the seconds that all of them took."""
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Report that a client disconnected before so many of its forwarded requests were answered."""
+        """Called when a client disconnected before so many of its forwarded requests were answered."""
 
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
     ) -> None:
-        """Report the outcome of a request on the generic path: a reply, `SILENCE`, or None if the client disconnected
-        before.
-        """
+        """Called with the outcome of a request on the generic path: a reply, `SILENCE`, or None after a disconnect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +96,7 @@ class ResponderFailure:
 
 
 class RequestPipeline:
-    """The responder, authorizer and observers of a listener, as one path for its requests.
+    """The way of a listener's requests: asks the authorizer, then the responder, and tells the observers.
 
     Args:
         responder: answers permitted requests.
@@ -129,17 +123,17 @@ class RequestPipeline:
 
     @property
     def functions(self) -> FunctionTable:
-        """The table of functions that the responder decodes."""
+        """The table of function codes, with their messages, that the responder knows."""
         return self.responder.functions
 
     @property
     def generation(self) -> int:
-        """A number that changes when a `FastPath` becomes invalid."""
+        """A number that changes when functions compiled for the fast path are no longer right."""
         authorizer = self.authorizer
         return self.responder.generation if authorizer is None else self.responder.generation + authorizer.generation
 
     def fast_path(self, client: ClientIdentity) -> "FastPath":
-        """The fast path for a client, shared with all clients that have the same rights."""
+        """Return the cache of compiled answers that all clients with the same rights as this one share."""
         generation = self.generation
         if self._fast_of != generation or len(self._fast) > _MOST_RIGHTS:
             self._fast, self._fast_of = {}, generation
@@ -182,7 +176,7 @@ class RequestPipeline:
         return outcome
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], began: float) -> None:
-        """Tell the observers of replies that the fast path has given since ``began``."""
+        """Tell the observers of replies that the fast path has given since the time ``began``."""
         seconds = self.clock() - began
         for observer in self.observers:
             observer.answered(client, replies, seconds)
@@ -206,7 +200,7 @@ class RequestPipeline:
 
 
 class FastPath:
-    """Cache of compiled answers to requests, for all clients with the same rights.
+    """Cache of functions that answer requests from their bytes, for all clients with the same rights.
 
     Attributes:
         reads: how reads of registers are answered, by the ten bytes after the transaction: a poller repeats them.
@@ -225,9 +219,7 @@ class FastPath:
         self.forwards: ForwardPlans = ForwardPlans()
 
     def bind(self, unit: int, function: int) -> Answer | None:
-        """Find and keep the function that answers a function code of a unit; None if its requests take the generic
-        path.
-        """
+        """Find and keep the function that answers one function code of a unit; None if that takes the generic path."""
         answer = self._bound(unit, function)
         if len(self.functions) >= _MOST_FUNCTIONS:
             self.functions.clear()
@@ -241,7 +233,7 @@ class FastPath:
         return kind.direct(served.device) if self._rights is None else self._rights.bind(unit, served, kind)
 
     def learn_read(self, adu: bytes) -> bool:
-        """Keep the bytes of a read that was just answered. Returns whether there is room for another."""
+        """Keep the bytes of a read that was just answered, to recognise it. Returns whether there is room for more."""
         unit, pdu = adu[6], adu[7:]
         served, kind = self._direct(unit, pdu[0])
         if served is not None and served.device is not None and kind is not None:
@@ -251,7 +243,7 @@ class FastPath:
         return len(self.reads) < MOST_READS
 
     def can_forward(self, forwarder: ReadForwarder, context: RequestContext, adu: bytes) -> bool:
-        """Learn how a new read is forwarded. Returns whether it is forwarded on the fast path from now on."""
+        """Decide how a new read is forwarded. Returns whether it takes the fast path from now on."""
         key = adu[2:]
         if not is_read(adu) or key in self.forwards:
             return False  # a known read comes here if no slot is left, or it needs the generic path
@@ -262,7 +254,7 @@ class FastPath:
         return plan is not None
 
     def _direct(self, unit: int, function: int) -> tuple[ServedUnit | None, type[Request] | None]:
-        """The unit and the function's request class, if the unit's device offers the function on the fast path."""
+        """Return the unit and the request class of a function code, if the unit's device offers it on the fast path."""
         served = self._responder.serves(unit)
         if served is None or served.device is None or not served.is_direct or not served.device.enabled(function):
             return None, None
@@ -275,17 +267,17 @@ class FastPath:
 
 
 class _NoUnits:
-    """The responder of a server without units."""
+    """The responder of a server that has no units."""
 
     functions = STANDARD
     generation = 0
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """None: there are no units."""
+        """Return None, as the server has no units."""
         return None
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """`SILENCE`: a server without units does not answer."""
+        """Return `SILENCE`: a server without units does not answer."""
         return SILENCE
 
 

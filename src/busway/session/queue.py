@@ -1,4 +1,4 @@
-"""The bounded queue of calls of one link, and the order in which they are served.
+"""The bounded queue of one link's calls, and the order in which their requests are sent.
 
 Knows callers, units and the order among them; knows no clock and no bytes.
 
@@ -35,7 +35,7 @@ Eligible = Callable[[Call], bool]
 
 
 class _Caller:
-    """The queued calls of one caller, in order of arrival."""
+    """The queued calls of one caller, such as a client of a gateway, in order of arrival."""
 
     __slots__ = ("calls", "key", "round", "served", "units", "writes")
 
@@ -68,14 +68,14 @@ class _Caller:
         return chosen
 
     def has_served(self, unit: int) -> None:
-        """Note that a unit has had its turn, if units are served in turn."""
+        """Note that a request went to this unit, so that other units come before it, if units are served in turn."""
         served = self.served
         if served is not None and len(self.units) > 1:
             served.pop(unit, None)
             served[unit] = None
 
     def _unit_in_turn(self, served: dict[int, None], eligible: Eligible | None) -> Call | None:
-        """The caller's oldest call to the unit whose last turn was longest ago."""
+        """Return the caller's oldest call to the unit that has waited longest since its last request."""
         oldest: dict[int, Call] = {}
         for call in self.calls:
             oldest.setdefault(call.unit, call)
@@ -84,7 +84,7 @@ class _Caller:
 
 
 class _Round:
-    """The callers of a queue that are served in turn, the next one first."""
+    """The callers of a queue in the order in which they may send next."""
 
     __slots__ = ("callers", "last")
 
@@ -190,16 +190,14 @@ class RequestQueue:
         self.waiting += call.places
 
     def share(self, room: int) -> int:
-        """Number of requests a caller may send in one turn if there is room for ``room``: the burst, or more if few
-        callers wait.
-        """
+        """Return how many requests a caller may send in one turn, with ``room`` for so many: the burst or more."""
         callers = len(self._callers)
         if callers == 1:
             return room
         return 1 if self.burst == 1 else max(self.burst, room // callers)
 
     def sent(self, call: Call, count: int) -> None:
-        """Note that ``count`` requests of a picked call were sent; the call leaves the queue with its last request."""
+        """Note that ``count`` requests of a picked call were sent; a call without further requests leaves the queue."""
         if not call.has_more:
             self.remove(call)
             return
@@ -210,7 +208,7 @@ class RequestQueue:
             self.waiting -= freed
 
     def pick_same(self, eligible: Eligible | None = None) -> Call | None:
-        """The next call of the caller picked last, within the same turn; None if it has no more."""
+        """Return another call of the caller picked last, within the same turn; None if it has no more."""
         caller = self._last
         if caller is None or not caller.calls:
             return None
@@ -220,7 +218,7 @@ class RequestQueue:
         return call
 
     def pick(self, eligible: Eligible | None = None) -> Call | None:
-        """The call whose next request is to be sent, or None. Its caller goes to the end of the round."""
+        """Return the call whose request is sent next, or None. Its caller goes to the end of the round."""
         others = self._others
         if len(self._callers) == 1 and others.callers:  # the usual case
             caller = others.callers[0]
@@ -236,7 +234,7 @@ class RequestQueue:
         return call
 
     def peek(self, eligible: Eligible | None = None) -> Call | None:
-        """The call that `pick` would return now, without ending its caller's turn."""
+        """Return the call that `pick` would return now, without ending its caller's turn."""
         for round_ in self._rounds() if self._priority.callers else (self._others,):
             for caller in round_.callers:
                 call = caller.pick(eligible)
@@ -245,7 +243,7 @@ class RequestQueue:
         return None
 
     def take_turn(self, call: Call) -> None:
-        """End the turn of a call's caller: those before and itself go to the end of the round."""
+        """End the turn of the caller of a call: it, and those before it, go to the end of the round."""
         caller = self._last = self._callers[call.caller]
         round_ = caller.round
         round_.last = caller
@@ -259,13 +257,13 @@ class RequestQueue:
             caller.has_served(call.unit)
 
     def _rounds(self) -> tuple[_Round, ...]:
-        """Both rounds of callers, the one whose turn is next first."""
+        """Return both rounds of callers, the one whose turn is next first."""
         if self._passed >= self._allowed:
             return self._others, self._priority
         return self._priority, self._others
 
     def remove(self, call: Call) -> bool:
-        """Remove a call that is completely sent or given up. Returns whether it was queued."""
+        """Remove a call that needs nothing more sent, or was given up. Returns whether it was queued."""
         caller = self._callers.get(call.caller)
         if caller is None:
             return False

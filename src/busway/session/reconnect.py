@@ -1,4 +1,4 @@
-"""When to reconnect: a state table, and a backoff.
+"""When a link connects again: the states of its connection, and the pauses between attempts.
 
 Knows outcomes and times; knows no socket. ``jitter`` is passed in (it returns a number 0…1), so a test can fix it.
 
@@ -63,7 +63,7 @@ LONGEST_PAUSE: Final = 5.0
 
 
 class Reconnect:
-    """State of one link's connection and the pause before its next attempt.
+    """State of one link's connection, and the pause before its next attempt to connect.
 
     Attributes:
         state: the current state.
@@ -82,7 +82,7 @@ class Reconnect:
         self.not_before: float = 0.0
 
     def move(self, event: ConnectionEvent, now: float, *, reason: str = "", had_reply: bool = False) -> str:
-        """Apply an event to the state; an event without an entry in the table changes nothing.
+        """Change the state of the connection by an event; one that the table has no entry for changes nothing.
 
         Args:
             event: what happened.
@@ -109,22 +109,18 @@ class Reconnect:
 
     @property
     def is_flapping(self) -> bool:
-        """Whether the link backs off after several failed attempts: then calls fail instead of waiting for the next
-        one.
-        """
+        """Whether several attempts in a row have failed, so that calls fail at once instead of waiting for the next."""
         return self.state is ConnectionState.BACKING_OFF and self.failures > 1
 
     def may_dial(self, now: float) -> bool:
-        """Whether a connection attempt may be made now; leaves BACKING_OFF if the pause is over."""
+        """Whether an attempt to connect may be made now; ends the state BACKING_OFF if the pause is over."""
         if self.state is ConnectionState.BACKING_OFF and now >= self.not_before:
             self.move(ConnectionEvent.PAUSE_OVER, now)
         return self.state is ConnectionState.DOWN
 
 
 def _news(event: ConnectionEvent, reason: str, failed: int, state: ConnectionState, *, new_state: bool) -> str:
-    """The log message for the operator about a connection event, after ``failed`` attempts without a valid reply; or
-    empty.
-    """
+    """Return the log message about a connection event, after ``failed`` attempts without valid reply; or empty."""
     if event is ConnectionEvent.VALID_REPLY:
         if failed:
             return f"up: it answers again, after {failed} {'attempt' if failed == 1 else 'attempts'} without a reply"

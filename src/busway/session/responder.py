@@ -1,4 +1,4 @@
-"""The interface of responders, which answer the requests of a server: two methods.
+"""The interface of responders, which answer the requests of a server, and what they get with each request.
 
 Knows no device, policy or gateway.
 
@@ -24,7 +24,7 @@ from .diagnostics import CommunicationState
 
 
 class Deferral(Enum):
-    """The two outcomes of a responder that carry no reply: `LATER` and `SILENCE`."""
+    """What a responder returns instead of a reply: `LATER` (it follows) or `SILENCE` (there is none)."""
 
     LATER = "later"
     SILENCE = "silence"
@@ -40,7 +40,7 @@ Replaced = tuple[bytes | None, ...]
 
 
 class ClientIdentity:
-    """The client of a connection: its address, certificate and listener.
+    """Who sent a request: the client's address, its certificate and the listener that it uses.
 
     Attributes:
         peer: ``host:port`` of the client, or the name of a serial line.
@@ -95,7 +95,7 @@ class Judged:
 
 
 class RequestContext:
-    """The circumstances of one request (client, unit, listener), and the way to give a late reply.
+    """Circumstances of one request: client, unit, listener; and the way to give its reply later.
 
     Attributes:
         client: who sent it; also as ``peer``, ``listener``, ``role`` and ``is_priority``.
@@ -145,7 +145,7 @@ class RequestContext:
 
     @property
     def peer(self) -> str:
-        """The client as ``host:port``, or the name of a serial line."""
+        """The client's address as ``host:port``, or the name of a serial line."""
         return self.client.peer
 
     @property
@@ -164,7 +164,7 @@ class RequestContext:
         return self.client.is_priority
 
     def replacing(self, values: Replaced) -> None:
-        """Report the old values that a write replaces; called by a responder in one step with the write.
+        """Report the old values that a write replaces; the responder calls it in one step with the write.
 
         There is one element for each range to be written, in the order of `Request.spans` (for file records, for each
         group). Raises `Refusal` where a rule forbids the write because of these values; then it is not executed.
@@ -176,7 +176,7 @@ class RequestContext:
                 judged.check(values)
 
     def inside(self, finish: Callable[["RequestContext", Message | Deferral], None]) -> "RequestContext":
-        """A context for a responder that is wrapped by another one; its late reply goes to ``finish``."""
+        """Return a context for a responder that another one wraps; its late reply goes to ``finish``."""
         made = RequestContext(
             unit=self.unit,
             function=self.function,
@@ -191,11 +191,11 @@ class RequestContext:
 
     @property
     def replied(self) -> bool:
-        """Whether the late reply was given, or can no longer be given."""
+        """Whether the late reply to this request was given, or can no longer be given."""
         return self._finish is None
 
     def reply(self, reply: Message | Deferral) -> None:
-        """Give the reply that `LATER` promised. Does nothing the second time, or after the client disconnected."""
+        """Give the reply that `LATER` promised. A second reply, or one after the client left, is ignored."""
         finish, self._finish = self._finish, None
         if finish is not None:
             self.end(reply)
@@ -206,7 +206,7 @@ class RequestContext:
         self.reply(ExceptionResponse(self.function, code))
 
     def abandon(self) -> None:
-        """Report that the client disconnected or gave up: no reply can be given, and the responder may stop working."""
+        """Note that the client disconnected or gave up: no reply can be given, and the responder may stop working."""
         self._finish = None
         self.end(None)
         gone, self.gone = self.gone, None
@@ -214,37 +214,35 @@ class RequestContext:
             gone()
 
     def watch(self, ended: Callable[[Message | Deferral | None], None]) -> None:
-        """Have ``ended`` called once with the outcome: the reply, `SILENCE`, or None if the client disconnects before
-        it.
-        """
+        """Have ``ended`` called once with the outcome: the reply, `SILENCE`, or None if the client leaves before it."""
         self._watchers = (*self._watchers, ended)
 
     def end(self, outcome: Message | Deferral | None) -> None:
-        """Report the outcome of the request to its watchers, unless they were told before."""
+        """Tell those who watch this request its outcome, unless they were told before."""
         watchers, self._watchers = self._watchers, ()
         for ended in watchers:
             ended(outcome)
 
 
 class ForwardingTarget(Protocol):
-    """A unit of another server that requests are forwarded to."""
+    """Interface of a unit of another server that requests are forwarded to."""
 
     def ask(self, asker: Any, tags: Sequence[Any], asked: Sequence[Any]) -> None:  # Any: of `Forwarding`, or of reads
-        """Forward a request. ``asker`` gets its answer, perhaps before this returns."""
+        """Forward a request. ``asker`` gets its answer, perhaps before this method returns."""
 
 
 class ForwardedMessage(Protocol):
-    """A request as it is asked of another server, and the way back for its reply."""
+    """A request in the form in which it goes to another server, and the way back for its reply."""
 
     def of_data(self, data: bytes) -> Message:
-        """The client's reply with the data of a read."""
+        """Return the client's reply to a read from the data that the other server sent."""
 
     def client_reply(self, reply: Message) -> Message:
-        """The client's reply, made from the other server's."""
+        """Return the client's reply, translated from the other server's reply."""
 
 
 class Forwarding:
-    """A request that a gateway forwards to one target or more, and the client that waits for it.
+    """A request that a gateway forwards to one or more targets, with the client that waits for its answer.
 
     The session begins it: ``ask`` of each target, with `ALONE`. When all have answered, the client gets the reply.
 
@@ -278,20 +276,20 @@ class Forwarding:
         context.gone = self._client_gone
 
     def answer(self, tags: Sequence[None], asked: Sequence[ForwardedMessage], data: Sequence[bytes]) -> None:
-        """Answer with the data of a read."""
+        """Answer the client with the data of a read."""
         self._answered(asked[0].of_data(data[0]))
 
     def reply(self, tag: None, asked: ForwardedMessage, reply: Message) -> None:
-        """Answer with the reply of a target."""
+        """Answer the client with the reply of a target."""
         self._answered(asked.client_reply(reply))
 
     def refuse(self, tag: None, asked: ForwardedMessage, code: int) -> None:
-        """Answer with an exception code."""
+        """Answer the client with an exception code."""
         self._reply = None
         self._answered(ExceptionResponse(self._context.function, code))
 
     def send(self) -> None:
-        """Nothing is left to send."""
+        """Do nothing: the answer of a single request is sent when it is given."""
 
     def _answered(self, reply: Message) -> None:
         if self._reply is None:
@@ -315,12 +313,12 @@ class DirectDevice(DirectModel, Protocol):
     """A device in this process that the fast path can read and write without its responder."""
 
     def enabled(self, code: int) -> bool:
-        """Whether the device offers a function."""
+        """Whether the device offers the function with this code."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServedUnit:
-    """A unit that a responder serves, with its device if the fast path can use it.
+    """A unit that a responder answers for, with its device if the fast path can use it.
 
     Attributes:
         unit: the unit as which its device is configured; the first where a sole device has several.
@@ -343,25 +341,25 @@ class ServedUnit:
 
 
 class Responder(Protocol):
-    """Answers the requests of a server."""
+    """Interface of what answers the requests of a server: devices, or a gateway."""
 
     @property
     def functions(self) -> FunctionTable:
-        """The table of functions that the responder decodes."""
+        """The table of function codes, with their messages, that the responder knows."""
 
     @property
     def generation(self) -> int:
-        """A number that changes when earlier results of `serves`, or what was compiled from them, become invalid."""
+        """A number that changes when earlier results of `serves`, or answers compiled from them, are out of date."""
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """The served unit that answers for ``unit``, 0…255; None if there is none."""
+        """Return the unit that answers requests to ``unit``, 0…255; None if there is none."""
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Answer a request (rule 1). Requests to units that are not served come here too."""
+        """Return the reply to a request, or `LATER` or `SILENCE`. Requests to unknown units come here too (rule 1)."""
 
 
 class SerialUnits:
-    """The units 1…247 that a responder answers for on a serial line, as a live view: those configured as such."""
+    """The units 1…247 for which a responder answers on a serial line, as a live view of those configured."""
 
     def __init__(self, responder: Responder) -> None:
         self._responder = responder

@@ -1,4 +1,4 @@
-"""Calls of a link from submission to outcome: queue, retries, deadlines; shared by all client sessions.
+"""What becomes of a link's calls from submission to outcome: queue, retries, deadlines; for all client sessions.
 
 Knows the queue, retries and the errors a request ends with; knows no framing, and no reply.
 
@@ -82,7 +82,7 @@ class CallTracker:
             self.deadlines += 1
 
     def withdraw(self, call: Call) -> None:
-        """Take a cancelled call out of the queue: nothing more of it is sent."""
+        """Take a cancelled call out of the queue: no more requests of it are sent."""
         self.queue.remove(call)
         if call.open and not call.ended:
             self.counters.cancelled += 1
@@ -105,7 +105,7 @@ class CallTracker:
                 self._given_up(call, position, reason(), now)
 
     def suspended(self, call: Call, pause: float, timeouts: int) -> UnitSuspended:
-        """Build and count the error of a request whose unit is suspended by its breaker.
+        """Return the error, and count it, of a request to a unit whose circuit breaker is open.
 
         Args:
             call: the call of the request.
@@ -122,7 +122,7 @@ class CallTracker:
         )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """No connection could be opened: fail every waiting call at once with the same reason.
+        """Fail every waiting call with the same reason, because no connection could be opened.
 
         With ``keep_repeated`` a call that is about to be repeated stays in the queue.
         """
@@ -137,7 +137,7 @@ class CallTracker:
                     self._given_up(call, position, copy, now)
 
     def next_deadline(self) -> float | None:
-        """The earliest deadline among the calls in the queue; None without any."""
+        """The earliest deadline among the calls in the queue; None if none has one."""
         if not self.deadlines:
             return None
         return min((one.deadline for one in self.queue if one.deadline is not None), default=None)
@@ -172,7 +172,7 @@ class CallTracker:
                     self._given_up(call, position, error, now)
 
     def _given_up(self, call: Call, position: int, error: ModbusError, now: float) -> None:
-        """End a waiting request with an error; a write that waits for its repetition ends as `WriteOutcomeUnknown`."""
+        """End a request that will not be sent; a write that waited for its repetition ends as `WriteOutcomeUnknown`."""
         if position in call.attempts:
             error.attempt = call.attempts[position] - 1  # the one after it was never begun
         if error.attempt and call.requests[position].is_write:
@@ -181,7 +181,7 @@ class CallTracker:
             self.conclude(call, position, self.placed(error, call, position, now))
 
     def failed(self, call: Call, position: int, error: ModbusError, now: float, *, again: bool) -> None:
-        """A request that was sent got no valid answer: repeat it if rule 1 allows, else end it with the right error."""
+        """Handle a sent request without valid answer: repeat it if rule 1 allows, else end it with the right error."""
         request = call.requests[position]
         attempt = call.attempts.get(position, 1)
         guarded = request.is_write and not call.idempotent
@@ -215,7 +215,7 @@ class CallTracker:
         self.conclude(call, position, self.placed(unknown, call, position, now))
 
     def placed(self, error: ModbusError, call: Call, position: int, now: float) -> ModbusError:
-        """Fill in endpoint, unit, function, address, attempt and elapsed time of an error."""
+        """Return an error with endpoint, unit, function, address, attempt and elapsed time filled in."""
         request = call.requests[position]
         spans = request.spans()
         return error.at(
@@ -228,14 +228,14 @@ class CallTracker:
         )
 
     def conclude(self, call: Call, position: int, outcome: Message | ModbusError) -> None:
-        """Set the outcome of one request, and finish the call if it was the last one."""
+        """Set the outcome of one request, and complete the call if it was its last one."""
         call.outcomes[position] = outcome
         call.open -= 1
         if not call.open:
             self.finish(call)
 
     def finish(self, call: Call) -> None:
-        """Move a call to ``finished``: all its requests have their outcome."""
+        """Move a call to ``finished``, because all its requests have their outcome."""
         self.finished.append(call)
         self._leave(call)
 
@@ -246,5 +246,5 @@ class CallTracker:
 
 
 def function_of(request: Request) -> int:
-    """The function code of a request, also of one that was never encoded."""
+    """Return the function code of a request, encoded or not."""
     return request.wire[0] if hasattr(request, "wire") else request.prepare()[0]

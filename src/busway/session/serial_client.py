@@ -64,7 +64,7 @@ class MasterState(Enum):
 
 @dataclass(slots=True)
 class _RequestInFlight:
-    """The request in flight on the line. ``call`` is None if it was cancelled, or is a ``marker``."""
+    """The request whose reply the line waits for. ``call`` is None if it was cancelled, or is a ``marker``."""
 
     call: Call | None
     request: Request
@@ -81,12 +81,12 @@ class _RequestInFlight:
 
     @property
     def deadline(self) -> float | None:
-        """Deadline of the call that the request belongs to; None without one."""
+        """The deadline of the call that the request belongs to; None without one."""
         return None if self.call is None else self.call.deadline
 
 
 class SerialClientSession:
-    """Client session of one serial line; it survives reopening the port.
+    """What a client knows of one serial line: queue, request in flight, late replies. It survives reopening the port.
 
     Attributes:
         counters, finished, recycle, valid_reply: as in `TcpClientSession`.
@@ -179,11 +179,11 @@ class SerialClientSession:
     # Calls of the application.
 
     def set_unit_gaps(self, unit_gaps: Mapping[int, float]) -> None:
-        """Set the seconds that each of these units is left alone after its replies."""
+        """Set for how many seconds each of these units gets no request after its replies."""
         self._unit_gaps = dict(unit_gaps)
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue a call. Raises `ModbusError` if the unit cannot be asked or the queue is full; nothing was sent then.
+        """Queue a call. Raises `ModbusError` if the unit cannot be asked or the queue is full; nothing was sent.
 
         Raises:
             InvalidRequest: a unit above 247, or a broadcast of a request that is no write.
@@ -202,7 +202,7 @@ class SerialClientSession:
         self._try_at = 0.0
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """Always None: on a shared line every request takes its turn."""
+        """Return None always: on a shared line every request waits for its turn in the queue."""
         return None
 
     def _check_unit(self, call: Call) -> None:
@@ -227,7 +227,7 @@ class SerialClientSession:
         return self._tracker.suspended(call, pause, self.breakers.parameters.open_after)
 
     def cancel(self, call: Call) -> bool:
-        """Cancel a call: nothing more of it is sent, and the reply to its request in flight is dropped.
+        """Cancel a call: no more requests of it are sent, and the reply to the one in flight is dropped.
 
         Returns:
             Whether one of its requests is in flight.
@@ -240,22 +240,22 @@ class SerialClientSession:
         return is_flying
 
     def serve_units_in_turn(self) -> None:
-        """Serve the units of each caller in turn: for callers that act for many, such as a client of a gateway."""
+        """Send each caller's requests to its units in turn, not in call order; for a gateway's upstream links."""
         self._tracker.queue.units_in_turn = True
 
     @property
     def has_calls(self) -> bool:
-        """Whether calls wait to be sent."""
+        """Whether calls wait that have requests left to send."""
         return self._tracker.queue.size > 0
 
     @property
     def has_gap(self) -> bool:
-        """Whether waiting calls may be sent only later; always so on a serial line, after every frame."""
+        """Whether waiting requests may be sent only later; always so on a serial line, after every frame."""
         return self._connected
 
     @property
     def queued(self) -> int:
-        """Number of calls with something left to send."""
+        """Number of calls that have requests left to send."""
         return self._tracker.queue.size
 
     @property
@@ -266,7 +266,7 @@ class SerialClientSession:
     # Events of the port.
 
     def connected(self, now: float) -> None:
-        """Report that the port is open. Whether the line is idle is known t3.5 later."""
+        """Tell the session that the port is open. Whether the line is idle is known t3.5 later."""
         self._connected = True
         self._receiver.flush(now)
         self._receiver.expect_nothing()
@@ -282,7 +282,7 @@ class SerialClientSession:
         self.counters.connections += 1
 
     def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
-        """Report the loss of the port: the request in flight is repeated or fails, queued calls stay.
+        """Repeat or fail the request in flight because the port was lost; queued calls stay.
 
         ``lost`` is False if the client itself closed an unused port.
         """
@@ -301,21 +301,21 @@ class SerialClientSession:
             )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """The port could not be opened: fail every waiting call at once with the same reason.
+        """Fail all waiting calls with the same reason, because the port could not be opened.
 
         With ``keep_repeated`` a call that is about to be repeated waits for the next attempt.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
     def written(self, until: float) -> None:
-        """Report that the frame from `transmit` was passed to the port; its last character leaves at ``until``."""
+        """Note that the frame from `transmit` was given to the port; its last character leaves at ``until``."""
         awaited = self._awaited
         if awaited is not None and until > awaited.sent:
             self._leaves_later(awaited, until)
             self._receiver.sent(awaited.frame, until)
 
     def still_sending(self, until: float) -> None:
-        """Report that the port still holds characters of the frame; the last leaves at ``until`` or later."""
+        """Note that the port still holds characters of the frame; the last leaves at ``until`` or later."""
         if self._awaited is not None and until > self._awaited.sent:
             self._leaves_later(self._awaited, until)
 
@@ -327,7 +327,7 @@ class SerialClientSession:
     # Sending.
 
     def transmit(self, now: float) -> list[bytes]:
-        """The frame to send now, or nothing; it counts as sent when its last character has left."""
+        """Return the frame to send now, or nothing; it counts as sent when its last character has left."""
         queue = self._tracker.queue
         if not self._connected or self.state is not MasterState.IDLE or not queue.size or self.recycle:
             return []
@@ -375,9 +375,7 @@ class SerialClientSession:
         return (is_clear and not self._not_asked_before) or self._askable_at(call, now) <= now
 
     def _waits_for_counting(self, doubt: UnitDoubt, call: Call) -> bool:
-        """Whether a read has to wait because another call's read is repeated to find out which replies the unit still
-        owes.
-        """
+        """Whether a read must wait while a repeated read of another call shows how many replies the unit owes."""
         if doubt.counting is None or doubt.counting.ended:
             doubt.counting = None
             return False
@@ -385,7 +383,7 @@ class SerialClientSession:
         return not request.is_write and self._is_in_doubt(doubt, call)
 
     def _askable_at(self, call: Call, now: float) -> float:
-        """The earliest time to send to a call's unit, which may still be sending a late reply."""
+        """Return the earliest time to send to a call's unit, which may still be sending a late reply."""
         at = self._not_asked_before.get(call.unit, now)
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not doubt.pending or self._serial.trust_reply_order:
@@ -397,7 +395,7 @@ class SerialClientSession:
         return max(at, doubt.waits_until(function_of(request), call, position, now))
 
     def _marker_before(self, call: Call) -> Marker | None:
-        """The marker to send before the next request of a call; None if the request may be sent at once.
+        """Return the marker request to send before the next request of a call; None if that may go at once.
 
         A restart needs none: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
         """
@@ -422,7 +420,7 @@ class SerialClientSession:
         return marker
 
     def _is_in_doubt(self, doubt: UnitDoubt, call: Call) -> bool:
-        """Whether the reply to the next request of a call could be confused with an owed one."""
+        """Whether the reply to the next request of a call could be confused with a late one."""
         position = call.next_position
         request = call.requests[position]
         if not hasattr(request, "wire"):
@@ -437,7 +435,7 @@ class SerialClientSession:
                 self._tracker.give_up(call, now, partial(self._suspended, call, pause))
 
     def _send_marker(self, marker: Marker, call: Call, now: float) -> bytes:
-        """Send a marker to the unit of a call, which keeps its position in the queue."""
+        """Send a marker request to the unit of a call, which keeps its position in the queue."""
         frame = self._framing.encode(call.unit, marker.request.wire)
         self.counters.markers += 1
         doubt = self.doubts.of(call.unit)
@@ -504,7 +502,7 @@ class SerialClientSession:
             self._of_awaited_unit(awaited, found, now)
 
     def _is_early(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
-        """Whether a frame began before the request had left and t3.5 had passed (rule 8)."""
+        """Whether a received frame began before the request had left and t3.5 had passed (rule 8)."""
         if not self.characters_take_time or self._framing.is_network:
             return frame.ended < awaited.begun
         if self._serial.early_replies:
@@ -514,7 +512,7 @@ class SerialClientSession:
         return frame.began < awaited.sent + framing.send_gap - framing.timing.character / 10
 
     def _of_awaited_unit(self, awaited: _RequestInFlight, frame: SerialFrame, now: float) -> None:
-        """Handle a frame of the unit that was asked: the awaited reply, or one that it owes (`late_replies`)."""
+        """Handle a frame from the unit that was asked: the awaited reply, or a late one (`late_replies`)."""
         doubt = self.doubts.of(awaited.unit)
         if not doubt.owed and not doubt.older:  # the usual case
             if frame.pdu[0] & 0x7F == awaited.request.wire[0]:
@@ -549,7 +547,7 @@ class SerialClientSession:
         )
 
     def _not_awaited(self, frame: SerialFrame) -> None:
-        """Handle a frame that does not answer the request in flight: a late reply, or traffic of another device."""
+        """Handle a frame that does not answer the request in flight: a late reply, or another device's traffic."""
         doubt = self.doubts.units.get(frame.unit)
         if doubt is None or frame.direction is Direction.REQUEST:
             self.counters.foreign_replies += 1
@@ -562,7 +560,7 @@ class SerialClientSession:
         doubt.unasked = frame.pdu[0] & 0x7F
 
     def _ask_at_once(self, awaited: _RequestInFlight, frame: SerialFrame) -> None:
-        """Repeat the read in flight at once: its reply may be the one that was just taken for an older reply."""
+        """Repeat the read in flight at once: its reply may be the one that was just taken for a late reply."""
         call = awaited.call
         if call is None or awaited.request.is_write or not may_answer(awaited.request, frame.pdu):
             return
@@ -593,7 +591,7 @@ class SerialClientSession:
             self.notes.append(text)
 
     def _owe(self, awaited: _RequestInFlight) -> None:
-        """Note that the unit still owes a reply to the request in flight."""
+        """Note that the reply to the request in flight may still come late."""
         if awaited.unit == BROADCAST_UNIT:
             return
         until = awaited.sent + OWED_FOR * awaited.timeout
@@ -643,7 +641,7 @@ class SerialClientSession:
         self._conclude(awaited, outcome, now)
 
     def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
-        """Handle the reply to a marker: it ends the doubt of the unit."""
+        """Handle the reply to a marker: no older reply of this unit can come any more."""
         if isinstance(outcome, ModbusError) and marker.kind is MarkerKind.OTHER_LENGTH:
             doubt.not_marked(marker.kind)  # it reads nothing but that length
         else:
@@ -663,7 +661,7 @@ class SerialClientSession:
             self._tracker.conclude(call, position, self._tracker.placed(outcome, call, position, now))
 
     def _learn_pace(self, awaited: _RequestInFlight, frame: SerialFrame, doubt: UnitDoubt) -> None:
-        """Update the usual delay of a unit, unless the reply may belong to an earlier attempt."""
+        """Update the usual response time of a unit, unless the reply may belong to an earlier attempt."""
         unit = frame.unit
         if self._not_asked_before:
             self._not_asked_before.pop(unit, None)
@@ -673,14 +671,14 @@ class SerialClientSession:
         self._pace[unit] = max(frame.ended - awaited.sent, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _keep_gap(self, frame: SerialFrame) -> None:
-        """Start the gap that the unit needs after its reply."""
+        """Start the time for which this unit gets no further request after its reply."""
         gap = self._unit_gaps.get(frame.unit)
         if gap:
             before = self._not_asked_before.get(frame.unit, 0.0)
             self._not_asked_before[frame.unit] = max(before, frame.ended + gap)
 
     def _idle(self, last_byte: float) -> None:
-        """End the transaction; gaps count from the end of the last frame."""
+        """End the transaction on the line; gaps count from the end of the last frame."""
         self.state = MasterState.IDLE
         self._awaited = None
         self._try_at = 0.0
@@ -691,7 +689,7 @@ class SerialClientSession:
     # Timeouts.
 
     def deadline(self) -> float | None:
-        """When `tick` or `transmit` has something to do, in the clock of ``now``; None for never."""
+        """The time at which `tick` or `transmit` has something to do, by the clock of ``now``; None for never."""
         first = self._next_step()
         times = [self._receiver.deadline()]
         if self._tracker.deadlines:
@@ -704,7 +702,7 @@ class SerialClientSession:
         return first
 
     def _next_step(self) -> float | None:
-        """The time at which the state of the master changes without an event from outside."""
+        """Return the time at which the state of the master changes if nothing is received."""
         if self._awaited is not None:
             return self._awaited.expires
         if self.state is MasterState.DRAINING:
@@ -715,7 +713,7 @@ class SerialClientSession:
         return min(self._last_byte + self._serial.quiet_window, self._drain_until)
 
     def tick(self, now: float) -> None:
-        """Handle silences, timeouts and deadlines up to ``now``."""
+        """Handle silences of the line, and timeouts and deadlines that have passed, up to ``now``."""
         for found in self._receiver.tick(now):
             self._found(found, now)
         awaited = self._awaited
@@ -737,7 +735,7 @@ class SerialClientSession:
         self._tracker.expire_queue(now, in_flight, self._why_not_sent)
 
     def _why_not_sent(self, call: Call) -> NoReply | None:
-        """The error of a call whose deadline passed because its unit is in doubt, or None."""
+        """Return the error of a call that was not sent in time because its unit may send late replies, or None."""
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not self._is_in_doubt(doubt, call):
             return None
@@ -759,7 +757,7 @@ class SerialClientSession:
         )
 
     def _keep_deadline(self, awaited: _RequestInFlight, now: float) -> None:
-        """End a call whose deadline has passed; its request stays in flight (rule 7)."""
+        """End the call in flight if its deadline has passed; its request stays in flight (rule 7)."""
         call = awaited.call
         if call is not None and call.deadline is not None and now >= call.deadline:
             awaited.call = None
@@ -799,7 +797,7 @@ class SerialClientSession:
             self.counters.recycled += 1
 
     def _not_marked(self, awaited: _RequestInFlight, marker: Marker, now: float) -> None:
-        """Handle a marker without a reply: the waiting call fails once it has used up its attempts."""
+        """Handle a marker without reply: the call that waits for it fails when its attempts are used up."""
         doubt = self.doubts.of(awaited.unit)
         doubt.not_marked(marker.kind)
         doubt.alike = 0
@@ -835,7 +833,7 @@ class SerialClientSession:
         return NoReply(f"no reply within {waited:.3g} s")
 
     def _failed(self, awaited: _RequestInFlight, error: ModbusError, now: float, *, again: bool) -> None:
-        """End the request in flight with an error, or repeat it."""
+        """End the request in flight with an error, or arrange its repetition."""
         self._try_at = 0.0
         if awaited.call is not None:
             doubt = self.doubts.units.get(awaited.unit)
@@ -845,7 +843,7 @@ class SerialClientSession:
 
 
 def _fits(request: Request, pdu: bytes) -> bool:
-    """Whether a PDU with the function code of a request fits as its reply."""
+    """Whether a PDU with the right function code can be the reply to a request."""
     try:
         request.accept(pdu)
     except MalformedPdu:
@@ -854,5 +852,5 @@ def _fits(request: Request, pdu: bytes) -> bool:
 
 
 def _exception_code(outcome: ModbusError) -> int | None:
-    """The exception code of an exception reply; None for other errors."""
+    """Return the exception code that an error stands for; None for other errors."""
     return outcome.code if isinstance(outcome, ExceptionReply) else None

@@ -1,4 +1,4 @@
-"""The server session of a serial line: any number of units on one line, which only answer requests.
+"""The server's side of a serial line: any number of units on one line, which only answer requests; without IO.
 
 Knows the server's state diagram (Serial Line V1.02 §2.4.2) and when to count what (appendix A); knows no port.
 RTU and ASCII differ only in the framing that is passed in.
@@ -35,7 +35,7 @@ _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_E
 
 @dataclass(frozen=True, slots=True)
 class FrameToSend:
-    """A frame for the line, and when it may be sent.
+    """A frame that a server sends on its line, and the time from which it may be sent.
 
     Attributes:
         frame: its bytes.
@@ -48,17 +48,17 @@ class FrameToSend:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """A reply that is ready but has not been sent."""
+    """A reply that is ready but has not been sent on the line yet."""
 
     context: RequestContext
     reply: Message
 
     def left(self) -> None:
-        """Count the reply as sent."""
+        """Count this reply as sent, for the diagnostics of its unit."""
         _count_answer(self.context, self.reply)
 
     def lost(self, *, write_failed: bool = False) -> None:
-        """Count the request as one without a reply; an exception reply is counted as well, as with a broadcast."""
+        """Count the request as one without reply, for the diagnostics; an exception reply is counted as well."""
         diagnostics = self.context.diagnostics
         if isinstance(self.reply, ExceptionResponse):
             diagnostics.failed(self.reply.exception)
@@ -73,7 +73,7 @@ def _count_answer(context: RequestContext, reply: Message) -> None:
 
 
 class SerialServerSession:
-    """Server session of one serial line, for all units that this server answers for.
+    """What a server knows of one serial line, for all units that it answers for there.
 
     Attributes:
         deferred, failures: as in `TcpServerSession`; the driver empties them.
@@ -154,16 +154,16 @@ class SerialServerSession:
     # Events of the port.
 
     def receive(self, data: bytes, now: float) -> list[FrameToSend]:
-        """Process bytes read at ``now``. Returns the answers to send; at most one if there is a single master."""
+        """Process bytes read at ``now``. Returns the replies to send; at most one if there is a single master."""
         return [*filter(None, map(self.process, self.find(data, now)))]
 
     def find(self, data: bytes, now: float) -> list[Received]:
-        """The frames that bytes read at ``now`` complete, and what is none; to be given to `process` in order."""
+        """Return the frames that bytes read at ``now`` complete, and damaged bytes; give them to `process` in order."""
         self._last_byte = max(self._last_byte, now)
         return self._receiver.receive(data, now)
 
     def process(self, frame: Received) -> FrameToSend | None:
-        """Process a frame, or bytes that are none. Returns the answer, if it is there at once."""
+        """Process a received frame, or damaged bytes. Returns the reply if there is one at once."""
         self._abandon()
         if isinstance(frame, Damaged):
             self.damaged_frames += 1
@@ -210,7 +210,7 @@ class SerialServerSession:
             self.process(found)
 
     def clear_at(self) -> float:
-        """The earliest time at which the line is silent long enough to send a reply."""
+        """Return the earliest time at which the line has been silent long enough to send a reply."""
         return self._last_byte + self._framing.send_gap
 
     def tick(self, now: float) -> list[FrameToSend]:
@@ -218,32 +218,32 @@ class SerialServerSession:
         return [*filter(None, map(self.process, self._receiver.tick(now)))]
 
     def deadline(self) -> float | None:
-        """When `tick` has something to do, in the clock of ``now``; None for never."""
+        """The time at which `tick` has something to do, by the clock of ``now``; None for never."""
         return self._receiver.deadline()
 
     def sent(self, frame: bytes, ends: float) -> None:
-        """Report that a frame sent by this server occupies the line until ``ends``."""
+        """Note that a frame sent by this server occupies the line until ``ends``."""
         self._last_byte = max(self._last_byte, ends)
         self._receiver.sent(frame, ends)
 
     def answer_left(self) -> None:
-        """Report that the last reply has been sent completely."""
+        """Note that the last character of the latest reply has left."""
         answer, self._leaving = self._leaving, None
         if answer is not None:
             answer.left()
 
     def answer_lost(self) -> None:
-        """Report that the port did not accept the last reply."""
+        """Note that the port did not accept the latest reply."""
         answer, self._leaving = self._leaving, None
         if answer is not None:
             answer.lost(write_failed=True)
 
     def take_no_more(self) -> None:
-        """Ignore further requests; a reply in progress may still be sent."""
+        """Ignore further requests on the line; a reply in progress may still be sent."""
         self._takes_more = False
 
     def close(self) -> None:
-        """End with the port: waiting requests get no reply."""
+        """End with the serial port: waiting requests get no reply."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             leaving.lost()
@@ -256,7 +256,7 @@ class SerialServerSession:
     # Inside.
 
     def _settle(self, context: RequestContext) -> None:
-        """Forget the request in progress, which has its outcome now."""
+        """Forget the request in progress, because it has its reply or will get none."""
         self._waiting = None
         context._finish = None
 
@@ -285,7 +285,7 @@ class SerialServerSession:
             diagnostics.kept_silent(executed=done)
 
     def _is_executed(self, context: RequestContext, outcome: Outcome) -> bool:
-        """Whether a unit has executed a broadcast, to which it gives no answer."""
+        """Whether a unit executes a broadcast, which it must not answer; counts the outcome."""
         if isinstance(outcome, ExceptionResponse):
             context.diagnostics.failed(outcome.exception)
             return False
@@ -305,7 +305,7 @@ class SerialServerSession:
         )
 
     def _finish(self, context: RequestContext, reply: Message | Deferral) -> None:
-        """Send a late reply that was given to `RequestContext.reply`."""
+        """Send a reply that a responder gave later, by `RequestContext.reply`."""
         if self._waiting is not context:
             return  # a broadcast, or given up
         self._waiting = None
@@ -315,7 +315,7 @@ class SerialServerSession:
             context.diagnostics.kept_silent()
 
     def _abandon(self) -> None:
-        """Drop the request in progress, or its reply: another frame has come, so the master has given up."""
+        """Drop the request in progress, or its reply: another frame has come, so the master no longer waits."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             self.abandoned += 1

@@ -1,4 +1,4 @@
-"""The server's side of one TCP connection: request bytes in, reply bytes out.
+"""The server's side of one TCP connection: request bytes in, reply bytes out, without IO.
 
 Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no device.
 
@@ -52,14 +52,14 @@ Deliver = Callable[[bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class Deferred:
-    """An awaitable reply of a responder: the driver awaits it and calls ``context.reply``."""
+    """The reply of a responder that needs time: the driver awaits it and passes it to ``context.reply``."""
 
     context: RequestContext
     awaitable: Awaitable[Message]
 
 
 class TcpServerSession:
-    """Server session of one TCP connection.
+    """What a server knows of one TCP connection: it turns request bytes into reply bytes.
 
     Attributes:
         broken: why the stream cannot be decoded any further; empty while it can. The driver closes the connection.
@@ -154,12 +154,12 @@ class TcpServerSession:
 
     @property
     def waiting(self) -> int:
-        """Number of requests whose reply is still to come."""
+        """Number of received requests that have no reply yet."""
         waiting = len(self._waiting) if self._waiting else 0
         return waiting if self._reads is None else waiting + self._reads.waiting
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
-        """Process the first ``size`` bytes of ``buffer``. Returns the ADUs to send, in order."""
+        """Process the first ``size`` bytes of ``buffer``. Returns the reply frames to send, in order."""
         if self.broken:
             return []
         if self.unfinished:
@@ -296,14 +296,14 @@ class TcpServerSession:
         return out
 
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
-        """Keep the first ``size`` bytes of ``buffer`` unprocessed in ``rest``, until `go_on`."""
+        """Keep the first ``size`` bytes of ``buffer`` in ``rest``, to be processed by `go_on`."""
         if self.unfinished:
             buffer, size = self._buffer.join(buffer, size)
             self.unfinished = 0
         self.rest += bytes(memoryview(buffer)[:size])
 
     def go_on(self) -> list[bytes]:
-        """Process the bytes kept in ``rest``, up to one share. Returns the ADUs to send, in order."""
+        """Process the bytes kept in ``rest``, up to one share. Returns the reply frames to send, in order."""
         rest, self.rest = self.rest, b""
         return self.receive(rest, len(rest))
 
@@ -333,7 +333,7 @@ class TcpServerSession:
             self._deliver(adu)
 
     def _count(self, units: bytes | bytearray) -> None:
-        """Count requests that the fast path has answered, given the unit of each."""
+        """Count, for each unit, requests that the fast path has answered."""
         direct = len(units)
         self.requests += direct
         exchanged = self._diagnostics.exchanged
@@ -355,7 +355,7 @@ class TcpServerSession:
         )
 
     def _generic_path(self, transaction: int, unit: int, pdu: bytes) -> bytes:
-        """Decode a request, call the responder, encode the reply. Empty if there is no reply, or not yet."""
+        """Decode a request, ask the responder, encode the reply. Empty if there is no reply, or not yet."""
         function = pdu[0]
         if function > 0x7F:
             self.discarded += 1
@@ -391,7 +391,7 @@ class TcpServerSession:
         return b""
 
     def _finish(self, context: RequestContext, reply: Message | Deferral) -> None:
-        """Send a late reply that was given to `RequestContext.reply`."""
+        """Send a reply that a responder gave later, by `RequestContext.reply`."""
         if self._waiting and context in self._waiting:
             self._waiting.discard(context)
             self._slots.used -= 1

@@ -1,4 +1,4 @@
-"""Circuit breakers: one per unit of a link, so that requests to units which do not answer delay other units little.
+"""Circuit breakers, one for each unit of a link: requests to a unit that is silent fail at once and delay no other.
 
 Knows timeouts, replies and times; knows no bytes. ``jitter`` returns a number 0…1; a test can fix it.
 
@@ -45,28 +45,28 @@ class Breakers:
         self._units: dict[int, _UnitBreaker] = {}
 
     def state(self, unit: int) -> BreakerState:
-        """State of the circuit breaker of a unit."""
+        """Return the state of a unit's circuit breaker: closed, open or probing."""
         breaker = self._units.get(unit)
         return BreakerState.CLOSED if breaker is None else breaker.state
 
     def states(self) -> dict[int, BreakerState]:
-        """The breaker states of all units that ever timed out, by unit."""
+        """The state of the circuit breaker of each unit that ever timed out, by unit."""
         return {unit: breaker.state for unit, breaker in self._units.items()}
 
     @property
     def doubtful(self) -> Mapping[int, object]:
-        """Units that timed out and have not answered since: always the same mapping object, so callers may keep it."""
+        """The units that timed out and have not answered since: always the same mapping, so callers may keep it."""
         return self._units
 
     def suspended_for(self, unit: int, now: float) -> float | None:
-        """Seconds until a request may probe the unit; None if it may be asked now."""
+        """Return the seconds until a request may try a suspended unit; None if it may be asked now."""
         breaker = self._units.get(unit)
         if breaker is None or breaker.state is BreakerState.CLOSED or now >= breaker.probe_at:
             return None
         return breaker.probe_at - now
 
     def asked(self, unit: int, now: float, timeout: float, usual: float = 0.0) -> float:
-        """Note that a request goes to the unit, which usually takes ``usual`` seconds. Returns the timeout to use."""
+        """Note that a request goes to a unit that usually takes ``usual`` seconds. Returns the timeout to use."""
         breaker = self._units.get(unit)
         if breaker is None or breaker.state is BreakerState.CLOSED:
             return timeout
@@ -76,23 +76,23 @@ class Breakers:
         return probe
 
     def is_probing(self, unit: int) -> bool:
-        """Whether the request in flight to the unit is a probe, which is not repeated."""
+        """Whether the request in flight only tries whether a suspended unit answers; it is not repeated."""
         breaker = self._units.get(unit)
         return breaker is not None and breaker.state is BreakerState.PROBING
 
     def not_decided(self, unit: int) -> None:
-        """Forget a request that ended without telling whether the unit answers; the next one probes again."""
+        """Forget a try that ended without telling whether the unit answers; the next request tries again."""
         breaker = self._units.get(unit)
         if breaker is not None and breaker.state is BreakerState.PROBING:
             breaker.state = BreakerState.OPEN
 
     def answered(self, unit: int) -> bool:
-        """Note a valid reply of the unit. Returns whether that closed its breaker."""
+        """Note a valid reply of a unit. Returns whether that closed its circuit breaker."""
         breaker = self._units.pop(unit, None)
         return breaker is not None and breaker.state is not BreakerState.CLOSED
 
     def timed_out(self, unit: int, now: float) -> bool:
-        """Note that the unit did not answer. Returns whether its breaker is open now."""
+        """Note that a unit did not answer in time. Returns whether its circuit breaker is open now."""
         if not self.parameters.open_after:
             return False
         breaker = self._units.setdefault(unit, _UnitBreaker())
