@@ -109,7 +109,7 @@ class SerialReceiver(Receiver[Received], Protocol):
         """Note that bytes sent by this station occupy the line until ``ends``."""
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Note that the port reported an error in the byte to be received next (S14)."""
+        """Note that the port reported an error at this position of the received bytes (S14)."""
 
     def flush(self, now: float) -> list[Received]:
         """Return what can be decided about unfinished bytes now, as after a long silence."""

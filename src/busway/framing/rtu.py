@@ -468,7 +468,7 @@ class RtuReceiver:
         self._in_step = True
 
     def _lose(self, end: int) -> None:
-        """Report the bytes up to ``end`` as damaged, later and together with others: they are no frame."""
+        """Keep the bytes up to ``end``, which are no frame, to report them with the rest of the disturbance."""
         if end > self._at:
             self._lost.add(self._buffer[self._at : end], self._bursts.began(self._at), self._bursts.ended(end))
             self._move_to(end)

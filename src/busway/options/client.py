@@ -48,7 +48,7 @@ ON_STREAMS = On("mbap tcp", "mbap tls")
 
 @dataclass(frozen=True, slots=True)
 class ClientParameters:
-    """Options of a client session."""
+    """Options of a client: timeouts, retries, and how many requests it may have in flight."""
 
     on: ClassVar[On] = On("client")
 
@@ -144,7 +144,7 @@ LONGEST_HOLD = 86_400
 
 
 class Hold(Enum):
-    """Words for the hold time of an unused connection: ``forever`` and ``request``.
+    """Words of the option ``hold``, the time for which an unused connection stays open: ``forever`` and ``request``.
 
     Attributes:
         FOREVER: until its last user closes the link, as Messaging on TCP/IP V1.0b §4.2.1.1 advises.
@@ -169,7 +169,7 @@ class LinkSelection(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ManagementParameters:
-    """How the connections of a link are managed (Messaging on TCP/IP V1.0b §4.2.1)."""
+    """Options for the connections of a link: how many, for how long, chosen how (Messaging on TCP/IP V1.0b §4.2.1)."""
 
     on: ClassVar[On] = On("client tcp", "client tls", "client udp")
 
@@ -217,7 +217,7 @@ class ManagementParameters:
 
 
 def selection(name: "str | LinkSelection | None") -> LinkSelection | None:
-    """The selection rule with a given name, as `busway.open` takes it. Raises `ConfigError`."""
+    """Return the rule with a given name by which a request's connection is chosen. Raises `ConfigError`."""
     if name is None or isinstance(name, LinkSelection):
         return name
     try:

@@ -1,4 +1,4 @@
-"""How an option is declared: one annotated field of a parameter class. Everything else is derived from it.
+"""How an option is declared: as one annotated field of a parameter class, from which everything else is derived.
 
 Knows types, ranges and texts; knows no particular option. ::
 
@@ -30,7 +30,7 @@ NONE: Final = "none"
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """A range of allowed numbers; ``words`` replace the bounds in sentences, ``unit`` follows them."""
+    """The range of numbers an option may have; ``words`` replace the bounds in sentences, ``unit`` follows them."""
 
     low: float
     high: float
@@ -40,7 +40,7 @@ class Range:
     """Whether ``low`` itself is out of range."""
 
     def has(self, value: object) -> bool:
-        """Whether a value is a number in this range."""
+        """Whether a number is in the range that the option allows."""
         if not isinstance(value, int | float):
             return False
         return (self.low < value if self.above else self.low <= value) and value <= self.high
@@ -51,12 +51,12 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """A list of the allowed numbers of an option."""
+    """A list of the numbers that an option may have."""
 
     values: tuple[int, ...]
 
     def has(self, value: object) -> bool:
-        """Whether a value is one of the allowed numbers."""
+        """Whether a number is one of those that the option allows."""
         return value in self.values
 
     def __str__(self) -> str:
@@ -79,7 +79,7 @@ class Name:
 
 @dataclass(frozen=True, slots=True)
 class Strict:
-    """What the preset ``strict`` sets the option to, and the clause of the specification that requires it.
+    """Mark of an option: what the preset ``strict`` sets it to, and the clause that requires it.
 
     Attributes:
         clause: the clause.
@@ -100,7 +100,7 @@ class ByFraming:
 
 
 class On:
-    """Mark that says where an option has an effect: roles, framings and carriers, all of which must fit.
+    """Mark of an option: where it has an effect, by role, framing and carrier, all of which must fit.
 
     ``On("client", "server rtu")``: for every client, and for servers with RTU. Roles are ``client``, ``server`` and
     ``monitor``, which only listens to a line.
@@ -125,14 +125,14 @@ ROLES: Final = frozenset({"client", "server", "monitor"})
 
 @dataclass(frozen=True, slots=True)
 class Alias:
-    """Mark that gives an option another name."""
+    """Mark of an option: another name for it."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """Numbers, ranges and words as files have them: ``5``, ``"1-10"``, ``[1, "7-9"]``. Their use says what they may be.
+    """Type of options that are numbers, ranges and words, as in files: ``5``, ``"1-10"``, ``[1, "7-9"]``.
 
     Attributes:
         written: what stands in the file.
@@ -145,20 +145,20 @@ class Numbers:
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """A list of names, at least one."""
+    """Type of options that are a list of names, at least one."""
 
     names: tuple[str, ...]
 
     @classmethod
     def parse(cls, texts: Sequence[str]) -> "Names":
-        """The names. Raises `ConfigError` if there is none."""
+        """Return the names that a file gives. Raises `ConfigError` if there is none."""
         if not texts:
             raise ConfigError("needs at least one name")
         return cls(tuple(texts))
 
 
 class Mark(Enum):
-    """Marks of an option that have no value of their own.
+    """Marks of an option that say yes by being there, without a value.
 
     Attributes:
         PER_CALL: each user of a shared link may choose another value; the rest belongs to the connection.
@@ -201,13 +201,13 @@ class Option:
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """The words that are values of the option, those of its enums."""
+        """The words that the option may be set to, if its type is an enum."""
         enums = (kind for kind in self.kinds if isinstance(kind, type) and issubclass(kind, Enum))
         return tuple(one.value for kind in enums for one in kind)
 
     @property
     def expected(self) -> str:
-        """A description of valid values, for error messages."""
+        """What the option may be set to, in words for error messages."""
         numbers = str(self.limits) if self.limits is not None else ""
         words = list(map(str, self.choices))
         if numbers:
@@ -216,7 +216,7 @@ class Option:
 
     @property
     def values(self) -> str:
-        """The possible values as text, for tables and help."""
+        """The possible values of the option as text, for tables and help."""
         if self.kinds == (bool,):
             text = "on, off"
         elif self.choices:
@@ -231,7 +231,7 @@ class Option:
 
     @property
     def default_text(self) -> str:
-        """The default as text, with the framings that have another one."""
+        """The default of the option as text, with the framings that have another one."""
         if not self.by_framing:
             return _shown(self.default)
         names: dict[str, list[str]] = {}
@@ -240,7 +240,7 @@ class Option:
         return "; ".join(f"{text} ({', '.join(framings)})" for text, framings in names.items())
 
     def check(self, value: object) -> None:
-        """Raise `ConfigError` if a value of the right type is out of range, or is no member of the enum."""
+        """Raise `ConfigError` if a value of the right type is not allowed: out of range, or not one of the words."""
         if value is None and self.is_optional:
             return
         if self.choices and isinstance(value, Enum):
@@ -255,7 +255,7 @@ class Option:
 
 
 def declared(kind: type[Any]) -> Mapping[str, Option]:  # Any: parameter classes share no base
-    """The options that a parameter class declares, by name, in their order."""
+    """Return the options that a parameter class declares, by name, in their order."""
     found = _DECLARED.get(kind)
     if found is None:
         found = _DECLARED[kind] = _declared(kind)

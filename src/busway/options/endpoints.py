@@ -26,7 +26,7 @@ from ..errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class Scheme:
-    """A URL scheme: the framing, the transport that carries it, and the default port."""
+    """A URL scheme, such as ``tcp``: the framing, the transport that carries it, and the default port."""
 
     framing: str
     carrier: str
@@ -67,7 +67,7 @@ _HOST = re.compile(r"^[A-Za-z0-9._~%-]*$|^\[[0-9A-Fa-f:.%\w]+\]$")
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """A parsed endpoint URL.
+    """A parsed URL that says where a peer or serial line is, and how it is spoken to.
 
     Attributes:
         scheme: one of the keys of `SCHEMES`.
@@ -164,9 +164,7 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
 
 
 def _with_scheme(text: str) -> str:
-    """Add the scheme to an endpoint without one, if only one is possible. Raises `ConfigError` with a suggestion
-    otherwise.
-    """
+    """Return an endpoint with the scheme added if only one is possible; else raise `ConfigError` with a suggestion."""
     place, mark, query = text.strip().partition("?")
     if re.fullmatch(_ADDRESS, place):
         return f"tcp://{place}{mark}{query}"

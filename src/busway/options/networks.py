@@ -94,7 +94,7 @@ class Networks:
 
 
 class NetworkIndex:
-    """Finds which of many `Networks` contain a host, without asking each of them.
+    """Finds which of many sets of networks contain a host, without asking each of them.
 
     Args:
         networks: the networks, each with its number.
@@ -147,7 +147,7 @@ def host_of_peer(peer: str) -> str:
 
 
 def _number_of(host: str) -> tuple[int, int, str]:
-    """Version, number and zone of a numeric IP address. Raises `ValueError`."""
+    """Return version, number and zone of a numeric IP address. Raises `ValueError`."""
     plain, _, zone = host.partition("%")
     address = ipaddress.ip_address(plain)
     number = int(address)
@@ -157,7 +157,7 @@ def _number_of(host: str) -> tuple[int, int, str]:
 
 
 def _parsed(entry: str, key: str | None) -> tuple[int, int, int, str]:
-    """Version, prefix length, network and zone of an entry such as ``10.0.0.0/8``."""
+    """Return version, prefix length, network and zone of an entry such as ``10.0.0.0/8``."""
     if not isinstance(entry, str):
         raise ConfigError(f"{shown(entry)} is no text such as '10.0.0.0/8'", key=key)
     text = entry.strip()

@@ -1,4 +1,4 @@
-"""Which options a component accepts, and the parameter objects built from given ones.
+"""Which options a client, server or other part accepts, and the parameter objects built from given ones.
 
 Knows the parameter classes; knows no component. An option that has no effect with a scheme is refused there, because it
 would be believed to work.
@@ -46,7 +46,7 @@ SERVERS: Final[Kinds] = (UnitParameters, ServerParameters, ListenerParameters, S
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """The options that a component accepts, grouped by the parameter class that holds them.
+    """The options that a part such as a link or a listener accepts, by the parameter class that holds them.
 
     Attributes:
         kinds: the options of each class, by name.
@@ -58,7 +58,7 @@ class Offer:
 
     @classmethod
     def at(cls, endpoint: Endpoint, role: str, kinds: Kinds) -> "Offer":
-        """The options that have an effect at an endpoint, for a ``client``, a ``server`` or a ``monitor``."""
+        """Return the options that have an effect at an endpoint, for a ``client``, a ``server`` or a ``monitor``."""
         words = (role, endpoint.framing, endpoint.carrier)
         found = {}
         for kind in kinds:
@@ -69,7 +69,7 @@ class Offer:
 
     @classmethod
     def of(cls, *kinds: type[Any], role: str = "") -> "Offer":
-        """The options of some parameter classes; with a role only those that have an effect for that role."""
+        """Return the options of some parameter classes; with a role only those that have an effect for that role."""
         return cls({kind: options_for(role, kind) for kind in kinds})
 
     @property
@@ -84,7 +84,7 @@ class Offer:
         return names | {OPTION} if names else names
 
     def chosen(self, given: Mapping[str, object], *, of: str = "") -> "ChosenOptions":
-        """Sort given options by their parameter class and check their names.
+        """Sort the options that a user gave by their parameter class; raises `ConfigError` for unknown names.
 
         Args:
             given: values or their texts by name, ``preset`` among them or not.
@@ -105,7 +105,7 @@ class Offer:
 
 @dataclass(frozen=True, slots=True)
 class ChosenOptions:
-    """Given options, sorted by the parameter class that takes them.
+    """The options that a user gave, sorted by the parameter class that holds them.
 
     Attributes:
         offer: what could be given.
@@ -116,14 +116,12 @@ class ChosenOptions:
     values: Mapping[type[Any], dict[str, object]]
 
     def build(self, kind: type[Parameters]) -> Parameters:
-        """Build the parameter object of a class; with its defaults if the component does not accept it. Raises
-        `ConfigError`.
-        """
+        """Build the parameter object of a class from the given options; defaults for others. Raises `ConfigError`."""
         return build_parameters(kind, self.values.get(kind, {}), framing=self.offer.framing)
 
 
 def canonical(options: Mapping[str, object]) -> dict[str, object]:
-    """Replace alternative names of options by their own names.
+    """Return options with their alternative names replaced by their own names.
 
     Raises:
         ConfigError: an option is given under both names.
@@ -138,13 +136,13 @@ def canonical(options: Mapping[str, object]) -> dict[str, object]:
 
 
 def options_for(role: str, kind: type[Any]) -> dict[str, Option]:
-    """The options of a parameter class by name; with a role only those that have an effect for that role."""
+    """Return the options of a parameter class by name; with a role only those that have an effect for it."""
     options = declared(kind).items()
     return {name: one for name, one in options if not role or all(on.fits_role(role) for on in one.on)}
 
 
 @cache
 def aliases() -> Mapping[str, str]:
-    """Alternative names of options of links, each with the option's own name."""
+    """Return the alternative names of options of links, each with the option's own name."""
     options = (option for kind in LINKS for option in declared(kind).values())
     return {alias: option.name for option in options for alias in option.aliases}

@@ -28,7 +28,7 @@ _DIRECTION_DELAY = Range(0, LONGEST_DIRECTION_DELAY, "seconds")
 
 
 class Rs485(Word):
-    """What switches the direction of an RS-485 driver.
+    """Words of the option ``rs485``: what switches the direction of an RS-485 driver.
 
     OFF: the adapter does it itself, or the line is RS-232 or 4-wire. KERNEL: the port's driver, in its
     RS-485 mode, which is exact. RTS: this program, by the RTS wire; the operating system's delays add to it.
@@ -87,7 +87,7 @@ class SerialSettings:
 
     @classmethod
     def from_options(cls, options: Mapping[str, object], *, binary: bool = True) -> Self:
-        """Build the settings from options of a URL or keywords.
+        """Build the settings of a serial line from options of a URL or keywords.
 
         Args:
             options: names of the fields above, with values or their texts. Nothing else: an unknown name is refused.
@@ -114,7 +114,7 @@ class SerialSettings:
 
     @property
     def character_time(self) -> float:
-        """Seconds that one character takes."""
+        """Seconds that one character takes on the line."""
         return self.character_bits / self.baud
 
     @property

@@ -31,7 +31,7 @@ class Preset(Word):
 
 
 def preset_of(value: object) -> Preset:
-    """The preset named by an option's value; None means the standard one. Raises `ConfigError`."""
+    """Return the preset that an option's value names; None means the standard one. Raises `ConfigError`."""
     if value is None:
         return Preset.STANDARD
     if isinstance(value, Preset):
@@ -44,7 +44,7 @@ def preset_of(value: object) -> Preset:
 
 
 def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> dict[str, object]:
-    """Replace the option ``preset`` by the options that the preset sets; explicit options stay.
+    """Return options with ``preset`` replaced by what the preset sets; explicit options stay as they are.
 
     Args:
         given: values by name, with or without ``preset``.
@@ -69,13 +69,12 @@ def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> d
 
 
 def strict_settings(options: Mapping[str, Option]) -> dict[str, Strict]:
-    """The values that the preset ``strict`` sets, by the name of the option."""
+    """Return the values that the preset ``strict`` sets, by the name of the option."""
     return {name: option.strict for name, option in options.items() if option.strict is not None}
 
 
 def _characters(given: Mapping[str, object], options: Mapping[str, Option]) -> dict[str, Strict]:
-    """What ``strict`` sets for characters of a serial line: seven data bits in ASCII (known by ``upper_case_only``);
-    stop bits.
+    """Return the options for characters of a serial line that ``strict`` sets: data bits of ASCII, stop bits.
 
     The required stop bits depend on the parity (Serial Line V1.02 §2.5.1), so they are set only where given.
     """
@@ -87,7 +86,7 @@ def _characters(given: Mapping[str, object], options: Mapping[str, Option]) -> d
 
 
 def _agrees(name: str, given: object, wanted: object) -> bool:
-    """Whether a given value, or its text, equals the value that the preset sets."""
+    """Whether the value that a user gave, or its text, equals the value that the preset sets."""
     if isinstance(given, Enum):
         given = given.value
     return bool(converted(name, given, type(wanted)) == wanted)

@@ -14,21 +14,21 @@ _SLOTS = Range(1, 1_000_000)
 
 
 class Scope(Enum):
-    """What a server's limit of requests in work applies to: each connection, or the whole server."""
+    """Words of the option ``scope``: the limit of requests in work is for each connection, or for the whole server."""
 
     CONNECTION = "connection"
     SERVER = "server"
 
 
 class UnitPolicy(Enum):
-    """Which unit identifiers a server on TCP answers."""
+    """Words of the option that says which unit identifiers a server on TCP answers."""
 
     LISTED = "listed"
     ANY = "any"
 
 
 class UnlistedUnit(Enum):
-    """How a server treats a request for a unit that it does not have."""
+    """Words of the option that says how a server treats a request for a unit that it does not have."""
 
     EXCEPTION = "exception"
     SILENCE = "silence"
@@ -57,7 +57,7 @@ class UnitParameters:
 
 @dataclass(frozen=True, slots=True)
 class ServerParameters:
-    """Options of a server session."""
+    """Options of a server: how many requests it works on at once, and how it answers."""
 
     max_transactions: Annotated[
         int, Range(1, 16), "NumberMaxOfServerTransaction: requests that may be waiting for a slow responder."

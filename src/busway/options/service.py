@@ -1,4 +1,4 @@
-"""Options of what a running server tells: its audit log, its metrics, its control socket."""
+"""Options of what a running server reports: its audit log, its metrics, its control socket."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -9,7 +9,7 @@ from .text import host_and_port
 
 
 class OnFailure(Enum):
-    """What a server does while its audit log cannot be written."""
+    """Words of the option that says what a server does while its audit log cannot be written."""
 
     SERVE = "serve"
     REFUSE = "refuse"
@@ -17,7 +17,7 @@ class OnFailure(Enum):
 
 @dataclass(frozen=True, slots=True)
 class AuditParameters:
-    """Options of the log of denied requests and of writes."""
+    """Options of the audit log, which records writes and denied requests."""
 
     path: Annotated[
         str,
@@ -44,7 +44,7 @@ class AuditParameters:
 
 @dataclass(frozen=True, slots=True)
 class MetricsParameters:
-    """Options of the figures for Prometheus."""
+    """Options of the metrics that a server offers to Prometheus."""
 
     listen: Annotated[str, "address and port, such as `127.0.0.1:9502`."]
 
@@ -54,7 +54,7 @@ class MetricsParameters:
 
 @dataclass(frozen=True, slots=True)
 class ControlParameters:
-    """Options of the socket that ``busway status`` asks."""
+    """Options of the control socket, which ``busway status`` asks."""
 
     enabled: Annotated[bool, "whether there is a control socket."] = True
     path: Annotated[

@@ -1,4 +1,4 @@
-"""Converts options given as text (URLs, command line) or keywords into the fields of a parameter class.
+"""Converts options given as text (URLs, command line) or keywords into fields of parameter classes.
 
 Knows the types that parameter classes use; knows no particular parameter. A type with a method ``parse`` is built by
 it from a list of texts.
@@ -74,7 +74,7 @@ def option_value(option: Option, value: object) -> object:
 
 
 def converted(name: str, value: object, kind: Any) -> object:  # a type
-    """Convert a value, or its text, to a type. Raises `ConfigError` with the option as its key."""
+    """Convert the value of an option, or its text, to a given type. Raises `ConfigError` with the option as its key."""
     return _of_kinds(name, value, (kind,))
 
 
@@ -113,7 +113,7 @@ def _of_kind(name: str, value: object, kind: Any) -> object:  # a type
 
 
 def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``parse``, which shares no base
-    """Build an object of a class with a ``parse`` method, from a list of texts or one text separated by commas."""
+    """Build the value of an option from a list of texts, or one text separated by commas, by its class's ``parse``."""
     texts = [one.strip() for one in value.split(",") if one.strip()] if isinstance(value, str) else value
     if not isinstance(texts, list | tuple) or not all(isinstance(one, str) for one in texts):
         raise ConfigError(f"must be a list of texts, not {value!r}", key=name)

@@ -33,7 +33,7 @@ class TlsVersion(Enum):
 
 
 class Curve(Enum):
-    """The elliptic curves for the key agreement of TLS."""
+    """Elliptic curves that may be used for the key agreement of TLS."""
 
     P_256 = "P-256"
     ANY = "any"
@@ -133,14 +133,14 @@ class TlsParameters:
         return tuple(one.strip().upper() for one in self.ciphers.replace(":", ",").split(",") if one.strip())
 
     def check_server(self) -> None:
-        """Raise `ConfigError` if an option is missing that a listener needs."""
+        """Raise `ConfigError` if an option is missing that a TLS listener needs."""
         if self.certificate is None:
             raise ConfigError("a tls:// listener needs a certificate", key="certificate")
         if self.authority is None:
             raise ConfigError("a tls:// listener needs the authority that its clients come from", key="authority")
 
     def check_client(self) -> None:
-        """Raise `ConfigError` if an option is missing that a client needs."""
+        """Raise `ConfigError` if an option is missing that a TLS client needs."""
         if self.authority is None and self.verify is Verify.ALWAYS:
             raise ConfigError(
                 "the authority that the server's certificate comes from is needed; "

@@ -21,7 +21,7 @@ _BITS_OF_BYTE = tuple(tuple(bool(byte >> bit & 1) for bit in range(8)) for byte 
 
 
 def as_state(name: str, value: object) -> bool:
-    """The bool for a coil value: True, False, 0 or 1; `InvalidRequest` for others.
+    """Return a coil value (True, False, 0 or 1) as bool; `InvalidRequest` for other values.
 
     Args:
         name: what the value is, for the error.
@@ -44,7 +44,7 @@ def as_state(name: str, value: object) -> bool:
 
 
 def as_states(values: Iterable[object]) -> list[bool]:
-    """The bools for several coil values. `InvalidRequest` names the invalid value; nothing was sent."""
+    """Return several coil values as bools. `InvalidRequest` names the invalid one; nothing was sent."""
     states = listed(values, "states", "True and False")
     for position, value in enumerate(states):
         if value.__class__ is not bool:
@@ -53,7 +53,7 @@ def as_states(values: Iterable[object]) -> list[bool]:
 
 
 def listed(values: Iterable[Value], what: str, of: str = "values") -> list[Value]:
-    """The values of an iterable as a list; `InvalidRequest` for a single value or a text.
+    """Return the values of an iterable as a list; `InvalidRequest` for a single value or a text.
 
     Args:
         values: anything that has an order: a list, a range, a generator, an array. At most 65536 are looked at.
@@ -74,7 +74,7 @@ def listed(values: Iterable[Value], what: str, of: str = "values") -> list[Value
 
 
 def is_several(values: object) -> bool:
-    """Whether an object is a collection of values in order; texts, bytes, sets and mappings are not."""
+    """Whether an object is an ordered collection of values; texts, bytes, sets and mappings are not."""
     if isinstance(values, list | tuple):
         return True
     return isinstance(values, Iterable) and not isinstance(values, str | bytes | bytearray | memoryview | Set | Mapping)

@@ -1,4 +1,4 @@
-"""Compiles the declared fields of a message class into its constructor, encoder and decoder, once.
+"""Makes constructor, encoder and decoder of a message class from its declared fields, once.
 
 Knows how fields lie on the wire and how to write the source of a codec; knows no function.
 
@@ -19,7 +19,7 @@ from .malformed import MalformedPdu
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The compiled layout of a message: its fixed head as one `struct.Struct`, then an optional variable part."""
+    """How a message class lies in bytes: its fixed head as one `struct.Struct`, then an optional variable part."""
 
     head: struct.Struct
     names: tuple[str, ...]
@@ -33,12 +33,12 @@ class Layout:
 
 
 def attribute_names(cls: Any) -> tuple[str, ...]:
-    """The names of the fields that an instance of a message class holds, in wire order."""
+    """Return the names of the fields that an instance of a message class holds, in wire order."""
     return tuple(name for name, field in cls.declared.items() if not isinstance(field, RestLength))
 
 
 def as_integer(name: str, value: object) -> int:
-    """Check that a value is an integer of any integer type except bool; `InvalidRequest` names the field otherwise."""
+    """Return an integer field's value as int; `InvalidRequest` with the field's name for other types, and for bool."""
     if isinstance(value, bool):
         raise InvalidRequest(f"{name} must be an integer, not {value}")
     try:
@@ -48,16 +48,14 @@ def as_integer(name: str, value: object) -> int:
 
 
 def as_bytes(name: str, value: object) -> bytes:
-    """Convert a bytes-like value to bytes; `InvalidRequest` names the field otherwise. Numbers are refused:
-    ``bytes(2)`` would be 00 00.
-    """
+    """Return a bytes-like field's value as bytes; `InvalidRequest` for others, numbers too: ``bytes(2)`` is 00 00."""
     if isinstance(value, bytes | bytearray | memoryview):
         return bytes(value)
     raise InvalidRequest(f"{name.replace('_', ' ')} must be bytes, not {value!r}")
 
 
 def as_tuple(name: str, value: object) -> tuple[Any, ...]:  # of whatever `_check_tail` looks at next
-    """Convert an iterable to a tuple; `InvalidRequest` names the field otherwise."""
+    """Return an iterable field's value as tuple; `InvalidRequest` with the field's name otherwise."""
     try:
         return tuple(value)  # type: ignore[arg-type]
     except TypeError:
@@ -65,7 +63,7 @@ def as_tuple(name: str, value: object) -> tuple[Any, ...]:  # of whatever `_chec
 
 
 def compile_message(cls: Any) -> None:  # Any: the attributes it sets are what makes the class a message
-    """Compute the layout of a message class from its declared fields; its codecs are compiled when first needed.
+    """Compute the layout of a message class from its declared fields; its encoder and decoder are made at first use.
 
     Compiling all 40 classes takes 40 ms, which a command that uses two of them should not pay.
     """
@@ -96,13 +94,13 @@ def _first_decode(cls: Any, pdu: bytes) -> Any:
 
 
 def _compile_pending(cls: Any) -> None:
-    """Compile the codecs of a class, or of the base that declared its fields."""
+    """Make encoder and decoder of a message class, or of the base that declared its fields."""
     owner = next(one for one in cls.__mro__ if "codecs_pending" in one.__dict__)
     _compile_codecs(owner)
 
 
 def _compile_codecs(cls: Any) -> None:
-    """Compile the constructor, ``encode`` and ``decode`` of a message class."""
+    """Make the constructor, ``encode`` and ``decode`` of a message class."""
     layout = cls.layout
     names = attribute_names(cls)
     self_coded = cls.self_coded
@@ -288,7 +286,7 @@ def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
 
 
 def _range_test(name: str, field: FixedField, *, received: bool = False) -> str:
-    """Source code of the test that a field value is out of range; empty if received bytes cannot be."""
+    """Return source code that tests whether a field value is out of range; empty if received bytes cannot be."""
     if field.values is not None:
         return f"{name} not in {field.values}"
     whole = 0xFF if field.width == 1 else 0xFFFF

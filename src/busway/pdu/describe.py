@@ -29,7 +29,7 @@ _MOST_VALUES: Final = 24
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One field of a described PDU.
+    """One field of a PDU in a description for people: name, offset, bytes, meaning, fault.
 
     Attributes:
         offset: its first byte, counted from the function code.
@@ -48,7 +48,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """A described PDU: its function and all its fields.
+    """A description of a PDU for people: its function and all its fields.
 
     Attributes:
         title: function and direction, ``3 (read holding registers), request``.
@@ -66,7 +66,7 @@ class Description:
 
 
 def describe_request(pdu: bytes, functions: FunctionTable = STANDARD) -> Description:
-    """Describe a PDU as a request, field by field; never raises."""
+    """Describe the bytes of a request PDU for people, field by field; never raises."""
     if not pdu:
         return _empty("request")
     kind = functions.find(pdu, 0, len(pdu))
@@ -79,7 +79,7 @@ def describe_request(pdu: bytes, functions: FunctionTable = STANDARD) -> Descrip
 
 
 def describe_reply(pdu: bytes, functions: FunctionTable = STANDARD, *, request: Message | None = None) -> Description:
-    """Describe a PDU as a reply; never raises. ``request``, if known, tells the number of bits and the addresses."""
+    """Describe the bytes of a reply PDU; never raises. ``request``, if known, gives number of bits and addresses."""
     if not pdu:
         return _empty("reply")
     problem = "a reply has a function code 1…127, or an exception, not 0" if pdu[0] == 0 else ""
@@ -145,7 +145,7 @@ def _finished(title: str, parts: list[Part], problem: str, message: Message | No
 
 
 def _field_parts(pdu: bytes, kind: type[Message], shown: "_Meaning") -> Iterator[Part]:
-    """The parts of a PDU by the declared fields of its class, as far as its bytes go."""
+    """Return the described fields of a PDU, as far as its bytes go."""
     at = 1
     if kind.sub_code is not None:
         data = pdu[at : at + kind.sub_width]
@@ -183,7 +183,7 @@ def _field_parts(pdu: bytes, kind: type[Message], shown: "_Meaning") -> Iterator
 
 
 def _item_parts(pdu: bytes, at: int, tail: RepeatedField, name: str) -> Iterator[Part]:
-    """The items of a repeated field; a rest that cannot be an item comes as one last part."""
+    """Return the described items of a repeated field; a rest that cannot be an item is one last part."""
     number = 0
     while at < len(pdu):
         number += 1
@@ -232,7 +232,7 @@ def _sub_code_name(code: int, data: bytes) -> str:
 
 
 class _Meaning:
-    """Explains the numbers of one function: addresses, counts and values."""
+    """Explains the numbers in a PDU of one function in words: addresses, counts and values."""
 
     def __init__(self, kind: type[Request], is_request: bool, request: Message | None) -> None:
         self._kind = kind
@@ -240,7 +240,7 @@ class _Meaning:
         self._request = request
 
     def number(self, name: str, value: int) -> str:
-        """The meaning of a number in the fixed head of a PDU."""
+        """Return in words what a number in the fixed head of a PDU means."""
         touch = next(
             (one for one in (self._kind.reads, self._kind.writes) if one is not None and one.address == name), None
         )
@@ -253,7 +253,7 @@ class _Meaning:
         return str(value)
 
     def data(self, data: bytes) -> str:
-        """The meaning of the data at the end of a PDU, such as register values."""
+        """Return in words what the data at the end of a PDU mean, such as register values."""
         touch = self._kind.writes if self._is_request else self._kind.reads
         if touch is None:
             return ""

@@ -1,4 +1,5 @@
-"""Functions 07, 08, 11, 12 and 17: status and identification of a server, and diagnostics of its communication.
+"""Messages of functions 07, 08, 11, 12 and 17: status and identification of a server, diagnostics of its
+communication.
 
 08 keys on its sub-function: one class each, all alike but for their code (Application Protocol V1.1b3 §6.7–§6.10,
 §6.13).
@@ -92,7 +93,7 @@ class Diagnostic(Request):
 
         @property
         def value(self) -> int:
-            """The data of the reply as a number 0…65535."""
+            """The two data bytes of the reply as a number 0…65535."""
             return int.from_bytes(self.data, "big")
 
     def validate(self) -> str | None:

@@ -1,4 +1,4 @@
-"""The kinds of message fields with which every function is declared.
+"""The kinds of fields with which the messages of every function are declared.
 
 Knows widths, limits and positions on the wire; knows no function and no byte of a particular message.
 
@@ -18,7 +18,7 @@ _WIDTHS = {1: "B", 2: "H"}
 
 
 class _NoDefault:
-    """The type of `NO_DEFAULT`, which marks a field without a default."""
+    """The type of `NO_DEFAULT`, which says that a message field has no default."""
 
     def __repr__(self) -> str:
         return "<no default>"
@@ -30,7 +30,7 @@ NO_DEFAULT = _NoDefault()
 
 @dataclass(frozen=True, slots=True)
 class FixedField:
-    """An unsigned integer field of one or two bytes, with its limits (both inclusive) or its allowed values."""
+    """A message field for an unsigned integer of one or two bytes, with its limits (inclusive) or allowed values."""
 
     width: int
     low: int
@@ -46,7 +46,7 @@ class FixedField:
 
 @dataclass(frozen=True, slots=True)
 class RestLength:
-    """A field that counts the bytes after it; computed when encoding, checked when decoding."""
+    """A message field that counts the bytes after it; computed when encoding, checked when decoding."""
 
     width: int
     low: int
@@ -61,7 +61,7 @@ class RestLength:
 
 @dataclass(frozen=True, slots=True)
 class RestField:
-    """A field of all bytes to the end of the message; their number has limits and a step."""
+    """A message field of all bytes to the end of the message; their number has limits and a step."""
 
     low: int
     high: int
@@ -70,7 +70,7 @@ class RestField:
 
 
 class Item(Protocol):
-    """Interface of one element of a `repeated` field, which encodes and decodes itself."""
+    """Interface of one element of a repeated message field, which encodes and decodes itself."""
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
@@ -82,7 +82,7 @@ class Item(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RepeatedField:
-    """A field of items of one kind to the end of the message."""
+    """A message field that repeats items of one class to the end of the message."""
 
     item: type[Any]  # any class with the two methods of Item; a Protocol type cannot be called through type[]
     low: int
@@ -99,25 +99,25 @@ Field = FixedField | RestLength | RestField | RepeatedField
 
 
 def u8(low: int = 0, high: int = 0xFF, *, values: Sequence[int] | None = None, default: object = NO_DEFAULT) -> Any:
-    """Declare a field of one byte, ``low``…``high``, or one of ``values``."""
+    """Declare a message field of one byte with the values ``low``…``high``, or those of ``values``."""
     return FixedField(1, low, high, tuple(values) if values is not None else None, default)
 
 
 def u16(low: int = 0, high: int = 0xFFFF, *, values: Sequence[int] | None = None, default: object = NO_DEFAULT) -> Any:
-    """Declare a field of two bytes, big-endian, ``low``…``high``, or one of ``values``."""
+    """Declare a message field of two bytes, big-endian, with the values ``low``…``high``, or those of ``values``."""
     return FixedField(2, low, high, tuple(values) if values is not None else None, default)
 
 
 def rest_length(width: int = 1, low: int = 0, high: int = 0xFFFF, step: int = 1) -> RestLength:
-    """Declare a field with the number of bytes that follow it, ``low``…``high`` and a multiple of ``step``."""
+    """Declare a message field that holds the number of bytes after it, ``low``…``high`` and a multiple of ``step``."""
     return RestLength(width, low, high, step)
 
 
 def rest(low: int = 0, high: int = 252, step: int = 1, *, default: object = NO_DEFAULT) -> Any:
-    """Declare a field of all bytes to the end of the message, ``low``…``high`` of them, a multiple of ``step``."""
+    """Declare a message field of all bytes to the end, ``low``…``high`` of them, a multiple of ``step``."""
     return RestField(low, high, step, default)
 
 
 def repeated(item: type[Any], low: int = 1, high: int = 252, *, default: object = NO_DEFAULT) -> Any:
-    """Declare a field of items of the class ``item`` to the end of the message, ``low``…``high`` of them."""
+    """Declare a message field of ``low``…``high`` items of the class ``item`` to the end of the message."""
     return RepeatedField(item, low, high, default)

@@ -1,4 +1,4 @@
-"""Functions 20 and 21: reading and writing records of files, several groups in one request.
+"""Messages of functions 20 and 21, which read and write records of files: one request has several groups.
 
 A record is one 16-bit register. A file is 1…65535, a record 0…9999 (Application Protocol V1.1b3 §6.14, §6.15).
 """
@@ -42,7 +42,7 @@ def _check_reference(file: int, record: int) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class FileReference:
-    """One group of function 20: ``count`` registers of a file, from ``record`` on."""
+    """One group of a request of function 20: ``count`` registers of a file to read, from ``record`` on."""
 
     file: int
     record: int
@@ -54,12 +54,12 @@ class FileReference:
         _check_word("count", self.count)
 
     def encode(self) -> bytes:
-        """Encode the group: reference type 6, file, record and length, 7 bytes."""
+        """Encode the group of a file read: reference type 6, file, record and length, 7 bytes."""
         return _REFERENCE.pack(REFERENCE_TYPE, self.file, self.record, self.count)
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the group at ``at``. A wrong reference type is kept apart, because it is an address error (02)."""
+        """Decode the group of a file read at ``at``. A wrong reference type is kept, as it is an address error (02)."""
         if at + 7 > len(data):
             raise ValueError(f"{len(data) - at} bytes where a group has 7")
         kind, file, record, count = _REFERENCE.unpack_from(data, at)
@@ -70,7 +70,7 @@ class FileReference:
 
 @dataclass(frozen=True, slots=True)
 class FileData:
-    """One group of function 21: registers to write to a file from ``record`` on, big-endian."""
+    """One group of a request of function 21: registers to write to a file from ``record`` on, big-endian."""
 
     file: int
     record: int
@@ -83,21 +83,21 @@ class FileData:
 
     @property
     def count(self) -> int:
-        """Number of registers in the group."""
+        """Number of registers that the group writes."""
         return len(self.data) // 2
 
     @property
     def registers(self) -> list[int]:
-        """The registers of the group as numbers 0…65535."""
+        """The registers that the group writes as numbers 0…65535."""
         return unpack_registers(self.data)
 
     def encode(self) -> bytes:
-        """Encode the group: reference type 6, file, record, length and the data."""
+        """Encode the group of a file write: reference type 6, file, record, length and the data."""
         return _REFERENCE.pack(REFERENCE_TYPE, self.file, self.record, self.count) + self.data
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the group at ``at``. Returns it and the offset after it."""
+        """Decode the group of a file write at ``at``. Returns it and the offset after it."""
         reference, start = FileReference.decode_from(data, at)
         end = start + 2 * reference.count
         if end > len(data):
@@ -118,16 +118,16 @@ class FileContent:
 
     @property
     def registers(self) -> list[int]:
-        """The registers of the group as numbers 0…65535."""
+        """The registers read from the file as numbers 0…65535."""
         return unpack_registers(self.data)
 
     def encode(self) -> bytes:
-        """Encode the group: length of the rest, reference type 6, the data."""
+        """Encode the group of a file read's reply: length of the rest, reference type 6, the data."""
         return bytes((1 + len(self.data), REFERENCE_TYPE)) + self.data
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the group at ``at``. Returns it and the offset after it."""
+        """Decode the group of a file read's reply at ``at``. Returns it and the offset after it."""
         end = at + 1 + data[at]
         if data[at] < 1 or not data[at] % 2 or end > len(data):
             raise ValueError(f"file response length {data[at]} where {len(data) - at - 1} bytes follow")
@@ -151,9 +151,7 @@ class ReadFileRecord(Request):
 
     @classmethod
     def of(cls, groups: Sequence[FileReference]) -> Self:
-        """Create the request for ``groups``; `InvalidRequest` for an impossible record, or if the reply would
-        not fit.
-        """
+        """Create a file read for ``groups``; `InvalidRequest` for an impossible record or too long a reply."""
         for group in groups:
             problem = _check_reference(group.file, group.record)
             if problem is not None:
@@ -167,7 +165,7 @@ class ReadFileRecord(Request):
         return None
 
     def reply_length(self) -> int:
-        """Number of bytes of the reply PDU."""
+        """Number of bytes of the PDU that answers this file read."""
         return 2 + sum(2 + 2 * group.count for group in self.groups)
 
     def reply_shape(self) -> tuple[int, bytes]:
@@ -207,7 +205,7 @@ class WriteFileRecord(Request):
 
     @classmethod
     def of(cls, file: int, record: int, values: Iterable[int]) -> Self:
-        """Create the request that writes ``values`` (each 0…65535) to one file."""
+        """Create the request that writes ``values`` (each 0…65535) to the records of one file."""
         problem = _check_reference(file, record)
         if problem is not None:
             raise InvalidRequest(problem)

@@ -1,4 +1,4 @@
-"""The function table: the message classes that a framer, session or decoder works with, by function code.
+"""The table of functions: which request and reply class belongs to a function code.
 
 Knows the list; the classes know everything else.
 
@@ -20,7 +20,7 @@ AnyRequest = Request | OpaqueRequest | MalformedRequest
 
 
 class FunctionTable:
-    """The message classes of functions by code and sub-code. Raises `ValueError` for two functions with one code."""
+    """Request and reply classes by function code and sub-code. Raises `ValueError` for two functions with one code."""
 
     __slots__ = ("_by_code", "_by_sub_code", "_sub_width")
 
@@ -47,7 +47,7 @@ class FunctionTable:
             raise ValueError(f"{function.__name__}: function {code} is in the table already")
 
     def with_functions(self, *functions: type[Request]) -> "FunctionTable":
-        """A new table that also holds ``functions``."""
+        """Return a new table that also holds ``functions``."""
         return FunctionTable(*self, *functions)
 
     def __iter__(self) -> Iterator[type[Request]]:
@@ -58,11 +58,11 @@ class FunctionTable:
         return code in self._by_code or code in self._sub_width
 
     def codes(self) -> tuple[int, ...]:
-        """All function codes, ascending."""
+        """All function codes in the table, ascending."""
         return tuple(sorted({*self._by_code, *self._sub_width}))
 
     def find(self, data: bytes | bytearray, at: int, end: int) -> type[Request] | None:
-        """The class of the PDU that starts at ``at``, for request or reply; the exception bit is ignored."""
+        """Return the request or reply class of the PDU that starts at ``at``; the exception bit is ignored."""
         code = data[at]
         found = self._by_code.get(code)
         if found is None and code in self._sub_width:
@@ -89,9 +89,7 @@ class FunctionTable:
             return MalformedRequest(pdu[0], kind, bytes(pdu), error.reason, error.code)
 
     def decode_reply(self, pdu: bytes) -> Message:
-        """Decode a reply PDU: a reply of its class, an `ExceptionResponse`, or an `OpaqueReply`. Raises
-        `MalformedPdu`.
-        """
+        """Decode a reply PDU as its class, `ExceptionResponse` or `OpaqueReply`. Raises `MalformedPdu`."""
         if not pdu:
             raise MalformedPdu("an empty PDU")
         if pdu[0] & 0x80:
@@ -104,11 +102,11 @@ class FunctionTable:
         return OpaqueReply(pdu[0], bytes(pdu[1:]))
 
     def request_length(self, data: bytes, at: int, end: int) -> int:
-        """Length in bytes of the request PDU at ``at``; `NEED_MORE` or `UNKNOWN_LENGTH` (RTU framing, S8)."""
+        """Return the length of the request PDU at ``at`` in bytes; `NEED_MORE` or `UNKNOWN_LENGTH` (RTU, S8)."""
         return self._length(data, at, end, reply=False)
 
     def reply_length(self, data: bytes, at: int, end: int) -> int:
-        """Length in bytes of the reply PDU at ``at``; `NEED_MORE` or `UNKNOWN_LENGTH` (RTU framing, S8)."""
+        """Return the length of the reply PDU at ``at`` in bytes; `NEED_MORE` or `UNKNOWN_LENGTH` (RTU, S8)."""
         if at < end and data[at] & 0x80:
             return _exception_length(data, at, end)
         return self._length(data, at, end, reply=True)

@@ -1,4 +1,4 @@
-"""Messages of no particular function: exceptions, and requests and replies of unknown functions.
+"""Messages that belong to no single function: exceptions, requests and replies of unknown functions, broken requests.
 
 Knows their bytes; knows no function.
 """
@@ -25,7 +25,7 @@ class ExceptionResponse(SelfCoded):
 
 
 def decode_exception(pdu: bytes) -> ExceptionResponse:
-    """Decode an exception PDU. Raises `MalformedPdu`.
+    """Decode the PDU of an exception reply. Raises `MalformedPdu`.
 
     43 may be refused with ``AB 0E cc``, the form that the figure of its section prints (Application Protocol
     V1.1b3 §6.21): the MEI type in the middle says nothing more and is left out.
@@ -36,14 +36,14 @@ def decode_exception(pdu: bytes) -> ExceptionResponse:
 
 
 class OpaqueReply(SelfCoded):
-    """A reply whose function is not in the table."""
+    """A reply whose function code is not in the table of functions: kept as bytes."""
 
     function: int = u8(0, 0x7F)
     data: bytes = rest()
 
 
 class OpaqueRequest(Request):
-    """A request whose function is not in the table: kept as bytes, so that it can be forwarded undecoded.
+    """A request whose function code is not in the table of functions: kept as bytes, so that it can be forwarded.
 
     Nothing is known of it, so it counts as a write.
     """
@@ -73,5 +73,5 @@ class MalformedRequest:
     code: int
 
     def encode(self) -> bytes:
-        """The PDU as it was received."""
+        """Return the PDU of the broken request as it was received."""
         return self.data

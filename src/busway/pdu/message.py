@@ -1,4 +1,4 @@
-"""Base classes of messages, whose declared fields are compiled once into encoder and decoder.
+"""Base classes of request and reply messages: fields are declared, encoder and decoder made from them once.
 
 Knows how declared fields become bytes and back; knows no particular function, no transport and no device.
 
@@ -31,7 +31,7 @@ NEED_MORE = 0
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A range of items that a request reads or writes, as access rules, hooks and routes check it."""
+    """The items of one table that a request reads or writes, as access rules, hooks and routes check them."""
 
     table: Table
     address: int
@@ -41,7 +41,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Declares which fields of a request name a range of a table; ``count`` is a field name or None for one item."""
+    """Says which fields of a request class name the items it touches; ``count``: field name, or None for one item."""
 
     table: Table
     address: str = "address"
@@ -49,7 +49,7 @@ class Touch:
 
 
 class _MessageType(type):
-    """Metaclass that turns a class body of field declarations into a slotted class with codecs."""
+    """Metaclass of messages: turns a class body of field declarations into a slotted class with encoder and decoder."""
 
     def __new__(mcls, name: str, bases: tuple[type, ...], body: dict[str, Any], **options: Any) -> Any:
         declared = {key: value for key, value in body.items() if isinstance(value, Field)}
@@ -69,7 +69,7 @@ class _MessageType(type):
 
 
 def _complete(cls: Any, reply: Any) -> None:
-    """Compile a request whose code is known now, and the reply that was declared inside it or equals it."""
+    """Prepare a request class, and the reply class declared inside it, when its function code is known."""
     if reply is None and cls.echoes:
         reply = _MessageType("Reply", (ReplyMessage,), {"__qualname__": f"{cls.__qualname__}.Reply", **cls.declared})
         reply.__module__ = cls.__module__
@@ -93,7 +93,7 @@ Reply_co = TypeVar("Reply_co", bound="Message", covariant=True)
 
 @dataclass_transform(field_specifiers=(u8, u16, rest, repeated), frozen_default=True)
 class Message(metaclass=_MessageType):
-    """Base of requests and replies; the module describes what a subclass declares."""
+    """Base of request and reply messages; the module says what a subclass declares."""
 
     code: ClassVar[int]
     """Function code, 1…127."""
@@ -111,23 +111,21 @@ class Message(metaclass=_MessageType):
     layout: ClassVar[Layout]
 
     def validate(self) -> str | None:
-        """Check rules that involve several fields. Returns what is wrong, or None. Overridden by subclasses with such
-        rules.
-        """
+        """Check rules about several fields of the message. Returns what is wrong, or None. Overridden by subclasses."""
         return None
 
     def encode(self) -> bytes:
-        """Encode the message as a PDU, function code first."""
+        """Return the message as a PDU, function code first."""
         raise TypeError(f"{type(self).__name__} declares no code")
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
-        """Decode a whole PDU. Raises `MalformedPdu` if a limit or a length is broken."""
+        """Create the message from a whole PDU. Raises `MalformedPdu` if a limit or a length is broken."""
         raise TypeError(f"{cls.__name__} declares no code")
 
     @classmethod
     def wire_length(cls, data: bytes, at: int, end: int) -> int:
-        """Length in bytes of the PDU of this class that starts at ``at``, from what ``data[at:end]`` shows.
+        """Return the length in bytes of the PDU of this class that starts at ``at``, from ``data[at:end]``.
 
         Gives `NEED_MORE` while the length cannot be told yet, `UNKNOWN_LENGTH` if the content never tells it.
         """
@@ -180,7 +178,7 @@ class Message(metaclass=_MessageType):
 
 
 class SelfCoded(Message):
-    """Base of messages whose function code is itself a field, ``function``."""
+    """Base of messages that hold their function code in a field, ``function``, as unknown functions do."""
 
     self_coded = True
 
@@ -190,7 +188,7 @@ class ReplyMessage(Message):
 
 
 class Request(Message):
-    """Base of requests: fields, limits, reply and execution of a function.
+    """Base of requests: a subclass declares fields, limits and reply, and what the request does to a device.
 
     Class attributes that a function sets:
         Reply: class of its positive answer.
@@ -213,20 +211,18 @@ class Request(Message):
 
     @classmethod
     def direct(cls, model: "DirectModel") -> "Answer | None":
-        """The fast answer to this function on a device, or None if there is none (see `busway.pdu.fast_answers`)."""
+        """Return a function that answers such requests from their bytes for a device, or None (`pdu.fast_answers`)."""
         return None
 
     if TYPE_CHECKING:  # slots that are filled later; declared so, they are no fields of the message
 
         @property
         def memo(self) -> Any:
-            """Data that a session derived from this request and kept with `remember`; of any type, because of any
-            session.
-            """
+            """Data that a client session keeps with this request by `remember`; of any type, because of any session."""
 
         @property
         def wire(self) -> bytes:
-            """The encoded PDU of a prepared request."""
+            """The encoded PDU of a request after `prepare`."""
 
         @property
         def expected_size(self) -> int:
@@ -238,7 +234,7 @@ class Request(Message):
 
     @classmethod
     def plan(cls, model: "DirectModel", unit: int, pdu: bytes) -> "ReadPlan | None":
-        """The plan for answering one request that is repeated often (`busway.pdu.fast_answers.ReadPlan`), or None."""
+        """The prepared answer to a read of registers that repeats (`busway.pdu.fast_answers.ReadPlan`), or None."""
         return None
 
     def apply(self, model: "DataModel", context: "Context") -> Message:
@@ -246,7 +242,7 @@ class Request(Message):
         raise TypeError(f"{type(self).__name__} does not say what it does to a device")
 
     def spans(self) -> tuple[Span, ...]:
-        """The ranges that the request touches: those written before those read."""
+        """Return the ranges of items that the request touches: those written before those read."""
         found = []
         for touch, writes in ((self.writes, True), (self.reads, False)):
             if touch is not None:
@@ -255,7 +251,7 @@ class Request(Message):
         return tuple(found)
 
     def reply_shape(self) -> tuple[int, bytes]:
-        """The length of the expected reply PDU, and its first bytes, for clients to compare.
+        """Return length and first bytes of the expected reply PDU, by which a client recognises it.
 
         A length of `UNKNOWN_LENGTH` says that only ``check_reply`` can tell.
         """
@@ -266,9 +262,7 @@ class Request(Message):
         return layout.head.size if layout.tail is None else UNKNOWN_LENGTH, bytes((self.code,))
 
     def prepare(self) -> bytes:
-        """Encode the request once, with what a client compares in its reply. Returns the PDU. Repeating it costs
-        nothing.
-        """
+        """Encode the request, and what a client compares in its reply, once. Returns the PDU; repeating is free."""
         wire = self.encode()
         size, prefix = self.reply_shape()
         _set_wire(self, wire)
@@ -277,7 +271,7 @@ class Request(Message):
         return wire
 
     def remember(self, memo: object) -> None:
-        """Keep data that a session derived from this request in ``memo``."""
+        """Keep data of a client session with this request, in ``memo``."""
         _set_memo(self, memo)
 
     def accept(self, pdu: bytes) -> Message:
@@ -299,14 +293,14 @@ class Request(Message):
 
 
 class TypedRequest(Protocol[Reply_co]):
-    """Type of a request for type checkers: `Unit.execute` returns an instance of its ``Reply``."""
+    """What a type checker knows of a request: `Unit.execute` returns an instance of its ``Reply``."""
 
     @property
     def Reply(self) -> type[Reply_co]:  # noqa: N802
-        """The class of the positive reply."""
+        """The class of the normal reply to the request."""
 
     def encode(self) -> bytes:
-        """The encoded PDU, function code first."""
+        """Return the request as a PDU, function code first."""
 
 
 def _rebuild(cls: type[Message], pdu: bytes) -> Message:
@@ -322,7 +316,7 @@ _set_memo = Request.__dict__["memo"].__set__
 
 
 def _taker_of(cls: Any) -> Any:  # a staticmethod of (bytes) -> message, or None
-    """Make a function that builds a reply of byte count and data from the data alone: 0.2 µs; ``decode`` takes 1.0.
+    """Return a function that builds a reply from its data alone, faster than ``decode``: 0.2 instead of 1.0 µs.
 
     It is right only where length and first bytes were compared with what the request expects.
     """

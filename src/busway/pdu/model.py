@@ -1,4 +1,4 @@
-"""Interfaces of a device, by which a request executes itself (`Request.apply`).
+"""Interfaces of a device through which a request reads and writes it (`Request.apply`).
 
 Knows the shape of a device; knows no device, store, session or transport.
 
@@ -14,7 +14,7 @@ from ..codes import ExceptionCode, Table, exception_meaning
 
 
 class Refusal(Exception):
-    """Raised by a device, a hook or a handler: the request is answered with this exception code.
+    """Raised by a device, a hook or a handler to refuse a request with an exception code.
 
     Attributes:
         code: exception code, 1…255. A hook's veto without a code is 04 (server device failure).
@@ -30,20 +30,20 @@ class Refusal(Exception):
 
 
 class Diagnostics(Protocol):
-    """Interface of the communication state of a unit (functions 08, 11, 12)."""
+    """Interface of a unit's diagnostics: counters and event log (functions 08, 11, 12)."""
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
         """Execute a sub-function of 08 and return the data of its reply. `Refusal` 01 if it is not offered."""
 
     def event_counter(self) -> tuple[int, int]:
-        """Status word (0 or FFFF while a program command runs) and number of successful messages."""
+        """Return status word (0, or FFFF while a program command runs) and number of successful messages."""
 
     def event_log(self) -> tuple[int, int, int, bytes]:
-        """Status word, event count, message count and up to 64 event bytes, newest first."""
+        """Return status word, event count, message count and up to 64 event bytes, newest first."""
 
 
 class Context(Protocol):
-    """Interface of the circumstances of a request: client, unit and diagnostics."""
+    """Interface of what a device learns about a request: client, unit and diagnostics."""
 
     @property
     def peer(self) -> str:
@@ -55,53 +55,53 @@ class Context(Protocol):
 
     @property
     def diagnostics(self) -> Diagnostics:
-        """Diagnostic counters and event log of the unit."""
+        """Diagnostic counters and event log of the unit that the request was sent to."""
 
 
 class Tables(Protocol):
-    """Interface of the four tables of a device (Application Protocol V1.1b3 §4.3)."""
+    """Interface of the four tables of a device, as requests use them (Application Protocol V1.1b3 §4.3)."""
 
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
-        """Raise `Refusal` 02 unless all items of a range exist, and may be written if ``writes``.
+        """Raise `Refusal` 02 unless all items of a table's range exist, and may be written if ``writes``.
 
         With a ``context``, hooks that may veto a read are called too: function 23 has to know before it writes.
         """
 
     def read(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        """Read ``count`` items of a table from ``address`` on, in wire order."""
+        """Return ``count`` items of a table from ``address`` on, in wire order."""
 
     def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
-        """Replace the items of a range, all or none."""
+        """Replace the items of a table's range, all or none."""
 
 
 class Records(Protocol):
     """Interface of file records and queues of a device (Application Protocol V1.1b3 §6.14, §6.15, §6.18)."""
 
     def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
-        """Read ``count`` registers of a file from ``record`` on."""
+        """Return ``count`` registers of a file from ``record`` on."""
 
     def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
         """Replace records of a file; with ``dry`` only check whether that would be refused."""
 
     def read_fifo(self, address: int, context: Context) -> bytes:
-        """The registers of the queue at ``address``, oldest first, without removing them."""
+        """Return the registers of the queue at ``address``, oldest first, without removing them."""
 
 
 class Identity(Protocol):
     """Interface of a device's status and identification (functions 07, 17, 43/13, 43/14)."""
 
     def exception_status(self) -> int:
-        """The eight status bits of function 07."""
+        """Return the eight status bits that function 07 reads."""
 
     def server_id(self) -> bytes:
-        """The data of function 17: server id, run indicator (00 or FF), additional data."""
+        """Return the data that function 17 reads: server id, run indicator (00 or FF), additional data."""
 
     def identification(self) -> Mapping[int, bytes]:
-        """The identification objects by number, 0x00…0xFF."""
+        """Return the identification objects of function 43/14 by number, 0x00…0xFF."""
 
     def canopen(self, data: bytes) -> bytes:
-        """The answer to a CANopen general reference; `Refusal` 01 if there is none."""
+        """Return the answer to a CANopen general reference (43/13); raises `Refusal` 01 if there is none."""
 
 
 class DataModel(Tables, Records, Identity, Protocol):
-    """Interface of a whole device, as requests use it."""
+    """Interface of a whole device, through which requests read and write it."""

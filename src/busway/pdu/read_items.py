@@ -1,4 +1,4 @@
-"""Functions 01–04 and 24: reading the four tables and a queue of registers."""
+"""Messages of functions 01–04 and 24, which read the four tables and a queue of registers."""
 
 import struct
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from .model import Context, DataModel, Refusal
 
 
 class ReadBits(Request):
-    """Base of functions 01 and 02; a subclass names its code and its table."""
+    """Base of the requests of functions 01 and 02; a subclass names its code and its table."""
 
     address: int = u16()
     count: int = u16(1, MAX_READ_BITS)
@@ -57,7 +57,7 @@ class ReadDiscreteInputs(ReadBits):
 
 
 class ReadRegisters(Request):
-    """Base of functions 03 and 04; a subclass names its code and its table."""
+    """Base of the requests of functions 03 and 04; a subclass names its code and its table."""
 
     address: int = u16()
     count: int = u16(1, MAX_READ_REGISTERS)
@@ -161,5 +161,5 @@ def _read(model: DataModel, table: Table, address: int, count: int, context: Con
 
 @lru_cache(maxsize=4096, typed=True)
 def read_request(kind: Callable[[int, int], Request], address: int, count: int) -> Any:  # an instance of ``kind``
-    """Create a read of a range; the same range gives the same object, so a poller encodes each request once."""
+    """Return the request that reads a range; the same range gives the same object, which is encoded only once."""
     return kind(address, count)

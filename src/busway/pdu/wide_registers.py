@@ -1,4 +1,4 @@
-"""Reads of registers that are wider than two bytes: such a device answers 4…12 bytes for each register.
+"""Requests for registers wider than two bytes, of devices that answer 4…12 bytes for each register.
 
 Knows how the reply differs from that of functions 03 and 04 (libmodbus#695); knows no link. The specification has no
 such registers (MODBUS Application Protocol V1.1b3 §6.3), so a client uses these requests only where it is told to.
@@ -22,8 +22,8 @@ Read = TypeVar("Read", bound=ReadRegisters)
 
 
 def wide(kind: type[Read], width: int) -> type[Read]:
-    """The request class for ``kind``, 03 or 04, with registers of ``width`` bytes, 2…12 and even; 2 gives ``kind``
-    itself.
+    """Return the request class of function 03 or 04 for registers of ``width`` bytes, 2…12 and even; 2 gives
+    ``kind``.
 
     It takes as many registers as fit into 250 bytes; its reply gives one number for each.
     """
@@ -40,7 +40,7 @@ def _widened(kind: Any, width: int) -> Any:  # a class and one derived from it
 
         @property
         def registers(self) -> list[int]:
-            """The registers of the reply as numbers, each of all its bytes."""
+            """The registers of the reply as numbers, each of all its 4…12 bytes."""
             return [int.from_bytes(self.data[at : at + width], "big") for at in range(0, len(self.data), width)]
 
     class Wide(kind):  # type: ignore[misc]  # the class is a value here

@@ -1,4 +1,4 @@
-"""Functions 05, 06, 15, 16, 22 and 23: writing coils and holding registers."""
+"""Messages of functions 05, 06, 15, 16, 22 and 23, which write coils and holding registers."""
 
 import struct
 from collections.abc import Iterable, Sequence

@@ -1,4 +1,4 @@
-"""Conversion between the raw number in the registers and the value in the unit of measure.
+"""Conversion between the raw number in a point's registers and its value in the unit of measure, such as kW.
 
 Knows numbers; knows no register, type or point.
 
@@ -26,7 +26,7 @@ LARGEST_EXPONENT: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """A linear scale: a range of raw numbers that corresponds to a range of values.
+    """A linear scale of a point: a range of raw numbers that corresponds to a range of values.
 
     Attributes:
         raw: its two ends as raw numbers.
@@ -64,11 +64,11 @@ class Conversion:
 
     @property
     def changes(self) -> bool:
-        """Whether values differ from their raw numbers."""
+        """Whether the values of the point differ from its raw numbers."""
         return self.scale != 1.0 or self.offset != 0.0 or self.linear is not None
 
     def factors(self) -> tuple[Fraction, Fraction]:
-        """Scale and offset as exact fractions."""
+        """Scale and offset of the point as exact fractions."""
         if self.linear is None:
             return _exact(self.scale), _exact(self.offset)
         low, high = _exact(self.linear.raw[0]), _exact(self.linear.raw[1])
@@ -77,7 +77,7 @@ class Conversion:
         return scale, least - low * scale
 
     def source(self, raw: str, *, whole: bool) -> str:
-        """A Python expression for the value, given an expression for the raw number.
+        """Return a Python expression for the value, given an expression for the raw number; for compiled decoders.
 
         Args:
             raw: the name.
@@ -101,7 +101,7 @@ class Conversion:
         return text
 
     def raw(self, value: float, *, whole: bool, exponent: int = 0) -> float:
-        """The raw number for a value.
+        """Return the raw number to write for a value of the point.
 
         Args:
             value: in the unit of measure.
@@ -130,25 +130,25 @@ class Conversion:
 
 
 def _exact(number: float) -> Fraction:
-    """The decimal number that a float was written as: 1/10 for 0.1."""
+    """Return the decimal number that a float was written as, as a fraction: 1/10 for 0.1."""
     return Fraction(number) if isinstance(number, int) else Fraction(repr(float(number)))
 
 
 def pattern(number: float, *, bits: int, signed: bool) -> float:
-    """A raw number that may be written as a bit pattern: 0x8000 is -32768 in 16 bits with a sign."""
+    """Return a raw number that may be written as a bit pattern: 0x8000 is -32768 in 16 bits with a sign."""
     if signed and isinstance(number, int) and 1 << bits - 1 <= number < 1 << bits:
         return number - (1 << bits)
     return number
 
 
 def converter(conversion: Conversion, *, whole: bool) -> Callable[[float], float]:
-    """A compiled function from raw numbers to values, faster than `value_of`."""
+    """Return a compiled function from raw numbers to values of a point, faster than `value_of`."""
     convert: Callable[[float], float] = eval(f"lambda raw: {conversion.source('raw', whole=whole)}")
     return convert
 
 
 def value_of(conversion: Conversion, raw: float, *, whole: bool) -> float:
-    """The value of one raw number, without ``scale_from``; decoders use compiled functions instead."""
+    """Return the value for one raw number of a point, without ``scale_from``; slower than compiled decoders."""
     if not conversion.changes:
         return raw
     scale, offset = conversion.factors()

@@ -1,4 +1,4 @@
-"""Decodes the reply of a read into the values of all points in it, by one compiled function.
+"""Turns the reply to a read request into the values of all points in it, by one compiled function.
 
 Knows points and the bytes of a reply; knows no request and no clock.
 
@@ -46,7 +46,7 @@ _POWERS: Final = tuple(10.0**exponent for exponent in range(LARGEST_EXPONENT + 1
 
 @dataclass(frozen=True, slots=True)
 class DecodedRead:
-    """The decoded values of one reply, and the reasons of those that are not good.
+    """The values of all points in one reply, and the reasons of those that are not good.
 
     Attributes:
         values: one for each point, in the order of the points; None where there is none.
@@ -58,7 +58,7 @@ class DecodedRead:
 
 
 class ReadDecoder:
-    """Decodes the replies of one particular read.
+    """Turns the replies to one particular read request into the values of its points.
 
     Args:
         points: those that the read serves, in the order in which their values are wanted.
@@ -83,7 +83,7 @@ class ReadDecoder:
         self._decode = decode(self.points, start, count)
 
     def decode(self, data: Wire, known: MutableMapping[str, int] | None = None) -> DecodedRead:
-        """Decode a reply into the values of its points.
+        """Return the values of all points in a reply.
 
         Args:
             data: registers in wire order, or bits as in a reply, the first in the lowest bit.
@@ -101,12 +101,12 @@ class ReadDecoder:
 
 @lru_cache(maxsize=4096)
 def _alone(point: Point) -> ReadDecoder:
-    """The decoder of a read that contains only this point, compiled once."""
+    """Return the decoder of a read that contains only this point, compiled once."""
     return ReadDecoder([point], point.table, point.start, point.width)
 
 
 def decode_point(point: Point, data: Wire, known: Mapping[str, int] | None = None) -> Reading:
-    """Decode one point by itself.
+    """Return the value of one point from its registers or bits alone.
 
     Args:
         point: the point.
@@ -143,9 +143,7 @@ def _bits_decoder(points: Sequence[Point], start: int, count: int) -> _Decode:
 
 @dataclass(frozen=True, slots=True)
 class _Number:
-    """How a number is unpacked: its registers in the read, the most significant first, -1 for zeros; whether the bytes
-    of each are swapped; its ``struct`` letter.
-    """
+    """How a number is unpacked: where its registers are in the reply, byte swaps, and its ``struct`` letter."""
 
     registers: tuple[int, ...]
     swapped: bool
@@ -153,13 +151,13 @@ class _Number:
 
     @property
     def is_plain(self) -> bool:
-        """Whether ``struct`` can unpack the number directly."""
+        """Whether ``struct`` can unpack the number directly, without moving its registers."""
         first = self.registers[0]
         return first >= 0 and not self.swapped and self.registers == tuple(range(first, first + len(self.registers)))
 
 
 def _number_of(point: Point, start: int) -> _Number | None:
-    """How the number of a point is unpacked; None if its value type has to do it."""
+    """Return how the number of a point is unpacked; None if its value type has to do it."""
     form, first = point.form, point.start - start
     assert form is not None  # it stands in registers
     name = form.name
@@ -186,7 +184,7 @@ def _registers_decoder(points: Sequence[Point], start: int, count: int) -> _Deco
 
 
 class _Source:
-    """Generates the Python source that decodes the registers of a read."""
+    """Writes the Python source of the function that decodes the registers of one read request."""
 
     def __init__(self, points: Sequence[Point], start: int, count: int) -> None:
         self._points = points
@@ -272,7 +270,7 @@ class _Source:
         return name
 
     def _tests(self, place: int, point: Point, raw: str) -> list[tuple[str, Reason]]:
-        """The tests that find invalid raw numbers: a condition and the reason for each."""
+        """Write tests for raw numbers that mean "no value", each as a condition and the reason for it."""
         tests = [] if point.is_whole else [(f"{raw} != {raw}", Reason.NOT_A_NUMBER)]
         invalid = _invalid_of(point)
         if len(invalid) == 1:
@@ -315,7 +313,7 @@ class _Source:
         return f"flaws = noted(flaws, {place}, {int(reason)})"
 
     def _typed(self, place: int, point: Point) -> None:
-        """Generate the code for a point that its value type decodes."""
+        """Write the code for a point that only its value type can decode."""
         first = 2 * (point.start - self._start)
         self.namespace |= {f"read{place}": _reader(point), "noted": _noted}
         self._lines += [
@@ -325,7 +323,7 @@ class _Source:
 
 
 def _noted(flaws: dict[int, int] | None, place: int, reason: int) -> dict[int, int]:
-    """Add a reason to the collected ones; the dictionary is created for the first."""
+    """Add a reason to those collected by point; the dictionary is created for the first."""
     if flaws is None:
         return {place: reason}
     flaws[place] = reason
@@ -333,7 +331,7 @@ def _noted(flaws: dict[int, int] | None, place: int, reason: int) -> dict[int, i
 
 
 def _padded(numbers: Sequence[_Number], count: int) -> str:
-    """The ``struct`` format for numbers in their order, with padding for the gaps between them."""
+    """Return the ``struct`` format for numbers in their order, with padding for the gaps between them."""
     text, at = ">", 0
     for each in numbers:
         gap = each.registers[0] - at
@@ -344,8 +342,7 @@ def _padded(numbers: Sequence[_Number], count: int) -> str:
 
 
 def _gatherer(pick: Callable[[Any], Iterable[int]], count: int, *, swaps: bool) -> "Callable[[Wire], array[int]]":
-    """Brings registers into the order in which they are unpacked: ``pick`` has them as they came, from ``count`` on
-    with their bytes swapped, and behind these one of zeros."""
+    """Return a function that arranges a reply's registers, also byte-swapped ones and a zero, for unpacking."""
     rest = array("H", [0] if swaps else [0] * (count + 1))
 
     def gather(data: Wire) -> "array[int]":
@@ -362,7 +359,7 @@ def _gatherer(pick: Callable[[Any], Iterable[int]], count: int, *, swaps: bool) 
 
 
 def _invalid_of(point: Point) -> list[float]:
-    """The raw numbers that mean "no value" for a point, in the form of its type."""
+    """Return the raw numbers that mean "no value" for a point, in the form of its type."""
     form = point.form
     assert form is not None
     name = form.name
@@ -382,7 +379,7 @@ def _invalid_of(point: Point) -> list[float]:
 
 
 def _reader(point: Point) -> Callable[[Wire], tuple[Any, int]]:
-    """A function that decodes one point by its value type: the value, and the reason if it is not good."""
+    """Return a function that decodes one point by its value type: the value, and the reason if it is not good."""
     form, conversion = point.form, point.conversion
     assert form is not None
     convert = point.value if conversion.changes else None

@@ -1,4 +1,4 @@
-"""Values derived from several reads: totals of counters that roll over, and computed points.
+"""Points computed from others: running totals of counters that roll over, and points with a formula.
 
 Knows points and their latest readings; knows no request and no clock.
 
@@ -17,7 +17,7 @@ from .quality import Quality, Reading, Reason
 
 
 class Accumulator:
-    """Sums up a counter that rolls over, so that the total keeps growing.
+    """Running total of a counter that rolls over: the total keeps growing.
 
     Args:
         rollover: the number at which it begins again from 0.
@@ -37,7 +37,7 @@ class Accumulator:
         self.last: float | None = None
 
     def take(self, value: float) -> float:
-        """Add the current reading of the counter. Returns the total."""
+        """Add the current reading of the counter to the total. Returns the total."""
         last = self.last
         self.last = value
         if last is None:
@@ -53,7 +53,7 @@ class Accumulator:
 
 
 class Derivation:
-    """The derived points of one device: totals and computed points.
+    """The computed points of one device: running totals and formulas.
 
     Args:
         points: all of the device; those that need nothing are left alone.
@@ -78,22 +78,22 @@ class Derivation:
         ]
 
     def restore(self, name: str, total: float, last: float) -> None:
-        """Go on with a total, where the point is an accumulator."""
+        """Continue a running total from an earlier value, if the point has one."""
         accumulator = self.accumulators.get(name)
         if accumulator is not None:
             accumulator.total, accumulator.last = total, last
 
     @property
     def is_empty(self) -> bool:
-        """Whether the device has no derived points."""
+        """Whether the device has no computed points."""
         return not self.accumulators and not self._computed
 
     def inputs(self) -> frozenset[str]:
-        """The names of the points that computed points depend on."""
+        """The names of the points that the formulas use."""
         return frozenset(name for _, expression, _ in self._computed for name in expression.names)
 
     def apply(self, latest: Mapping[str, Reading], time: float = 0.0) -> dict[str, Reading]:
-        """Compute totals and computed points from the latest values.
+        """Compute running totals and formulas from the latest values of the device's points.
 
         Args:
             latest: the latest reading of each point that was read; each reading of an accumulator is given once.
@@ -135,7 +135,7 @@ class Derivation:
 
 
 def _ordered(expressions: Mapping[str, Expression]) -> list[str]:
-    """The computed points, each after those it depends on; circular formulas were refused when the file was read."""
+    """Return the computed points, each after those that its formula uses; circular ones were refused before."""
     done: dict[str, None] = {}
 
     def visit(name: str, depth: int) -> None:

@@ -1,4 +1,4 @@
-"""Expressions over points and time, parsed from text and evaluated without executing Python code.
+"""Formulas over points and time: parsed from text, evaluated without executing Python code.
 
 Knows numbers, names and a few functions; knows no point: the caller says what a name stands for.
 
@@ -38,7 +38,7 @@ _CONSTANTS: Final = {"pi": math.pi}
 
 
 def _rounded(value: Any, digits: Any = 0) -> Any:
-    """``round`` with a limited number of digits, because for integers Python computes a power of ten."""
+    """Do what ``round`` does, with limited digits: for integers Python would compute a power of ten."""
     return round(value, max(-_MOST_DIGITS, min(int(digits), _MOST_DIGITS)))
 
 
@@ -82,7 +82,7 @@ FUNCTION_NAMES: Final = tuple(_FUNCTIONS)
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """A parsed expression.
+    """A parsed formula over points and time.
 
     Attributes:
         text: as it was written.
@@ -95,13 +95,13 @@ class Expression:
 
     @property
     def words(self) -> frozenset[str]:
-        """Names in the expression that are never points: ``t``, ``pi``."""
+        """The names in the formula that are never points: ``t``, ``pi``."""
         return frozenset(
             each.id for each in ast.walk(self._tree) if isinstance(each, ast.Name) and each.id in (TIME, *_CONSTANTS)
         )
 
     def bind(self, source: Callable[[str], Callable[[], Number]]) -> Bound:
-        """A function of time that evaluates the expression, with points read through ``source``.
+        """Return a function of time that evaluates the formula, with point values from ``source``.
 
         Args:
             source: gives for a name what reads its value.
@@ -117,11 +117,11 @@ class Expression:
         return value
 
     def renamed(self, rename: Callable[[str], str]) -> str:
-        """The text of the same expression with each point's name replaced by ``rename``."""
+        """Return the text of the same formula with each point's name replaced by ``rename``."""
         return ast.unparse(_Renaming(rename).visit(ast.parse(self.text.strip(), mode="eval").body))
 
     def result(self, values: dict[str, Number]) -> Number:
-        """The value of the expression for given numbers by name; integers stay integers.
+        """Return the value of the formula for given numbers by name; integers stay integers.
 
         Raises:
             ConfigError: it has no value, or it or a number that goes in is whole and has more than `WHOLE_BITS` bits.
@@ -137,7 +137,7 @@ class Expression:
 
 
 class _Renaming(ast.NodeTransformer):
-    """Replaces the names of points in an expression by ``point("…")``."""
+    """Replaces the names of points in a formula by ``point("…")``."""
 
     def __init__(self, rename: Callable[[str], str]) -> None:
         self._rename = rename
@@ -161,7 +161,7 @@ def _check_whole(what: str, value: Number) -> None:
 
 
 def parse_expression(text: str) -> Expression:
-    """Parse an expression. Raises `ConfigError` that says what is wrong with it."""
+    """Parse the text of a formula. Raises `ConfigError` that says what is wrong with it."""
     if len(text) > _LONGEST:
         raise ConfigError(f"an expression has at most {_LONGEST} characters, not {len(text)}")
     try:
@@ -180,7 +180,7 @@ def parse_expression(text: str) -> Expression:
 
 
 def _names(node: ast.expr, text: str, depth: int) -> Iterator[str]:
-    """The names of the points in a part of an expression; refuses syntax that is not allowed."""
+    """Return the names of the points in a part of a formula; refuses syntax that is not allowed."""
     if depth > _DEEPEST:
         raise ConfigError(f"{shown(text)} is nested too deeply")
     name = _dotted(node)
@@ -225,7 +225,7 @@ def _arguments(name: str, given: list[ast.expr]) -> list[ast.expr]:
 
 
 def _dotted(node: ast.expr) -> str | None:
-    """The name that a part of an expression is: ``tank.level``, or ``point("tank level")``; None if it is none."""
+    """Return the point name that a part of a formula is: ``tank.level`` or ``point("tank level")``; else None."""
     match node:
         case ast.Name():
             return node.id
@@ -238,7 +238,7 @@ def _dotted(node: ast.expr) -> str | None:
 
 
 def _compiled(node: ast.expr, source: Callable[[str], Callable[[], Number]]) -> Compute:
-    """A function that evaluates a checked part of an expression."""
+    """Return a function that evaluates a checked part of a formula."""
     name = _dotted(node)
     if name is not None:
         return _of_name(node, name, source)

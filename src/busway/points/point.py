@@ -70,17 +70,17 @@ class Point:
 
     @property
     def width(self) -> int:
-        """Number of registers, or bits, that the point occupies; 0 for a computed point."""
+        """Number of registers or bits that the point occupies in its table; 0 for a computed point."""
         return 0 if self.formula else 1 if self.form is None else self.form.registers
 
     @property
     def end(self) -> int:
-        """The offset after the last item of the point."""
+        """The offset after the last register or bit of the point."""
         return self.start + self.width
 
     @property
     def type(self) -> str:
-        """Name of the point's value type; ``bit`` for one bit."""
+        """Name of the point's value type, such as ``float32``; ``bit`` for one bit."""
         if self.formula:
             return "float64"
         return "bit" if self.form is None or self.form.name.startswith("bit:") else self.form.name
@@ -92,7 +92,7 @@ class Point:
 
     @property
     def address(self) -> Address:
-        """Address of the point."""
+        """Address of the point in its table."""
         name = "" if self.form is None else self.form.name
         bit = int(name[4:]) if name.startswith("bit:") else None
         return Address(self.table, self.start, bit)
@@ -108,7 +108,7 @@ class Point:
         return bool(self.formula) or self.is_whole or (self.form is not None and self.form.name.startswith("float"))
 
     def encode(self, value: Any, held: Wire = b"", exponent: int = 0) -> bytes:
-        """Encode a value as the items of the point.
+        """Return the registers or bits that hold a value of the point, for a write.
 
         Args:
             value: in the unit of measure, or a name of a number, or for flags the names of the bits that are set.
@@ -127,7 +127,7 @@ class Point:
         return self.form.merge(raw, held or bytes(2 * self.form.registers))
 
     def raw(self, value: Any, exponent: int = 0) -> Any:
-        """The raw value for a value in the unit of measure. Raises `InvalidRequest` if it does not fit."""
+        """Return the raw number to write for a value in the unit of measure. Raises `InvalidRequest`."""
         if self.formula:
             raise InvalidRequest(f"{self.name} is computed and holds nothing")
         if isinstance(value, bool) and self.writing is not None and self.writing.on is not None:
@@ -142,13 +142,13 @@ class Point:
         return self.conversion.raw(value, whole=self.is_whole, exponent=exponent)
 
     def value(self, raw: Any) -> Any:
-        """The value in the unit of measure for a raw number; other raw values unchanged."""
+        """Return the value in the unit of measure for a raw number; texts and other values unchanged."""
         if not self.is_number or isinstance(raw, bool):
             return raw
         return value_of(self.conversion, raw, whole=self.is_whole)
 
     def _number_of(self, value: Any) -> Any:
-        """The number for the name of a value, or for names of flags."""
+        """Return the number that a name of a value, or names of flags, stand for."""
         conversion = self.conversion
         if conversion.names:
             if isinstance(value, str):
@@ -171,11 +171,11 @@ class Point:
         return value
 
     def choices(self) -> str:
-        """The names of the point's values as text: ``off (0), auto (1)``."""
+        """The names of the point's values with their numbers, as text: ``off (0), auto (1)``."""
         return ", ".join(f"{name} ({number})" for name, number in self.conversion.names.items())
 
     def label(self, value: Any) -> str:
-        """The name of a value, or the names of its flags; empty if there are none."""
+        """Return the name of a value, or the names of its flags; empty if there are none."""
         conversion = self.conversion
         if isinstance(value, bool) or not isinstance(value, int):
             return ""
@@ -184,7 +184,7 @@ class Point:
         return next((name for name, number in conversion.names.items() if number == value), "")
 
     def renamed(self, name: str) -> "Point":
-        """A copy of the point with another name."""
+        """Return a copy of the point with another name."""
         return replace(self, name=name)
 
     def __hash__(self) -> int:

@@ -1,4 +1,4 @@
-"""Rules of points: limits for reading a unit, and rules for writing, reporting and alarms of a point.
+"""Rules that device files give for points: limits of reads, and what may be written, is reported or is an alarm.
 
 Knows the rules and their ranges; applies only those that need nothing but a value.
 """
@@ -15,7 +15,7 @@ from ..values.refusal import shown
 
 @dataclass(frozen=True, slots=True, order=True)
 class ItemRange:
-    """A range of items from ``start`` up to but not including ``end``."""
+    """Addresses of a table from ``start`` up to but not including ``end``."""
 
     start: int
     end: int
@@ -29,7 +29,7 @@ class ItemRange:
 
     @property
     def width(self) -> int:
-        """Number of items in the range."""
+        """Number of addresses in the range."""
         return self.end - self.start
 
 
@@ -61,13 +61,13 @@ class ReadRules:
     pause: float = 0.0
 
     def limit(self, table: Table) -> int:
-        """The largest number of items in one read of a table."""
+        """Return the largest number of items that one read of a table may ask for."""
         return self.max_bits if table.holds_bits else self.max_registers
 
 
 @dataclass(frozen=True, slots=True)
 class WriteRule:
-    """Whether, how and with which values a point may be written.
+    """Whether and how a point may be written, and with which values.
 
     Attributes:
         function: 5, 6, 15, 16 or 22; None for the one that fits.
@@ -100,7 +100,7 @@ class WriteRule:
 
 @dataclass(frozen=True, slots=True)
 class ReportRule:
-    """Which samples of a point are passed on, such as only after a change; changes of quality always are.
+    """When a sample of a point is passed on, such as only after a change; changes of quality always are.
 
     Attributes:
         when: at every read, at a change, or at a change and after ``period`` at the latest.
@@ -117,7 +117,7 @@ class ReportRule:
     max_silence: float | None = None
 
     def is_change(self, before: object, now: object) -> bool:
-        """Whether a value differs by more than the deadband from the last one passed on."""
+        """Whether a value differs by more than the deadband from the last one that was passed on."""
         if before == now:
             return False
         numbers = isinstance(before, int | float) and isinstance(now, int | float)
@@ -129,7 +129,7 @@ class ReportRule:
         return not abs(now - before) <= limit  # NaN is a change
 
     def is_due(self, before: object, now: object, silence: float) -> bool:
-        """Whether a good value is to be passed on, ``silence`` seconds after the last one."""
+        """Whether a good value is to be passed on, ``silence`` seconds after the last one was."""
         if self.when == "every" or self.is_change(before, now):
             return True
         limits = [each for each in (self.max_silence, self.period if self.when != "change" else None) if each]
@@ -138,7 +138,7 @@ class ReportRule:
 
 @dataclass(frozen=True, slots=True)
 class AlarmRule:
-    """An alarm of a point: a limit that its value goes beyond, or states that it takes.
+    """When a point is in alarm: its value is beyond a limit, or is one of certain states.
 
     Attributes:
         kind: ``HH``, ``H``, ``L`` or ``LL`` for a limit; ``state`` for states.
@@ -161,7 +161,7 @@ class AlarmRule:
     bits: int = 0
 
     def is_beyond(self, value: float, *, active: bool) -> bool:
-        """Whether a value is an alarm; for an active alarm, whether the value has not come back yet."""
+        """Whether a value starts the alarm; if it is active, whether the value has not come back far enough."""
         if self.kind == "state":
             return value in self.numbers or bool(self.bits and isinstance(value, int) and value & self.bits)
         back = self.hysteresis if active else 0.0
@@ -176,7 +176,7 @@ class AlarmRule:
 
 
 def ranged(low: float | None, high: float | None) -> str:
-    """A range of numbers in words: ``0…100``, ``at least 0``, ``at most 100``."""
+    """Return a range of numbers in words: ``0…100``, ``at least 0``, ``at most 100``."""
     if low is None:
         return f"at most {high:g}"
     return f"at least {low:g}" if high is None else f"{low:g}…{high:g}"

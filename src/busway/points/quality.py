@@ -1,4 +1,4 @@
-"""Quality of a value (good, uncertain, bad), and the reason if it is not good."""
+"""Quality of a point's value (good, uncertain, bad), and the reason if it is not good."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -13,7 +13,7 @@ _EXCEPTIONS: Final = 256
 
 
 class Quality(IntEnum):
-    """Quality of a value; larger is worse."""
+    """How far a point's value can be trusted: good, uncertain or bad; larger is worse."""
 
     GOOD = 0
     UNCERTAIN = 1
@@ -28,7 +28,7 @@ class Quality(IntEnum):
 
 
 class Reason(IntEnum):
-    """Reasons why a sample is not good or is missing; `exception_reason` gives those for exception codes.
+    """Why a point's value is not good or is missing; `exception_reason` gives the reasons for exception codes.
 
     1 to 15 are uncertain, all from 16 on are bad.
     """
@@ -82,26 +82,26 @@ _TEXTS: Final[dict[int, str]] = {
 
 
 def exception_reason(code: int) -> int:
-    """The reason for a sample whose read was answered with an exception code, 0…255."""
+    """Return the reason for a value whose read was answered with an exception code, 0…255."""
     if not 0 <= code <= 255:
         raise InvalidRequest(f"an exception code is 0…255, not {shown(code)}")
     return _EXCEPTIONS + code
 
 
 def exception_code_of(reason: int) -> int | None:
-    """The exception code, 0…255, of a reason; None for other reasons."""
+    """Return the exception code, 0…255, that a reason stands for; None for other reasons."""
     return reason - _EXCEPTIONS if reason >= _EXCEPTIONS else None
 
 
 def quality_of(reason: int) -> Quality:
-    """The quality that belongs to a reason."""
+    """Return the quality of a value that has this reason."""
     if reason == 0:
         return Quality.GOOD
     return Quality.UNCERTAIN if reason < Reason.TIMEOUT else Quality.BAD
 
 
 def reason_text(reason: int) -> str:
-    """A reason in words; empty for a good sample."""
+    """Return a reason in words; empty for a good value."""
     if reason >= _EXCEPTIONS:
         code = reason - _EXCEPTIONS
         return f"exception {code:02X}, {exception_meaning(code)}"
@@ -122,5 +122,5 @@ class Reading:
 
     @property
     def quality(self) -> Quality:
-        """The quality of the value."""
+        """The quality (good, uncertain, bad) that follows from the reason."""
         return quality_of(self.reason)

@@ -1,4 +1,4 @@
-"""Parses addresses as people write them into table and offset.
+"""Parses data addresses as people write them, such as ``40001`` or ``4x1``, into table and offset.
 
 On the wire an item is an offset 0…65535 in one of four tables; the data model numbers the same items 1…65536
 (Application Protocol V1.1b3 §4.4). Manuals use either, and a value read one item off looks plausible, so every notation
@@ -72,7 +72,7 @@ _LOOKS_HEXADECIMAL: Final = re.compile(r"0[xX]([0-9a-fA-F]{1,16})")
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """The address of one item, or of one bit of a register. Equal addresses may be written differently.
+    """The address of one register or bit in a table, or of one bit of a register, however it was written.
 
     Attributes:
         table: which of the four tables; None if the caller's function decides.
@@ -101,7 +101,7 @@ class Address:
 
     @property
     def number(self) -> int:
-        """Number of the item in the data model, 1…65536."""
+        """Number of the item in the data model, 1…65536: its offset plus 1."""
         return self.offset + 1
 
     def __str__(self) -> str:
@@ -113,7 +113,7 @@ class Address:
 def parse_address(
     value: int | str | Address, *, table: Table | None = None, base: Literal[0, 1] | None = None
 ) -> Address:
-    """Parse an address in any notation, by the rules at the top of this file.
+    """Parse a data address in any notation, such as ``40001``, ``4x1`` or ``holding:0``, by the rules of this file.
 
     Args:
         value: an offset, a text in one of the notations, or an `Address`, which is given back with the table filled in.
@@ -136,8 +136,7 @@ def parse_address(
 
 
 def format_address(address: Address) -> str:
-    """An address in the notation with prefix and number, 1-based: ``4x17``, ``4x17.3``, ``0x10``; `parse_address` reads
-    it.
+    """Return an address as prefix and number, 1-based: ``4x17``, ``4x17.3``, ``0x10``; `parse_address` reads it.
 
     Raises:
         InvalidRequest: the address has no table. Nothing was sent.

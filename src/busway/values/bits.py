@@ -1,4 +1,4 @@
-"""Codecs for bits: a register as sixteen bits, and single bits or bit fields of a register.
+"""Conversion between registers and bits: a register as sixteen bits, and single bits or bit fields of it.
 
 Knows that bit 0 is the least significant (Application Protocol V1.1b3 §4.2 has registers big-endian). Coils and
 discrete inputs are bits already and need nothing from here but `parse_bit`.
@@ -18,7 +18,7 @@ _BITS: Final = tuple(tuple(bool(byte >> bit & 1) for bit in range(8)) for byte i
 
 
 def parse_bit(text: str) -> bool:
-    """Parse a state: ``on``, ``true``, ``1`` or ``off``, ``false``, ``0``; capitals do not matter.
+    """Return the bool for a text: ``on``, ``true``, ``1`` or ``off``, ``false``, ``0``; capitals do not matter.
 
     Raises:
         InvalidRequest: it is none of these. Nothing was sent.
@@ -30,7 +30,7 @@ def parse_bit(text: str) -> bool:
 
 
 class BitsCodec:
-    """Codec for a register as a tuple of sixteen ``bool``, least significant first."""
+    """Converts each register to a tuple of sixteen ``bool``, least significant first, and back."""
 
     def __init__(self, name: str, order: ByteOrder) -> None:
         self._name = name
@@ -54,7 +54,7 @@ class BitsCodec:
         return swapped(registers, self._swaps)
 
     def parse(self, text: str) -> tuple[bool, ...]:
-        """Parse the sixteen bits of a register from a number: ``0b101``, ``0x5`` and ``5`` are bits 0 and 2."""
+        """Return the sixteen bits for the text of a number: ``0b101``, ``0x5`` and ``5`` are bits 0 and 2."""
         number = whole_number(text)
         if not 0 <= number <= 0xFFFF:
             raise ValueError(text)
@@ -62,7 +62,7 @@ class BitsCodec:
 
 
 class BitCodec:
-    """Codec for one bit of a register."""
+    """Converts one bit of each register to ``bool``."""
 
     def __init__(self, name: str, bit: int, order: ByteOrder) -> None:
         self._name = name
@@ -71,14 +71,14 @@ class BitCodec:
         self.expects: str = f"one of {', '.join(_STATES)}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Decode this bit of each register."""
+        """Return this bit of each register as ``bool``."""
         whole = swapped(data, self._swaps)
         column = whole[1::2] if self._bit < 8 else whole[::2]
         position = self._bit & 7
         return [_BITS[byte][position] for byte in column]
 
     def encode(self, values: list[object]) -> bytes:
-        """Refuse to encode: a register can only be written whole.
+        """Refuse to encode a bit alone: a register can only be written whole; see `merge`.
 
         Raises:
             InvalidRequest: always; the sentence gives the masks that do it. Nothing was sent.
@@ -92,13 +92,13 @@ class BitCodec:
         )
 
     def parse(self, text: str) -> bool:
-        """Parse a state such as ``on`` or ``0``."""
+        """Return the bool for a text such as ``on`` or ``0``."""
         if text.lower() not in _STATES:
             raise ValueError(text)
         return _STATES[text.lower()]
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """The register with this bit set or cleared, and its other bits unchanged."""
+        """Return the register with this bit set or cleared, and its other bits unchanged."""
         if value not in (True, False):
             raise unfit([value], 0, self._name, self.expects)
         number = int.from_bytes(swapped(held, self._swaps), "big")
@@ -107,7 +107,7 @@ class BitCodec:
 
 
 class FieldCodec:
-    """Codec for adjacent bits of a register as a number: half a register, or a field of a status word."""
+    """Converts adjacent bits of a register to a number: half a register, or a field of a status word."""
 
     def __init__(self, name: str, low: int, high: int, order: ByteOrder, *, signed: bool) -> None:
         self._name = name
@@ -128,7 +128,7 @@ class FieldCodec:
         ]  # x ^ sign - sign extends the sign
 
     def encode(self, values: list[object]) -> bytes:
-        """Refuse to encode: a register can only be written whole; see `merge`.
+        """Refuse to encode a bit field alone: a register can only be written whole; see `merge`.
 
         Raises:
             InvalidRequest: always. Nothing was sent.
@@ -136,7 +136,7 @@ class FieldCodec:
         raise InvalidRequest(f"{self._name} cannot be written alone: the register's other bits would be overwritten")
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """The register with a number in these bits, and its other bits unchanged."""
+        """Return the register with a number in these bits, and its other bits unchanged."""
         if isinstance(value, bool) or not isinstance(value, int) or not self._minimum <= value <= self._maximum:
             raise unfit([value], 0, self._name, self.expects)
         number = int.from_bytes(swapped(held, self._swaps), "big")
@@ -144,7 +144,7 @@ class FieldCodec:
         return swapped(number.to_bytes(2, "big"), self._swaps)
 
     def parse(self, text: str) -> int:
-        """Parse a number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        """Return the number for a text in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
         number = whole_number(text)
         if not self._minimum <= number <= self._maximum:
             raise ValueError(text)

@@ -29,7 +29,7 @@ BITS: Final[ValueType[tuple[bool, ...]]] = value_type("bits")
 def string(
     length: int, encoding: Literal["ascii", "latin-1", "utf-8"] = "ascii", padding: Literal["nul", "space"] = "nul"
 ) -> ValueType[str]:
-    """The value type of a text of up to ``length`` bytes, two in each register.
+    """Return the value type of a text of up to ``length`` bytes, two in each register.
 
     Args:
         length: bytes, 1…250.

@@ -1,4 +1,4 @@
-"""Codec for values described by a ``struct`` format: ``custom:>hHl`` is three numbers in four registers.
+"""Conversion of registers by a ``struct`` format: ``custom:>hHl`` is three numbers in four registers.
 
 Knows the letters that are taken; the bytes are those of the registers as they travel.
 """
@@ -16,7 +16,7 @@ _MOST_BYTES: Final = 250
 
 
 def custom_layout(name: str, written: str) -> struct.Struct:
-    """The ``struct`` layout for a format. Raises `InvalidRequest` for an unsupported one."""
+    """Return the ``struct`` layout for a format. Raises `InvalidRequest` for an unsupported one."""
     match = _FORMAT.fullmatch(written)
     if match is None:
         raise InvalidRequest(
@@ -37,7 +37,7 @@ def custom_layout(name: str, written: str) -> struct.Struct:
 
 
 class CustomCodec:
-    """Codec for ``custom:<struct format>``: registers to tuples of numbers and back."""
+    """Converts registers to tuples of numbers by ``custom:<struct format>``, and back."""
 
     def __init__(self, name: str, layout: struct.Struct, order: ByteOrder) -> None:
         self._name = name
@@ -47,7 +47,7 @@ class CustomCodec:
         self.expects: str = f"{self._length} numbers that fit {layout.format}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Decode registers into tuples."""
+        """Return registers as tuples of numbers."""
         return list(self._layout.iter_unpack(swapped(data, self._swaps)))
 
     def encode(self, values: list[object]) -> bytes:
@@ -63,7 +63,7 @@ class CustomCodec:
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> tuple[Any, ...]:
-        """Parse numbers separated by commas: ``1, -2, 3.5``."""
+        """Return the tuple for a text of numbers separated by commas: ``1, -2, 3.5``."""
         numbers: list[int | float] = []
         for part in text.split(","):
             try:

@@ -1,4 +1,4 @@
-"""Codecs for network addresses in registers: IPv4, IPv6, EUI-48 (MAC) and EUI-64.
+"""Conversion between registers and network addresses: IPv4, IPv6, EUI-48 (MAC) and EUI-64.
 
 Knows how each is written; the most significant byte travels first unless the order says otherwise.
 """
@@ -23,7 +23,7 @@ NETWORK_TYPES: Final = tuple(_SIZES)
 
 
 def network_size(name: str) -> int:
-    """Number of bytes of a kind of network address."""
+    """Return the number of bytes of a kind of network address."""
     return _SIZES[name]
 
 
@@ -37,7 +37,7 @@ class NetworkCodec:
         self.expects: str = _EXPECTS[name]
 
     def decode(self, data: Wire) -> list[Any]:
-        """Decode registers into network addresses."""
+        """Return registers as network addresses in text form."""
         whole = swapped(data, self._swaps)
         return [self._written(whole[at : at + self._size]) for at in range(0, len(whole), self._size)]
 
@@ -52,7 +52,7 @@ class NetworkCodec:
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> str:
-        """Parse a network address, and write it in its standard form."""
+        """Return a network address, given as text, in its standard form."""
         return self._written(self._packed(text))
 
     def _written(self, part: bytes) -> str:

@@ -1,4 +1,4 @@
-"""Codecs for integers, floats and binary-coded decimals in registers.
+"""Conversion between registers and integers, floats and binary-coded decimals.
 
 Knows the three number formats and their ranges. Knows nothing of type names beyond quoting its own in errors, and
 nothing of registers: the caller has checked that the length is a multiple of the value's size.
@@ -30,7 +30,7 @@ _FLOAT_REFUSALS: Final = (struct.error, OverflowError, TypeError, ValueError)
 
 
 def whole_number(text: str) -> int:
-    """Parse an integer: decimal, ``0x…`` or ``0b…``, with an optional sign.
+    """Return the integer for a text in decimal, ``0x…`` or ``0b…``, with an optional sign.
 
     Raises:
         ValueError: it is none, or has more digits than any type here holds.
@@ -44,7 +44,7 @@ def whole_number(text: str) -> int:
 
 
 class _StructLayout:
-    """Unpacks registers of one number format by ``struct``, after byte swaps if the order needs them."""
+    """Reads and writes the registers of one number format by ``struct``, with byte swaps if the order needs them."""
 
     def __init__(self, letter: str, order: ByteOrder) -> None:
         self.letter = letter
@@ -54,20 +54,20 @@ class _StructLayout:
         self.swaps = order.swaps[1:] if order.is_reversed else order.swaps
 
     def unpack(self, data: Wire) -> list[Any]:  # ints or floats, as the letter says
-        """Unpack numbers from registers."""
+        """Return the numbers that the bytes of registers hold."""
         count = len(data) // self.size
         if self.swaps:
             data = swapped(data, self.swaps)
         return list(struct.unpack(f"{self.prefix}{count}{self.letter}", data))
 
     def pack(self, values: list[object]) -> bytes:
-        """Pack numbers into registers; fails as ``struct`` does."""
+        """Return the bytes of registers for numbers; raises ``struct.error`` if one does not fit."""
         packed = struct.pack(f"{self.prefix}{len(values)}{self.letter}", *values)
         return swapped(packed, self.swaps) if self.swaps else packed
 
 
 class IntegerCodec:
-    """Codec for signed or unsigned integers of 16, 32 or 64 bits."""
+    """Converts registers to signed or unsigned integers of 16, 32 or 64 bits, and back."""
 
     def __init__(self, name: str, letter: str, order: ByteOrder) -> None:
         bits = order.size * 8
@@ -91,7 +91,7 @@ class IntegerCodec:
             raise self._misfit(values) from error
 
     def parse(self, text: str) -> int:
-        """Parse a number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        """Return the integer for a text in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
         number = whole_number(text)
         if not self._minimum <= number <= self._maximum:
             raise ValueError(text)
@@ -112,7 +112,7 @@ class IntegerCodec:
 
 
 class FloatCodec:
-    """Codec for IEEE 754 numbers of 16, 32 or 64 bits, infinities and NaN included."""
+    """Converts registers to IEEE 754 numbers of 16, 32 or 64 bits, infinities and NaN included, and back."""
 
     def __init__(self, name: str, letter: str, order: ByteOrder) -> None:
         largest = {2: "65504", 4: "3.4028234663852886e+38", 8: "1.7976931348623157e+308"}[order.size]
@@ -134,7 +134,7 @@ class FloatCodec:
             raise self._misfit(values) from error
 
     def parse(self, text: str) -> float:
-        """Parse a float as Python writes it, ``inf`` and ``nan`` included."""
+        """Return the float for a text as Python writes it, ``inf`` and ``nan`` included."""
         if not text.isascii() or "_" in text:
             raise ValueError(text)
         number = float(text)
@@ -162,7 +162,7 @@ class FloatCodec:
 
 
 class ThreeRegisterCodec:
-    """Codec for signed or unsigned integers of 48 bits, for which ``struct`` has no format."""
+    """Converts registers to signed or unsigned integers of 48 bits, for which ``struct`` has no format, and back."""
 
     def __init__(self, name: str, order: ByteOrder) -> None:
         self._signed = not name.startswith("u")
@@ -190,7 +190,7 @@ class ThreeRegisterCodec:
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> int:
-        """Parse a number in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        """Return the integer for a text in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
         number = whole_number(text)
         if not self._minimum <= number <= self._maximum:
             raise ValueError(text)
@@ -198,7 +198,7 @@ class ThreeRegisterCodec:
 
 
 class BcdCodec:
-    """Codec for packed binary-coded decimals, four digits in each register, without a sign."""
+    """Converts registers to binary-coded decimals without sign, four digits in each register, and back."""
 
     def __init__(self, name: str, order: ByteOrder) -> None:
         self._digits = order.size * 2
@@ -208,7 +208,7 @@ class BcdCodec:
         self.expects: str = f"a whole number 0…{self._maximum}, in decimal"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Decode registers into numbers.
+        """Decode registers of binary-coded decimals into numbers.
 
         Raises:
             BadReply: a digit is above 9; ``raw`` holds the block.
@@ -225,7 +225,7 @@ class BcdCodec:
         return [int(text[start : start + digits]) for start in range(0, len(text), digits)]
 
     def encode(self, values: list[object]) -> bytes:
-        """Encode numbers as registers."""
+        """Encode numbers as registers of binary-coded decimals."""
         parts = []
         for index, value in enumerate(values):
             if isinstance(value, bool) or not isinstance(value, SupportsIndex):
@@ -237,7 +237,7 @@ class BcdCodec:
         return swapped(bytes.fromhex("".join(parts)), self._swaps)
 
     def parse(self, text: str) -> int:
-        """Parse a decimal number; hexadecimal is refused, since it could mean the digits or the value."""
+        """Return the number for a decimal text; hexadecimal is refused, since it could mean the digits or the value."""
         number = whole_number(text)
         if not text.lstrip("+").isdecimal() or number > self._maximum:
             raise ValueError(text)

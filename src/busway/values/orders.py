@@ -1,4 +1,4 @@
-"""Byte orders: the order of bytes and registers inside a value of 16, 32, 48 or 64 bits.
+"""Byte orders, such as ``CDAB``: the order of bytes and registers inside a value of 16, 32, 48 or 64 bits.
 
 The specification fixes the two bytes of a register (big-endian, Application Protocol V1.1b3 §4.2) and nothing more:
 how a larger number lies in several registers is each maker's choice, and some swap the bytes of a register as well.
@@ -78,7 +78,7 @@ ORDERS: Final[dict[int, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class ByteOrder:
-    """The order of the bytes of one value of ``size`` bytes on the wire; created by `byte_order`.
+    """In which order the bytes of a value of ``size`` bytes come on the wire; created by `byte_order`.
 
     Attributes:
         size: bytes of a value: 2, 4, 6 or 8.
@@ -91,13 +91,12 @@ class ByteOrder:
 
     @property
     def text(self) -> str:
-        """The order in letters, one for each byte: ``CDAB``."""
+        """The byte order in letters, one for each byte: ``CDAB``."""
         return _spelt_three(self.mask) if self.size == 6 else _spelt(self.size, self.mask)
 
     @property
     def swaps(self) -> tuple[str, ...]:
-        """What turns the wire into big-endian values and back, one after the other: array type codes whose bytes are
-        swapped, and ``02`` for an exchange of the first and the third of three registers."""
+        """The byte swaps from wire to big-endian, in sequence: array type codes, ``02`` for registers 1 and 3 of 3."""
         if self.size == 6:
             return tuple(each for each in ("H" if self.mask & 1 else "", _EXCHANGES[self.mask & 6]) if each)
         widths: list[str] = []
@@ -111,19 +110,19 @@ class ByteOrder:
 
     @property
     def is_reversed(self) -> bool:
-        """Whether the first of `swaps` reverses whole values, so that reading them as little-endian does the same."""
+        """Whether the first of `swaps` reverses whole values, so that they can be read as little-endian instead."""
         return self.size != 6 and bool(self.mask & (self.size >> 1))
 
     @property
     def registers(self) -> tuple[int, ...]:
-        """For each register of the value, the most significant first, its position on the wire."""
+        """The position on the wire of each register of the value, the most significant first."""
         if self.size == 6:
             return tuple("ABCDEF".index(self.text[2 * place]) // 2 for place in range(3))
         return tuple(place ^ (self.mask >> 1) for place in range(self.size // 2))
 
 
 def byte_order(text: str, size: int) -> ByteOrder:
-    """The byte order with this name, for values of a given size.
+    """Return the byte order with a name such as ``big`` or ``CDAB``, for values of a given size.
 
     Args:
         text: letters (``AB``, ``CDAB``, ``GHEFCDAB``, …) or ``big``, ``little``, ``word-swapped`` (registers
@@ -155,7 +154,7 @@ def byte_order(text: str, size: int) -> ByteOrder:
 
 
 def _between_three_and_others(text: str, size: int, given_size: int, mask: int) -> int:
-    """The mask of an order for three registers that was written for another number of them, or the other way round."""
+    """Convert the bit mask of an order for values of three registers to one for other sizes, or back."""
     halves_agree = given_size != 8 or bool(mask & 2) == bool(mask & 4)
     if (given_size == 6 and mask & 4) or not halves_agree:
         raise InvalidRequest(f"order {text} is for {given_size * 8} bits and says nothing of {size * 8}")
@@ -163,7 +162,7 @@ def _between_three_and_others(text: str, size: int, given_size: int, mask: int) 
 
 
 def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
-    """``data`` after the given byte swaps, each over the whole block; its length is a multiple of the value's size."""
+    """Return ``data`` with the given byte swaps done over the whole block, a multiple of the value's size."""
     for swap in swaps:
         if len(swap) == 2:
             data = _exchanged(data, int(swap[0]), int(swap[1]))
@@ -176,7 +175,7 @@ def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
 
 
 def _exchanged(data: Wire, first: int, other: int) -> bytes:
-    """Registers with two of each three exchanged."""
+    """Return registers in which those at two positions of each three are exchanged."""
     items = array("H")
     items.frombytes(data)
     items[first::3], items[other::3] = items[other::3], items[first::3]

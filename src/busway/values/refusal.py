@@ -11,7 +11,7 @@ _SHOWN_CHARACTERS: Final = 60
 
 
 def shown(value: object) -> str:
-    """``repr`` of a value, shortened to fit a sentence; never fails."""
+    """Return ``repr`` of a value, shortened to fit an error message; never fails."""
     try:
         text = repr(value)
     except ValueError:  # Python refuses to print integers of some thousand digits
@@ -20,6 +20,6 @@ def shown(value: object) -> str:
 
 
 def unfit(values: list[object], index: int, name: str, expects: str, hint: str = "") -> InvalidRequest:
-    """The error for ``values[index]``, which the type ``name`` cannot hold; says which, if there are several."""
+    """Return the error for ``values[index]``, which the value type ``name`` cannot hold."""
     place = f"values[{index}] = " if len(values) > 1 else ""
     return InvalidRequest(f"{place}{shown(values[index])} does not fit {name}, which takes {expects}{hint}")

@@ -1,4 +1,4 @@
-"""Codec for character strings in registers.
+"""Conversion between registers and character strings.
 
 Knows encodings, padding and the two orders of characters in a register. Two characters lie in a register, the first in
 the high byte unless the order is ``BA``; or one in each, in its low or its high byte.
@@ -19,7 +19,7 @@ from .refusal import shown, unfit
 
 
 class StringCodec:
-    """Codec for texts of up to ``length`` bytes, each in a field of ``registers`` registers."""
+    """Converts registers to texts of up to ``length`` bytes, each in a field of ``registers`` registers, and back."""
 
     def __init__(
         self,
@@ -54,14 +54,14 @@ class StringCodec:
         return [self._text(whole[start : start + self._length], data) for start in range(0, len(whole), self._size)]
 
     def encode(self, values: list[object]) -> bytes:
-        """Encode texts as registers, each padded to its field."""
+        """Encode texts as registers, each padded to the length of its field."""
         block = b"".join(self._field(values, index) for index in range(len(values)))
         if self._half:
             block = b"".join(b"\0%c" % each if self._half == "low" else b"%c\0" % each for each in block)
         return swapped(block, self._swaps)
 
     def parse(self, text: str) -> str:
-        """Check that a text fits, and return it unchanged."""
+        """Check that a text fits into its registers, and return it unchanged."""
         self.encode([text])
         return text
 

@@ -1,4 +1,4 @@
-"""Value types by name: converts registers to values and back, such as ``"float32"`` in order ``"CDAB"``.
+"""Value types by name, such as ``float32``: how registers become values and back, in a byte order such as ``CDAB``.
 
 Knows the names, how many registers each takes, and which codec works for it. The codecs (`numbers`, `texts`, `bits`)
 know the formats. Nothing here knows addresses, messages or limits of a request.
@@ -55,7 +55,7 @@ _PADDINGS: Final = ("nul", "space")
 
 
 class Codec(Protocol):
-    """Interface of the codec of a value type; its caller checks lengths."""
+    """Interface of the converter of a value type between registers and values; its caller checks lengths."""
 
     expects: str
 
@@ -67,7 +67,7 @@ class Codec(Protocol):
         """Encode values as registers."""
 
     def parse(self, text: str) -> Any:
-        """Parse a value from text; ``ValueError`` if it is none."""
+        """Return the value for a text; ``ValueError`` if the text is none."""
 
 
 Value = TypeVar("Value")
@@ -90,11 +90,11 @@ class ValueType(Generic[Value]):
 
     @property
     def expects(self) -> str:
-        """A description of valid values: ``a whole number 0…65535``."""
+        """What values the type can hold, in words: ``a whole number 0…65535``."""
         return self._codec.expects
 
     def registers_for(self, count: int) -> int:
-        """Number of registers that ``count`` values occupy.
+        """Return the number of registers that ``count`` values of this type occupy.
 
         Args:
             count: number of values, 1 or more.
@@ -147,7 +147,7 @@ class ValueType(Generic[Value]):
         return isinstance(self._codec, BitCodec | FieldCodec)
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """The registers with one value written, and the bits that do not belong to it unchanged.
+        """Return the registers with one value written, and the bits that do not belong to it unchanged.
 
         Args:
             value: as for `encode`.
@@ -160,7 +160,7 @@ class ValueType(Generic[Value]):
         return codec.merge(value, held) if isinstance(codec, BitCodec | FieldCodec) else self.encode([value])
 
     def parse(self, text: str) -> Value:
-        """Parse a value from text.
+        """Return the value of this type for a text.
 
         Args:
             text: integers in decimal, ``0x…`` or ``0b…``; BCD in decimal only; floats as Python writes them, ``inf``
@@ -196,7 +196,7 @@ def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any
 
 
 def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any]:
-    """The value type with a given name and byte order, compiled once.
+    """Return the value type with a given name and byte order, compiled once.
 
     Args:
         name: a name of the table in this file, capitals do not matter; a `ValueType` keeps its own order where
@@ -215,7 +215,7 @@ def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any
 
 
 def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: int | None = None) -> list[Any]:
-    """Decode registers into values; as `ValueType.decode`.
+    """Convert registers into values of a type; as `ValueType.decode`.
 
     Args:
         data: bytes in wire order, two for each register.
@@ -236,7 +236,7 @@ def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: i
 
 
 def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "ABCD") -> bytes:
-    """Encode values as registers, in wire order; as `ValueType.encode`.
+    """Convert values of a type into registers, in wire order; as `ValueType.encode`.
 
     Args:
         values: values of the type, in a sequence.
@@ -250,7 +250,7 @@ def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "A
 
 
 def parse_value(text: str, type: str | ValueType[Any]) -> Any:
-    """Parse a value from a command line or a file; as `ValueType.parse`.
+    """Return the value of a type for a text from a command line or a file; as `ValueType.parse`.
 
     Raises:
         InvalidRequest: no such type, or the text is no value of it. Nothing was sent.
@@ -347,7 +347,7 @@ def _custom(name: str, order: ByteOrder) -> ValueType[Any]:
 
 
 def _field(name: str, kind: str, words: list[str], order: ByteOrder) -> ValueType[Any]:
-    """The type for a part of a register: ``int8:low``, ``field:4-7``, ``field:4-7:signed``."""
+    """Return the value type for a part of a register: ``int8:low``, ``field:4-7``, ``field:4-7:signed``."""
     if kind != "field":
         if len(words) != 1 or words[0] not in _HALVES:
             raise InvalidRequest(
