@@ -93,10 +93,11 @@ def mosquitto(folder: Path, *lines: str) -> ForeignServer:
     return ForeignServer([program, "-c", str(config)], port)
 
 
-def nats_server(folder: Path) -> ForeignServer:
-    """A NATS server with JetStream, whose streams survive a restart."""
+def nats_server(folder: Path, *, jetstream: bool = True) -> ForeignServer:
+    """A NATS server with JetStream, whose streams survive a restart; or one without."""
     program, port = needed("nats-server"), free_port()
-    return ForeignServer([program, "-a", "127.0.0.1", "-p", str(port), "-js", "-sd", str(folder / "nats")], port)
+    streams = ["-js", "-sd", str(folder / "nats")] if jetstream else []
+    return ForeignServer([program, "-a", "127.0.0.1", "-p", str(port), *streams], port)
 
 
 def influxdb(folder: Path) -> ForeignServer:
@@ -132,7 +133,7 @@ class PostgresqlServer(ForeignServer):
 
     PASSWORD = "x9-secret"
 
-    def __init__(self) -> None:
+    def __init__(self, *, syncs: bool = False) -> None:
         places = [str(path) for path in sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)]
         postgres = Path(needed("initdb", *places)).resolve().with_name("postgres")
         postgres = next((Path(place) / "postgres" for place in places if (Path(place) / "postgres").exists()), postgres)
@@ -154,7 +155,7 @@ class PostgresqlServer(ForeignServer):
         port = free_port()
         options = [
             "-c",
-            "fsync=off",
+            f"fsync={'on' if syncs else 'off'}",
             "-c",
             "listen_addresses=127.0.0.1",
             "-c",

@@ -2,7 +2,8 @@
 
 Knows no engine. The backends in `coordinators` keep these rules, which one set of tests checks for all of them:
 
-1. An entry has a revision, which grows with every change of it; a deleted key that is created again goes on growing.
+1. An entry has a revision, which grows with every change of it. An empty value says that it was deleted; it keeps its
+   revision, and is changed from there.
 2. `Coordinator.create` and `Coordinator.replace` change an entry only if it is as the caller has seen it. A change that
    was confirmed is never lost, and of two that expect the same revision one is refused.
 3. Where the answer is missing, `OutcomeUnknown` says so: the change was made, or was not, or is made later.
@@ -12,7 +13,7 @@ Knows no engine. The backends in `coordinators` keep these rules, which one set 
 5. No entry expires: an engine's wall clock decides nothing.
 """
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -57,7 +58,7 @@ class Coordinator(Protocol):
     """A table of entries, shared by the collectors of a zone."""
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add an entry that does not exist, or was deleted; gives its revision.
+        """Add an entry that never existed; gives its revision.
 
         Raises:
             RevisionConflict: it exists.
@@ -66,7 +67,7 @@ class Coordinator(Protocol):
         """
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry that has this revision; gives the new one. An empty value deletes it.
+        """Change an entry that has this revision; gives the new one.
 
         Raises:
             RevisionConflict: it has another one, or does not exist.
@@ -74,7 +75,7 @@ class Coordinator(Protocol):
             OutcomeUnknown: it may have been changed.
         """
 
-    def watch(self, prefix: str = "") -> AsyncIterator[Entry]:
+    def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
         """The entries whose keys begin with a prefix, and their changes, until the iterator is closed (rule 4).
 
         Raises nothing for a lost connection; `ConfigError` where it can never work (rights, a wrong bucket).

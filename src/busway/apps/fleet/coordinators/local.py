@@ -1,0 +1,107 @@
+"""The coordinator of one machine: an SQLite file that its processes share. No server, no package.
+
+1. The lock of SQLite makes changes one after the other; a change is on disk when it is confirmed.
+2. Watches look every `LOOK_EVERY` seconds for revisions that are newer than the last they have seen.
+"""
+
+import asyncio
+import sqlite3
+import threading
+from collections.abc import AsyncGenerator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final, TypeVar
+
+from ....errors import ConfigError
+from ..coordinator import LONGEST_VALUE, SNAPSHOT_ENDS, CoordinatorDown, Entry, RevisionConflict
+from ..shards import checked_name
+
+LOOK_EVERY: Final = 0.1
+_SCHEMA: Final = """
+CREATE TABLE IF NOT EXISTS entries (key TEXT PRIMARY KEY, value BLOB NOT NULL, revision INTEGER NOT NULL);
+CREATE INDEX IF NOT EXISTS by_revision ON entries (revision);
+"""
+_T = TypeVar("_T")
+
+
+async def open_local(folder: str, zone: str) -> "LocalCoordinator":
+    """Open the file of a zone in a folder, which is made where it is missing. Raises `ConfigError`."""
+    return await asyncio.to_thread(LocalCoordinator, Path(folder or "."), checked_name(zone, "zone"))
+
+
+class LocalCoordinator:
+    """The entries of one zone in ``<folder>/<zone>.fleet``."""
+
+    def __init__(self, folder: Path, zone: str) -> None:
+        self.path: Path = folder / f"{zone}.fleet"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._database = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False, timeout=2.0)
+            self.path.chmod(0o600)
+            self._database.execute("PRAGMA journal_mode=WAL")
+            self._database.execute("PRAGMA synchronous=FULL")
+            self._database.executescript(_SCHEMA)
+        except (OSError, sqlite3.Error) as error:
+            raise ConfigError(f"the coordinator's file cannot be used: {error}", file=str(self.path)) from error
+        self._lock = threading.Lock()
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="busway-fleet")
+
+    async def create(self, key: str, value: bytes) -> int:
+        """Add an entry that never existed. Raises as `Coordinator.create`."""
+        return await self._in_thread(lambda: self._changed(key, value, None))
+
+    async def replace(self, key: str, value: bytes, revision: int) -> int:
+        """Change an entry that has this revision. Raises as `Coordinator.replace`."""
+        return await self._in_thread(lambda: self._changed(key, value, revision))
+
+    async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
+        """The entries and their changes, until the iterator is closed."""
+        last = 0
+        first = True
+        while True:
+            for entry in await self._in_thread(lambda last=last: self._since(prefix, last)):  # type: ignore[misc]
+                last = entry.revision
+                yield entry
+            if first:
+                first = False
+                yield SNAPSHOT_ENDS
+            await asyncio.sleep(LOOK_EVERY)
+
+    async def close(self) -> None:
+        """Close the file."""
+        await asyncio.to_thread(self._thread.shutdown)
+        with self._lock:
+            self._database.close()
+
+    def _changed(self, key: str, value: bytes, revision: int | None) -> int:
+        if len(value) > LONGEST_VALUE:
+            raise ConfigError(f"an entry has up to {LONGEST_VALUE} bytes, not {len(value)}", key=key)
+        self._database.execute("BEGIN IMMEDIATE")
+        try:
+            row = self._database.execute("SELECT revision FROM entries WHERE key = ?", (key,)).fetchone()
+            present = None if row is None else int(row[0])
+            if present != revision:
+                raise RevisionConflict(f"{key} has revision {present}, not {revision}")
+            (newest,) = self._database.execute("SELECT coalesce(max(revision), 0) + 1 FROM entries").fetchone()
+            self._database.execute("INSERT OR REPLACE INTO entries VALUES (?, ?, ?)", (key, value, newest))
+        except BaseException:
+            self._database.execute("ROLLBACK")
+            raise
+        self._database.execute("COMMIT")
+        return int(newest)
+
+    def _since(self, prefix: str, last: int) -> list[Entry]:
+        rows = self._database.execute(
+            "SELECT key, value, revision FROM entries WHERE revision > ? ORDER BY revision", (last,)
+        )
+        return [Entry(key, bytes(value), revision) for key, value, revision in rows if key.startswith(prefix)]
+
+    async def _in_thread(self, work: Callable[[], _T]) -> _T:
+        def locked() -> _T:
+            with self._lock:
+                return work()
+
+        try:
+            return await asyncio.get_running_loop().run_in_executor(self._thread, locked)
+        except sqlite3.Error as error:
+            raise CoordinatorDown(f"{self.path} cannot be used: {error}") from error

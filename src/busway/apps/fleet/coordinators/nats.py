@@ -1,0 +1,256 @@
+"""The coordinator on NATS JetStream: one key-value bucket for each zone.
+
+Knows streams and subjects; the protocol is nats-py's (``busway[nats]``). Works with nats-server 2.9.
+
+1. A change is a publication that names the last sequence of its subject: the server compares and sets. The key-value
+   functions of the client are not used, because their ``create`` decides by a read that a follower may answer.
+2. A watch is a consumer without acknowledgement whose messages must follow each other without a gap. After a gap, or
+   `QUIET` seconds without a message or heartbeat, it begins anew.
+3. A connection that answers no ping is given up after about five seconds; the next server of the URL is tried.
+"""
+
+import asyncio
+import contextlib
+import ssl
+from collections.abc import AsyncGenerator
+from importlib import import_module
+from typing import Any, Final
+
+from ....errors import ConfigError
+from ....extras import require
+from ..coordinator import (
+    LONGEST_VALUE,
+    SNAPSHOT_BEGINS,
+    SNAPSHOT_ENDS,
+    CoordinatorDown,
+    Entry,
+    OutcomeUnknown,
+    RevisionConflict,
+)
+from ..shards import checked_name
+from .opening import CoordinatorOptions
+
+OLDEST: Final = (2, 9, 0)
+HEARTBEAT: Final = 1.0
+QUIET: Final = 4.0
+_WRONG_SEQUENCE: Final = (10071, 10164)
+_MOST_WAITING: Final = 65_536
+
+
+async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCoordinator":
+    """Connect, and find or make the bucket of a zone. Raises `ConfigError`, `CoordinatorDown`, `MissingExtra`."""
+    require("nats", "a coordinator on NATS")
+    bucket = f"busway-{checked_name(zone, 'zone')}"
+    client = await connect_nats(url, options)
+    try:
+        await _find_bucket(client, bucket, options)
+    except BaseException:
+        await client.close()
+        raise
+    return NatsCoordinator(client, bucket, options.answer)
+
+
+async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py's own
+    """Connect to a server of a URL that may name several; also used for streams. Raises as `open_nats`."""
+    nats = import_module("nats")
+    causes: list[str] = []
+
+    async def note(error: Exception) -> None:
+        causes.append(str(error) or type(error).__name__)
+
+    scheme, _, hosts = url.partition("://")
+    given = {
+        "user": options.user,
+        "password": options.password,
+        "token": options.token,
+        "user_credentials": options.credentials,
+        "tls": _tls(options) if scheme == "tls" or options.ca or options.certificate else None,
+    }
+    client = nats.NATS()
+    try:
+        async with asyncio.timeout(4 * options.answer):
+            await client.connect(
+                servers=[f"{scheme}://{each.strip()}" for each in hosts.split(",")],
+                error_cb=note,
+                connect_timeout=options.answer,
+                allow_reconnect=True,
+                max_reconnect_attempts=-1,
+                reconnect_time_wait=0.25,
+                ping_interval=2,
+                max_outstanding_pings=2,
+                **{name: value for name, value in given.items() if value is not None},
+            )
+    except (nats.errors.Error, OSError, TimeoutError) as error:
+        with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):
+            await client.close()
+        cause = causes[-1] if causes else str(error) or type(error).__name__
+        if "authorization" in cause.lower():
+            raise ConfigError(f"{url} refuses the credentials: {cause}", key="coordinator") from error
+        raise CoordinatorDown(f"{url} cannot be reached: {cause}", endpoint=url) from error
+    server = client.connected_server_version
+    version = (server.major, server.minor, server.patch)
+    if version < OLDEST:
+        await client.close()
+        raise ConfigError(
+            f"{url} runs nats-server {'.'.join(map(str, version))}; 2.9 or newer is needed", key="coordinator"
+        )
+    return client
+
+
+def _tls(options: CoordinatorOptions) -> ssl.SSLContext:
+    context = ssl.create_default_context(cafile=options.ca)
+    if options.certificate is not None:
+        context.load_cert_chain(options.certificate, options.key)
+    return context
+
+
+async def _find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> None:
+    nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
+    jetstream = client.jetstream(timeout=4 * options.answer)
+    stream = f"KV_{bucket}"
+    try:
+        try:
+            info = await jetstream.stream_info(stream)
+        except errors.NotFoundError:
+            wanted = api.StreamConfig(
+                name=stream,
+                subjects=[f"$KV.{bucket}.>"],
+                max_msgs_per_subject=1,
+                max_msg_size=LONGEST_VALUE + 1024,
+                discard=api.DiscardPolicy.NEW,
+                storage=api.StorageType.FILE,
+                num_replicas=options.replicas,
+                allow_rollup_hdrs=True,
+                deny_delete=True,
+            )
+            info = await jetstream.add_stream(wanted)
+    except errors.ServiceUnavailableError as error:
+        raise ConfigError("the server has no JetStream: start it with -js", key="coordinator") from error
+    except errors.APIError as error:
+        raise ConfigError(f"the bucket {bucket} cannot be used: {error.description}", key="coordinator") from error
+    except (nats.errors.Error, OSError, TimeoutError) as error:
+        raise CoordinatorDown(f"the bucket {bucket} does not answer: {error or type(error).__name__}") from error
+    if (info.config.num_replicas or 1) < options.replicas:
+        raise ConfigError(
+            f"the bucket {bucket} has {info.config.num_replicas} replicas, and {options.replicas} are asked for: "
+            f"'nats stream edit {stream} --replicas {options.replicas}', or ask for fewer",
+            key="replicas",
+        )
+    if info.config.storage != api.StorageType.FILE:
+        raise ConfigError(f"the bucket {bucket} is kept in memory only: delete it, and it is made anew", key="bucket")
+
+
+class NatsCoordinator:
+    """The entries of one zone in a key-value bucket.
+
+    Attributes:
+        client: the connection, for the streams of the same collector.
+    """
+
+    def __init__(self, client: Any, bucket: str, answer: float) -> None:
+        self.client: Any = client
+        self._bucket, self._answer = bucket, answer
+        self._jetstream = client.jetstream(timeout=answer)
+
+    async def create(self, key: str, value: bytes) -> int:
+        """Add an entry that never existed. Raises as `Coordinator.create`."""
+        return await self._changed(key, value, 0)
+
+    async def replace(self, key: str, value: bytes, revision: int) -> int:
+        """Change an entry that has this revision. Raises as `Coordinator.replace`."""
+        return await self._changed(key, value, revision)
+
+    async def _changed(self, key: str, value: bytes, revision: int) -> int:
+        nats, errors = import_module("nats"), import_module("nats.js.errors")
+        if len(value) > LONGEST_VALUE:
+            raise ConfigError(f"an entry has up to {LONGEST_VALUE} bytes, not {len(value)}", key=key)
+        if not self.client.is_connected:
+            raise CoordinatorDown("the connection to the server is lost")
+        try:
+            made = await self._jetstream.publish(
+                f"$KV.{self._bucket}.{key}", value, headers={"Nats-Expected-Last-Subject-Sequence": str(revision)}
+            )
+        except errors.NoStreamResponseError as error:
+            raise CoordinatorDown("no server has the bucket now") from error
+        except errors.APIError as error:
+            if error.err_code in _WRONG_SEQUENCE:
+                raise RevisionConflict(f"{key} has not revision {revision}: {error.description}") from error
+            raise OutcomeUnknown(f"the server answers: {error.description}") from error
+        except (nats.errors.Error, OSError, TimeoutError) as error:
+            raise OutcomeUnknown(f"the server does not answer: {error or type(error).__name__}") from error
+        return int(made.seq)
+
+    async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
+        """The entries and their changes, until the iterator is closed."""
+        first = True
+        while True:
+            if not first:
+                yield SNAPSHOT_BEGINS
+            first = False
+            async with contextlib.aclosing(self._once(prefix)) as entries:
+                async for entry in entries:
+                    yield entry
+            await asyncio.sleep(0.2)
+
+    async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
+        """Entries of one consumer, until it has a gap or is silent. Ends without an error."""
+        nats, errors = import_module("nats"), import_module("nats.js.errors")
+        waiting: asyncio.Queue[Any] = asyncio.Queue(_MOST_WAITING)
+        inbox = self.client.new_inbox()
+
+        async def came(message: Any) -> None:
+            with contextlib.suppress(asyncio.QueueFull):  # a gap then: the watch begins anew
+                waiting.put_nowait(message)
+
+        subscription = None
+        try:
+            subscription = await self.client.subscribe(inbox, cb=came)
+            pending = await self._consume(prefix, inbox)
+            if not pending:
+                yield SNAPSHOT_ENDS
+            follows = 1
+            while True:
+                message = await asyncio.wait_for(waiting.get(), QUIET)
+                if (message.headers or {}).get("Status") is not None:
+                    last = message.headers.get("Nats-Last-Consumer")
+                    if last is not None and int(last) >= follows:
+                        return
+                    continue
+                data = message.metadata
+                if data.sequence.consumer != follows:
+                    return
+                follows += 1
+                key = message.subject.removeprefix(f"$KV.{self._bucket}.")
+                if key.startswith(prefix):
+                    yield Entry(key, message.data, data.sequence.stream)
+                if pending and not data.num_pending:
+                    pending = 0
+                    yield SNAPSHOT_ENDS
+        except (nats.errors.Error, errors.Error, OSError, TimeoutError):
+            return
+        finally:
+            if subscription is not None:
+                with contextlib.suppress(nats.errors.Error, OSError):
+                    await subscription.unsubscribe()
+
+    async def _consume(self, prefix: str, inbox: str) -> int:
+        """Make the consumer of a watch; gives how many entries exist."""
+        api = import_module("nats.js.api")
+        config = api.ConsumerConfig(
+            deliver_subject=inbox,
+            deliver_policy=api.DeliverPolicy.LAST_PER_SUBJECT,
+            ack_policy=api.AckPolicy.NONE,
+            filter_subject=f"$KV.{self._bucket}.>",
+            idle_heartbeat=HEARTBEAT,
+            max_deliver=1,
+            mem_storage=True,
+            num_replicas=1,
+        )
+        info = await self._jetstream.add_consumer(f"KV_{self._bucket}", config)
+        return int(info.num_pending or 0) + int(info.delivered.consumer_seq if info.delivered else 0)
+
+    async def close(self) -> None:
+        """Disconnect."""
+        nats = import_module("nats")
+        with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone already
+            await self.client.close()

@@ -1,0 +1,214 @@
+"""The coordinator on PostgreSQL: one table for all zones of a database.
+
+Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
+
+1. A change is one ``UPDATE … WHERE revision = …``; the database compares and sets.
+2. Each change is told by ``NOTIFY`` with its key. A watch reads what was told, and compares the revisions of all
+   entries every `COMPARE_EVERY` seconds, so that what was lost with a connection is found.
+3. Changes that were confirmed must survive the server: ``fsync`` and ``synchronous_commit`` must be on.
+"""
+
+import asyncio
+import contextlib
+import ssl
+from collections.abc import AsyncGenerator
+from importlib import import_module
+from typing import Any, Final
+
+from ....errors import ConfigError
+from ....extras import require
+from ..coordinator import (
+    LONGEST_VALUE,
+    SNAPSHOT_BEGINS,
+    SNAPSHOT_ENDS,
+    CoordinatorDown,
+    Entry,
+    OutcomeUnknown,
+    RevisionConflict,
+)
+from ..shards import checked_name
+from .opening import CoordinatorOptions
+
+COMPARE_EVERY: Final = 2.0
+OLDEST: Final = 120_000
+_SCHEMA: Final = """
+CREATE TABLE IF NOT EXISTS busway_fleet (
+    zone text NOT NULL, key text NOT NULL, value bytea NOT NULL, revision bigint NOT NULL, PRIMARY KEY (zone, key)
+);
+CREATE SEQUENCE IF NOT EXISTS busway_fleet_revision;
+"""
+_CREATE: Final = """
+INSERT INTO busway_fleet VALUES ($1, $2, $3, nextval('busway_fleet_revision'))
+ON CONFLICT DO NOTHING RETURNING revision, pg_notify($4, $2)
+"""
+_REPLACE: Final = """
+UPDATE busway_fleet SET value = $3, revision = nextval('busway_fleet_revision')
+WHERE zone = $1 AND key = $2 AND revision = $5 RETURNING revision, pg_notify($4, $2)
+"""
+
+
+async def open_postgresql(url: str, zone: str, options: CoordinatorOptions) -> "PostgresqlCoordinator":
+    """Connect, and find or make the table. Raises `ConfigError`, `CoordinatorDown`, `MissingExtra`."""
+    require("asyncpg", "a coordinator on PostgreSQL")
+    coordinator = PostgresqlCoordinator(url, checked_name(zone, "zone"), options)
+    await coordinator.open()
+    return coordinator
+
+
+class PostgresqlCoordinator:
+    """The entries of one zone in the table ``busway_fleet``."""
+
+    def __init__(self, url: str, zone: str, options: CoordinatorOptions) -> None:
+        self._url, self._zone, self._options = url, zone, options
+        self._channel = f"busway_fleet_{zone}"
+        self._pool: Any = None
+
+    async def open(self) -> None:
+        """Connect and check the server. Raises `ConfigError`, `CoordinatorDown`."""
+        pg = import_module("asyncpg")
+        try:
+            async with asyncio.timeout(4 * self._options.answer):
+                self._pool = await pg.create_pool(
+                    self._url, min_size=1, max_size=8, command_timeout=self._options.answer, **self._access()
+                )
+            async with self._pool.acquire() as connection:
+                await self._check(connection)
+                async with connection.transaction():
+                    await connection.execute("SELECT pg_advisory_xact_lock(hashtext('busway_fleet'))")
+                    await connection.execute(_SCHEMA)
+        except (pg.InvalidPasswordError, pg.InvalidAuthorizationSpecificationError) as error:
+            await self.close()
+            raise ConfigError(f"{self._url} refuses the credentials: {error}", key="coordinator") from error
+        except pg.InsufficientPrivilegeError as error:
+            await self.close()
+            raise ConfigError(f"the table busway_fleet cannot be used: {error}", key="coordinator") from error
+        except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
+            await self.close()
+            raise CoordinatorDown(
+                f"{self._url} cannot be used: {error or type(error).__name__}", endpoint=self._url
+            ) from error
+        except ConfigError:
+            await self.close()
+            raise
+
+    def _access(self) -> dict[str, Any]:
+        given: dict[str, Any] = {"user": self._options.user, "password": self._options.password}
+        if self._options.ca or self._options.certificate:
+            given["ssl"] = context = ssl.create_default_context(cafile=self._options.ca)
+            if self._options.certificate is not None:
+                context.load_cert_chain(self._options.certificate, self._options.key)
+        return {name: value for name, value in given.items() if value is not None}
+
+    async def _check(self, connection: Any) -> None:
+        if int(await connection.fetchval("SHOW server_version_num")) < OLDEST:
+            version = await connection.fetchval("SHOW server_version")
+            raise ConfigError(f"the server is PostgreSQL {version}; 12 or newer is needed", key="coordinator")
+        for name in ("fsync", "synchronous_commit"):
+            if await connection.fetchval(f"SHOW {name}") == "off":
+                raise ConfigError(
+                    f"the server has {name} = off: what it confirms may be lost, and two collectors own one link",
+                    key="coordinator",
+                )
+
+    async def create(self, key: str, value: bytes) -> int:
+        """Add an entry that never existed. Raises as `Coordinator.create`."""
+        return await self._changed(key, value, _CREATE)
+
+    async def replace(self, key: str, value: bytes, revision: int) -> int:
+        """Change an entry that has this revision. Raises as `Coordinator.replace`."""
+        return await self._changed(key, value, _REPLACE, revision)
+
+    async def _changed(self, key: str, value: bytes, statement: str, *revision: int) -> int:
+        pg = import_module("asyncpg")
+        if len(value) > LONGEST_VALUE:
+            raise ConfigError(f"an entry has up to {LONGEST_VALUE} bytes, not {len(value)}", key=key)
+        try:
+            async with asyncio.timeout(self._options.answer):
+                connection = await self._pool.acquire()
+        except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
+            raise CoordinatorDown(f"no connection to the database: {error or type(error).__name__}") from error
+        try:
+            made = await connection.fetchval(statement, self._zone, key, value, self._channel, *revision)
+        except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
+            raise OutcomeUnknown(f"the database does not confirm: {error or type(error).__name__}") from error
+        finally:
+            with contextlib.suppress(pg.PostgresError, pg.InterfaceError, OSError, TimeoutError):
+                await self._pool.release(connection, timeout=1.0)
+        if made is None:
+            raise RevisionConflict(f"{key} has not revision {revision[0] if revision else 'none'}")
+        return int(made)
+
+    async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
+        """The entries and their changes, until the iterator is closed."""
+        first = True
+        while True:
+            if not first:
+                yield SNAPSHOT_BEGINS
+            first = False
+            async with contextlib.aclosing(self._once(prefix)) as entries:
+                async for entry in entries:
+                    yield entry
+            await asyncio.sleep(0.2)
+
+    async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
+        """Entries over one connection, until it is lost. Ends without an error."""
+        pg = import_module("asyncpg")
+        told: set[str] = set()
+        wake = asyncio.Event()
+
+        def notified(_connection: object, _pid: int, _channel: str, key: str) -> None:
+            told.add(key)
+            wake.set()
+
+        connection = None
+        try:
+            options = {"timeout": self._options.answer, "command_timeout": 2 * self._options.answer}
+            connection = await pg.connect(self._url, **options, **self._access())
+            await connection.add_listener(self._channel, notified)
+            seen: dict[str, int] = {}
+            is_complete = False
+            compared = 0.0
+            loop = asyncio.get_running_loop()
+            while True:
+                wake.clear()
+                keys, told_now = None, set(told)
+                if loop.time() < compared + COMPARE_EVERY:
+                    keys = sorted(told_now)
+                else:
+                    compared = loop.time()
+                told -= told_now
+                for entry in await self._read(connection, prefix, keys):
+                    if entry.revision > seen.get(entry.key, 0):
+                        seen[entry.key] = entry.revision
+                        yield entry
+                if not is_complete:
+                    is_complete = True
+                    yield SNAPSHOT_ENDS
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(max(0.0, compared + COMPARE_EVERY - loop.time())):
+                        await wake.wait()
+        except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError):
+            return
+        finally:
+            if connection is not None:
+                connection.terminate()
+
+    async def _read(self, connection: Any, prefix: str, keys: list[str] | None) -> list[Entry]:
+        if keys is None:
+            rows = await connection.fetch(
+                "SELECT key, value, revision FROM busway_fleet WHERE zone = $1 ORDER BY revision", self._zone
+            )
+        elif keys:
+            rows = await connection.fetch(
+                "SELECT key, value, revision FROM busway_fleet WHERE zone = $1 AND key = ANY($2) ORDER BY revision",
+                self._zone,
+                keys,
+            )
+        else:
+            return []
+        return [Entry(key, bytes(value), revision) for key, value, revision in rows if key.startswith(prefix)]
+
+    async def close(self) -> None:
+        """Disconnect."""
+        if self._pool is not None:
+            self._pool.terminate()

@@ -1,0 +1,238 @@
+"""The rules of `busway.apps.fleet.coordinator`, the same tests for every backend, each with its real server."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+
+import pytest
+from foreign_servers import ForeignServer, PostgresqlServer, nats_server
+
+from busway.apps.fleet.coordinator import (
+    LONGEST_VALUE,
+    SNAPSHOT_BEGINS,
+    SNAPSHOT_ENDS,
+    Coordinator,
+    CoordinatorDown,
+    Entry,
+    OutcomeUnknown,
+    RevisionConflict,
+)
+from busway.apps.fleet.coordinators import open_coordinator
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.errors import ConfigError
+
+SERVED = ["nats", "postgresql"]
+
+
+class Backend:
+    """A backend with its server, and a zone of its own for each test."""
+
+    def __init__(self, url: str, server: ForeignServer | None, options: CoordinatorOptions) -> None:
+        self.url, self.server, self.options = url, server, options
+        self.zone = "hall"
+
+    @contextlib.asynccontextmanager
+    async def opened(self, zone: str | None = None) -> AsyncIterator[Coordinator]:
+        coordinator = await open_coordinator(self.url, zone or self.zone, self.options)
+        try:
+            yield coordinator
+        finally:
+            await coordinator.close()
+
+
+@pytest.fixture(scope="module")
+def servers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Backend]]:
+    started: dict[str, Backend] = {}
+    with contextlib.ExitStack() as stack:
+
+        class Started(dict[str, Backend]):
+            def __missing__(self, kind: str) -> Backend:
+                folder = tmp_path_factory.mktemp(kind)
+                if kind == "local":
+                    self[kind] = Backend(f"local:{folder}", None, CoordinatorOptions())
+                elif kind == "nats":
+                    pytest.importorskip("nats")
+                    server = stack.enter_context(nats_server(folder))
+                    self[kind] = Backend(f"nats://127.0.0.1:{server.port}", server, CoordinatorOptions(answer=1.0))
+                else:
+                    pytest.importorskip("asyncpg")
+                    database = stack.enter_context(PostgresqlServer(syncs=True))
+                    options = CoordinatorOptions(password=database.PASSWORD, answer=1.0)
+                    self[kind] = Backend(database.url, database, options)
+                return self[kind]
+
+        started = Started()
+        yield started
+
+
+@pytest.fixture(params=["local", *SERVED])
+def backend(request: pytest.FixtureRequest, servers: dict[str, Backend]) -> Backend:
+    found = servers[request.param]
+    found.zone = f"zone-{abs(hash(request.node.name)) % 10**9}"
+    return found
+
+
+@pytest.fixture(params=SERVED)
+def served(request: pytest.FixtureRequest, servers: dict[str, Backend]) -> Backend:
+    found = servers[request.param]
+    found.zone = f"zone-{abs(hash(request.node.name)) % 10**9}"
+    return found
+
+
+async def snapshot(coordinator: Coordinator, prefix: str = "") -> list[Entry]:
+    found = []
+    async with contextlib.aclosing(coordinator.watch(prefix)) as entries:
+        async for entry in entries:
+            if entry is SNAPSHOT_ENDS:
+                return found
+            found.append(entry)
+    raise AssertionError("the watch has ended")
+
+
+async def test_an_entry_is_created_once_and_replaced_only_at_its_revision(backend: Backend) -> None:
+    async with backend.opened() as one, backend.opened() as other:
+        first = await one.create("lease.0001", b"a")
+        with pytest.raises(RevisionConflict):
+            await other.create("lease.0001", b"b")
+        second = await other.replace("lease.0001", b"c", first)
+        assert second > first
+        with pytest.raises(RevisionConflict):
+            await one.replace("lease.0001", b"d", first)
+        with pytest.raises(RevisionConflict):
+            await one.replace("lease.0002", b"d", first)
+        assert await snapshot(one) == [Entry("lease.0001", b"c", second)]
+
+
+async def test_the_same_value_again_is_a_change_too(backend: Backend) -> None:
+    async with backend.opened() as one:
+        first = await one.create("member.a", b"same")
+        second = await one.replace("member.a", b"same", first)
+        assert second > first
+        with pytest.raises(RevisionConflict):
+            await one.replace("member.a", b"same", first)
+
+
+async def test_of_many_that_expect_one_revision_one_is_confirmed(backend: Backend) -> None:
+    async with contextlib.AsyncExitStack() as stack:
+        clients = [await stack.enter_async_context(backend.opened()) for _ in range(4)]
+        revision = await clients[0].create("lease.0001", b"")
+        for turn in range(5):
+            tries = [client.replace("lease.0001", b"%d" % turn, revision) for client in clients for _ in range(3)]
+            found = await asyncio.gather(*tries, return_exceptions=True)
+            confirmed = [each for each in found if isinstance(each, int)]
+            assert len(confirmed) == 1
+            assert all(isinstance(each, int | RevisionConflict) for each in found)
+            revision = confirmed[0]
+
+
+async def test_a_deleted_entry_keeps_its_revision_and_goes_on_from_there(backend: Backend) -> None:
+    async with backend.opened() as one:
+        first = await one.create("lease.0001", b"a")
+        gone = await one.replace("lease.0001", b"", first)
+        with pytest.raises(RevisionConflict):
+            await one.create("lease.0001", b"b")
+        assert await snapshot(one) == [Entry("lease.0001", b"", gone)]
+        assert await one.replace("lease.0001", b"b", gone) > gone
+
+
+async def test_a_watch_gives_what_is_there_then_the_end_then_changes_in_order(backend: Backend) -> None:
+    async with backend.opened() as one, backend.opened() as other:
+        revisions = [await one.create(f"lease.{number:04d}", b"%d" % number) for number in range(5)]
+        found: list[Entry] = []
+        async with contextlib.aclosing(other.watch("lease.")) as entries:
+            async for entry in entries:
+                found.append(entry)
+                if entry is SNAPSHOT_ENDS:
+                    for turn in range(20):
+                        revisions[turn % 5] = await one.replace(f"lease.{turn % 5:04d}", b"x", revisions[turn % 5])
+                    await one.create("member.a", b"not asked for")
+                if entry.revision == revisions[-1] and SNAPSHOT_ENDS in found:
+                    break
+        assert [each.key for each in found[:5]] == [f"lease.{number:04d}" for number in range(5)]
+        assert found[5] is SNAPSHOT_ENDS
+        for key in {each.key for each in found[6:]}:
+            seen = [each.revision for each in found if each.key == key]
+            assert seen == sorted(set(seen))
+
+
+async def test_a_watch_of_an_empty_zone_ends_its_snapshot_at_once(backend: Backend) -> None:
+    async with backend.opened() as one:
+        async with asyncio.timeout(5):
+            assert await snapshot(one) == []
+
+
+async def test_zones_do_not_see_each_other(backend: Backend) -> None:
+    async with backend.opened() as one, backend.opened(f"{backend.zone}-b") as other:
+        await one.create("lease.0001", b"a")
+        await other.create("lease.0001", b"b")
+        assert [each.value for each in await snapshot(other)] == [b"b"]
+
+
+async def test_a_value_that_is_too_long_is_refused(backend: Backend) -> None:
+    async with backend.opened() as one:
+        await one.create("long", b"x" * LONGEST_VALUE)
+        with pytest.raises(ConfigError, match="up to 524288 bytes"):
+            await one.create("longer", b"x" * (LONGEST_VALUE + 1))
+
+
+async def test_what_was_confirmed_survives_a_restart_and_the_watch_goes_on(served: Backend) -> None:
+    assert served.server is not None
+    async with served.opened() as one:
+        revision = await one.create("lease.0001", b"a")
+        async with contextlib.aclosing(one.watch()) as entries:
+            assert [(await anext(entries)).value, await anext(entries)] == [b"a", SNAPSHOT_ENDS]
+            served.server.stop()
+            with pytest.raises((CoordinatorDown, OutcomeUnknown)):
+                await one.replace("lease.0001", b"b", revision)
+            served.server.start()
+            async with asyncio.timeout(30):
+                assert await anext(entries) is SNAPSHOT_BEGINS
+                assert (await anext(entries)).revision == revision
+                assert await anext(entries) is SNAPSHOT_ENDS
+                while True:
+                    try:
+                        changed = await one.replace("lease.0001", b"c", revision)
+                        break
+                    except (CoordinatorDown, OutcomeUnknown):
+                        await asyncio.sleep(0.1)
+                assert (await anext(entries)).revision == changed
+
+
+async def test_a_database_that_does_not_sync_is_refused_by_name() -> None:
+    pytest.importorskip("asyncpg")
+    with PostgresqlServer() as server, pytest.raises(ConfigError, match="fsync = off"):
+        await open_coordinator(server.url, "hall", CoordinatorOptions(password=server.PASSWORD))
+
+
+async def test_a_server_without_jetstream_is_refused_by_name(tmp_path: Path) -> None:
+    pytest.importorskip("nats")
+    with nats_server(tmp_path, jetstream=False) as server, pytest.raises(ConfigError, match="has no JetStream"):
+        await open_coordinator(f"nats://127.0.0.1:{server.port}", "hall", CoordinatorOptions(answer=1.0))
+
+
+async def test_more_replicas_than_servers_are_refused_by_name(servers: dict[str, Backend]) -> None:
+    url = servers["nats"].url
+    with pytest.raises(ConfigError, match="replicas"):
+        await open_coordinator(url, "three", CoordinatorOptions(replicas=3))
+    coordinator = await open_coordinator(url, "one", CoordinatorOptions())
+    await coordinator.close()
+    with pytest.raises(ConfigError, match="has 1 replicas, and 3 are asked for"):
+        await open_coordinator(url, "one", CoordinatorOptions(replicas=3))
+
+
+@pytest.mark.parametrize("url", ["nats://127.0.0.1:1", "postgresql://x@127.0.0.1:1/x"])
+async def test_a_server_that_is_not_there_is_named(url: str) -> None:
+    pytest.importorskip("nats" if url.startswith("nats") else "asyncpg")
+    with pytest.raises(CoordinatorDown, match=r"127\.0\.0\.1:1"):
+        await open_coordinator(url, "hall", CoordinatorOptions(answer=0.3))
+
+
+async def test_other_urls_and_names_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="local:FOLDER, nats://"):
+        await open_coordinator("etcd://x", "hall")
+    with pytest.raises(ConfigError, match="zone 'a b' cannot be a name"):
+        await open_coordinator(f"local:{tmp_path}", "a b")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError, match="cannot be used"):
+        await open_coordinator(f"local:{tmp_path}/file", "hall")
