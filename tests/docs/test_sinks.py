@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from busway.apps.collector.sinks.options import make_sink
+from busway.config.files.sinks import SentSection, sink_section
 
 PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "send-samples-on.md").read_text("utf-8")
 ALL = [table for block in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL) for table in tomllib.loads(block)["sink"]]
@@ -22,7 +23,9 @@ def test_each_table_makes_a_sink(table: dict[str, Any], tmp_path: Path) -> None:
     secret.write_text("x")
     secret.chmod(0o600)
     values = {name: str(secret) if name.endswith("_file") else value for name, value in table.items()}
-    sink, options = make_sink(values["name"], values)
+    section = sink_section(values)
+    assert isinstance(section, SentSection)
+    sink, options = make_sink(section)
     assert sink is not None
     assert options.points
 

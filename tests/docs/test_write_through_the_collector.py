@@ -9,6 +9,7 @@ import pytest
 
 from busway.apps.collector.commands.input_options import make_input
 from busway.apps.collector.sinks.options import make_sink
+from busway.config.files.sinks import SentSection, sink_section
 
 PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "write-through-the-collector.md").read_text("utf-8")
 TABLES = [
@@ -20,8 +21,10 @@ TABLES = [
 def test_each_table_takes_commands(table: dict[str, Any]) -> None:
     for package in ("aiomqtt", "nats"):
         pytest.importorskip(package)
-    values = {key: value for key, value in table.items() if key != "commands"}
-    assert make_sink(table["name"], values)
-    made = make_input(table["name"], values, table["commands"])
+    section = sink_section(table)
+    assert isinstance(section, SentSection)
+    assert make_sink(section)
+    made = make_input(section)
+    assert made is not None
     assert made.rights.where == table["commands"].get("topic", table["commands"].get("subject"))
     assert "heater/setpoint" in made.rights.points

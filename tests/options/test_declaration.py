@@ -94,7 +94,7 @@ def test_a_declaration_says_everything_of_an_option() -> None:
         "a text, or none",
         "`calm`, `hasty`",
         "1…5, `calm`, `hasty`",
-        "on, off",
+        "`true`, `false`",
     ]
     assert declared(AddedParameters) is options
 

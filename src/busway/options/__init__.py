@@ -12,6 +12,7 @@
 `presets`      Presets: named sets of options. `strict` meets every "must" of the specifications
 `server`       Options of a server: its units, its sessions, and the limits and timeouts of its connections
 `service`      Options of what a running server tells: its audit log, its metrics, its control socket
+`sinks`        Options of sinks of a collector: which samples a sink gets, and what each kind may say
 `sockets`      Options of network connections, of clients and servers
 `text`         Converts options given as text (URLs, command line) or keywords into the fields of a parameter class
 `tls`          Options of Modbus/TCP Security: certificates, TLS versions, cipher suites and deadlines (port 802

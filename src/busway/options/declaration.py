@@ -12,15 +12,19 @@ Knows types, ranges and texts; knows no particular option. ::
 1. The text is the option's help. The other marks are those of this file; all of them may be left out.
 2. What an option may be is checked when its parameter class is built, so an invalid value never exists.
 3. URLs, keywords, keys of files, JSON Schema, help and the tables of the documentation ask `declared`.
+4. Keys that only files have are fields of their section with the same marks (`busway.config.files.schema`).
 """
 
+import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from enum import Enum
 from types import MappingProxyType, NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Final, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
 
 from ..errors import ConfigError
+from ..values.refusal import shown
 
 REQUIRED: Final = object()
 """The default of an option that must be there: its class has none for it."""
@@ -30,7 +34,9 @@ NONE: Final = "none"
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """The range of numbers an option may have; ``words`` replace the bounds in sentences, ``unit`` follows them."""
+    """A range of allowed numbers; ``words`` replace the bounds in sentences, ``unit`` follows them. An end may be
+    infinite.
+    """
 
     low: float
     high: float
@@ -46,6 +52,8 @@ class Range:
         return (self.low < value if self.above else self.low <= value) and value <= self.high
 
     def __str__(self) -> str:
+        if not self.words and math.isinf(self.high):
+            return f"{'above' if self.above else 'at least'} {_number(self.low)}"
         return self.words or f"{_number(self.low)}…{_number(self.high)}{self.unit and f' {self.unit}'}"
 
 
@@ -65,13 +73,19 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """Mark of an option whose text must not be empty, such as the name of a user."""
+    """Mark of an option whose text or list must not be empty, such as the name of a user.
+
+    Attributes:
+        words: what the text is.
+        pattern: what it looks like, as a regular expression.
+    """
 
     words: str
+    pattern: str = ""
 
     def has(self, value: object) -> bool:
-        """Whether a value is a text that is not empty."""
-        return bool(value)
+        """Whether a value is a text that looks like this, or a list that is not empty."""
+        return bool(value) and (not self.pattern or re.fullmatch(self.pattern, str(value)) is not None)
 
     def __str__(self) -> str:
         return self.words
@@ -143,20 +157,6 @@ class Numbers:
     written: int | str | list[int | str]
 
 
-@dataclass(frozen=True, slots=True)
-class Names:
-    """Type of options that are a list of names, at least one."""
-
-    names: tuple[str, ...]
-
-    @classmethod
-    def parse(cls, texts: Sequence[str]) -> "Names":
-        """Return the names that a file gives. Raises `ConfigError` if there is none."""
-        if not texts:
-            raise ConfigError("needs at least one name")
-        return cls(tuple(texts))
-
-
 class Mark(Enum):
     """Marks of an option that say yes by being there, without a value.
 
@@ -201,9 +201,9 @@ class Option:
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """The words that the option may be set to, if its type is an enum."""
-        enums = (kind for kind in self.kinds if isinstance(kind, type) and issubclass(kind, Enum))
-        return tuple(one.value for kind in enums for one in kind)
+        """The words that are values of the option, those of its enums and literals."""
+        words = (get_args(kind) if get_origin(kind) is Literal else _members(kind) for kind in self.kinds)
+        return tuple(word for each in words for word in each)
 
     @property
     def expected(self) -> str:
@@ -216,18 +216,11 @@ class Option:
 
     @property
     def values(self) -> str:
-        """The possible values of the option as text, for tables and help."""
-        if self.kinds == (bool,):
-            text = "on, off"
-        elif self.choices:
-            text = ", ".join([str(self.limits)] * (self.limits is not None) + [f"`{one}`" for one in self.choices])
-        elif hasattr(self.kinds[0], "parse"):
-            text = "a list"
-        elif hasattr(self.kinds[0], "written_as"):
-            text = "a number, a text or a list"
-        else:
-            text = "a text" if self.limits is None or isinstance(self.limits, Name) else str(self.limits)
-        return f"{text}, or none" if self.is_optional else text
+        """The possible values as text, for tables and help."""
+        words = [str(self.limits)] if isinstance(self.limits, Range | OneOf) else []
+        words += [f"`{one}`" for one in self.choices]
+        words = words or list(dict.fromkeys(_kind_words(kind) for kind in self.kinds))
+        return ", or ".join([", ".join(words)] + ["none"] * self.is_optional)
 
     @property
     def default_text(self) -> str:
@@ -240,18 +233,14 @@ class Option:
         return "; ".join(f"{text} ({', '.join(framings)})" for text, framings in names.items())
 
     def check(self, value: object) -> None:
-        """Raise `ConfigError` if a value of the right type is not allowed: out of range, or not one of the words."""
-        if value is None and self.is_optional:
+        """Raise `ConfigError` if a value of the right type is out of range, or is no member of the enum."""
+        if (value is None and self.is_optional) or (self.limits is None and not self.choices):
             return
-        if self.choices and isinstance(value, Enum):
+        if self.choices and (isinstance(value, Enum) or value in self.choices):
             return
-        if isinstance(value, int | float | str) and (self.limits is not None or self.choices):
-            if self.limits is not None and self.limits.has(value):
-                return
-            said = _number(value) if isinstance(value, int | float) else repr(value)
+        if self.limits is None or not self.limits.has(value):
+            said = _number(value) if isinstance(value, int | float) else shown(value)
             raise ConfigError(f"must be {self.expected}, not {said}", key=self.name)
-        if self.choices:
-            raise ConfigError(f"must be {self.expected}, not {value!r}", key=self.name)
 
 
 def declared(kind: type[Any]) -> Mapping[str, Option]:  # Any: parameter classes share no base
@@ -272,7 +261,7 @@ def _declared(kind: type[Any]) -> Mapping[str, Option]:
     for field in fields(kind):
         default = field.default if field.default_factory is MISSING else field.default_factory()
         default = REQUIRED if default is MISSING else default
-        found[field.name] = _option(field.name, hints[field.name], default, () if on is None else (on,))
+        found[field.name] = option_of(field.name, hints[field.name], default, () if on is None else (on,))
     return MappingProxyType(found)
 
 
@@ -282,7 +271,8 @@ def check(parameters: Any) -> None:
         option.check(getattr(parameters, name))
 
 
-def _option(name: str, hint: Any, default: object, on: tuple[On, ...]) -> Option:  # hint: a type as annotated
+def option_of(name: str, hint: Any, default: object, on: tuple[On, ...] = ()) -> Option:  # hint: a type as annotated
+    """The option that an annotated field declares."""
     marks: tuple[Any, ...] = ()
     if get_origin(hint) is Annotated:
         hint, *rest = get_args(hint)
@@ -308,13 +298,36 @@ def _shown(default: object) -> str:
         return "must be there"
     if isinstance(default, str) and not isinstance(default, Enum):
         return f"`{default}`" if default else "none"
-    if default is None or (hasattr(default, "parse") and not default):
+    if default is None or (not isinstance(default, int | float) and hasattr(default, "__len__") and not len(default)):
         return "none"
+    if isinstance(default, tuple | list):
+        return f"`{list(default)}`".replace("'", '"')
     if isinstance(default, bool):
-        return "on" if default else "off"
+        return str(default).lower()
     if isinstance(default, Enum):
         return f"`{default.value}`"
     return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _members(kind: Any) -> tuple[Any, ...]:  # a type, and the values of its members
+    return tuple(one.value for one in kind) if isinstance(kind, type) and issubclass(kind, Enum) else ()
+
+
+_KIND_WORDS: Final = {bool: "`true`, `false`", int: "a whole number", float: "a number", str: "a text", bytes: "a text"}
+
+
+def _kind_words(kind: Any) -> str:  # a type
+    """What a value of a type is called in tables."""
+    if kind in _KIND_WORDS:
+        return _KIND_WORDS[kind]
+    origin = get_origin(kind) or kind
+    if origin is Annotated:
+        return _kind_words(get_args(kind)[0])
+    if hasattr(origin, "written_as"):
+        return ", ".join(_kind_words(one) for one in get_args(origin.written_as))
+    if hasattr(origin, "parse") or origin in (list, tuple, Sequence):
+        return "a list"
+    return "any" if kind is Any else "a table"
 
 
 def _number(value: float) -> str:

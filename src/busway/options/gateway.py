@@ -5,7 +5,7 @@ from typing import Annotated
 
 from ..codes import TCP_DEVICE_UNIT
 from .client import CLIENT_DEADLINE
-from .declaration import Name, Names, Numbers, Range, check
+from .declaration import Name, Numbers, Range, check
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class RouteParameters:
     """Options of a route: which requests it is for, what becomes of them, and how they are forwarded."""
 
     name: Annotated[str, "what messages call it."] = ""
-    listeners: Annotated[Names | None, "names of listeners; None: of all."] = None
+    listeners: Annotated[tuple[str, ...] | None, Name("at least one name"), "names of listeners; None: of all."] = None
     units: Annotated[
         Numbers | None, 'units asked, `5`, `"1-10"`, `[1, 3, "7-9"]`; None: those that the link can have.'
     ] = None

@@ -6,7 +6,7 @@ it from a list of texts.
 
 from collections.abc import Iterable, Mapping
 from enum import Enum
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeVar, get_origin
 
 from ..errors import ConfigError
 from .declaration import NONE, Option, declared
@@ -91,6 +91,8 @@ def _of_kinds(name: str, value: object, kinds: tuple[Any, ...]) -> object:  # ty
 
 
 def _of_kind(name: str, value: object, kind: Any) -> object:  # a type
+    if get_origin(kind) is tuple:
+        return _texts(name, value)
     if isinstance(value, kind) and not (isinstance(value, bool) and kind is not bool):
         return value
     if isinstance(kind, type) and issubclass(kind, Enum):
@@ -113,14 +115,19 @@ def _of_kind(name: str, value: object, kind: Any) -> object:  # a type
 
 
 def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``parse``, which shares no base
-    """Build the value of an option from a list of texts, or one text separated by commas, by its class's ``parse``."""
+    """Build an object of a class with a ``parse`` method."""
+    try:
+        return kind.parse(_texts(name, value))
+    except ConfigError as error:
+        raise ConfigError(error.message, key=name) from error
+
+
+def _texts(name: str, value: object) -> tuple[str, ...]:
+    """A list of texts, or one text separated by commas."""
     texts = [one.strip() for one in value.split(",") if one.strip()] if isinstance(value, str) else value
     if not isinstance(texts, list | tuple) or not all(isinstance(one, str) for one in texts):
         raise ConfigError(f"must be a list of texts, not {value!r}", key=name)
-    try:
-        return kind.parse(texts)
-    except ConfigError as error:
-        raise ConfigError(error.message, key=name) from error
+    return tuple(texts)
 
 
 def _from_text(name: str, text: str, kind: type) -> object:

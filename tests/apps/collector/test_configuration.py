@@ -137,8 +137,8 @@ def test_all_that_is_wrong_is_said_at_once_with_file_line_and_key(plant: Path) -
     text = text.replace("slow.period = 60.0", "slow.period = 0.0").replace('store = "data"', 'stroe = "data"')
     assert problems(plant, text) == [
         "plant.toml:2: collector.stroe: unknown key; is it store?",
-        "plant.toml:6: poll_class.slow.period: must be at least 0.001, not 0.0",
-        "plant.toml:19: device[0].unit: must be at most 255, not 700",
+        "plant.toml:6: poll_class.slow.period: must be 0.001…604800, not 0",
+        "plant.toml:19: device[0].unit: must be 0…255, not 700",
     ]
 
 
@@ -223,4 +223,4 @@ def test_sinks_are_judged_with_their_lines_and_their_paths_are_those_of_the_file
     text += 'url = "prometheus://127.0.0.1:0"\npoints = []\n'
     first, second = problems(plant, text)
     assert first.startswith("plant.toml:39: sink[0].url: ")
-    assert second.startswith("plant.toml:44: sink[1].points: needs a list of patterns")
+    assert second.startswith("plant.toml:44: sink[1].points: must be a list of patterns")

@@ -230,9 +230,9 @@ class Collector:
             self._sinks = SinkThread(writer, configuration.sinks, _report_rules(configuration))
         if configuration.pages:
             for page in configuration.pages.values():
-                self._pages.append(
-                    PrometheusPage(page.where, page.points, self.values, stale=page.stale, alarms=self.alarms.active)
-                )
+                alarms = self.alarms.active
+                made = PrometheusPage(page.parts.netloc, page.points, self.values, stale=page.stale, alarms=alarms)
+                self._pages.append(made)
 
     def _start_commands(self) -> None:
         """Open the audit log and the journal, and end what an earlier process has left open. Raises `ConfigError`."""

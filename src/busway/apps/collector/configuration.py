@@ -15,11 +15,12 @@ from typing import Any, Final
 from ...client.checks import default_unit
 from ...client.settings import LinkSettings
 from ...codes import Table
-from ...config.files.collector import CollectedDeviceSection, CollectorFile, sink_options
+from ...config.files.collector import CollectedDeviceSection, CollectorFile
 from ...config.files.device import UnitSection
 from ...config.files.lines import Path
 from ...config.files.problems import FileError
-from ...config.files.schema import Source, parse_with_source
+from ...config.files.schema import Source, keys_of, parse_with_source
+from ...config.files.sinks import PrometheusSinkSection, SentSection, SinkSection
 from ...config.links import NamedLink
 from ...config.paths import within
 from ...config.profiles import DEVICES, PREFIX, read_profile
@@ -28,6 +29,8 @@ from ...config.reading import read_text
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError, InvalidRequest
 from ...framing.timing import Parity, SerialTiming
+from ...options.declaration import Mark
+from ...options.sinks import DeliveryOptions
 from ...points.point import Point
 from ...points.point_rules import ItemRange, ReadRules
 from ..server.configuration import Configuration, put_together
@@ -38,7 +41,6 @@ from .cost import ReadCost, baud_cost, line_cost, network_cost
 from .knowledge import DeviceKnowledge, Knowledge
 from .plan_cache import PlanBook
 from .samples import PointDescription
-from .sinks.delivery import DeliveryOptions
 from .sinks.interface import Sink
 from .sinks.options import make_sink
 
@@ -87,21 +89,6 @@ class CollectedDevice:
 
 
 @dataclass(frozen=True, slots=True)
-class PrometheusOptions:
-    """A page of last values for Prometheus.
-
-    Attributes:
-        where: ``127.0.0.1:9503``.
-        points: patterns of the points that it shows.
-        stale: seconds after which a value is left out.
-    """
-
-    where: str
-    points: tuple[str, ...]
-    stale: float
-
-
-@dataclass(frozen=True, slots=True)
 class CollectorConfiguration:
     """Everything that a collector file says, checked as a whole.
 
@@ -124,7 +111,7 @@ class CollectorConfiguration:
     periods: Mapping[str, float]
     devices: Mapping[str, CollectedDevice] = field(default_factory=dict)
     sinks: Mapping[str, tuple[Sink, DeliveryOptions]] = field(default_factory=dict)
-    pages: Mapping[str, "PrometheusOptions"] = field(default_factory=dict)
+    pages: Mapping[str, PrometheusSinkSection] = field(default_factory=dict)
     inputs: Mapping[str, CommandInput] = field(default_factory=dict)
 
     @property
@@ -202,55 +189,41 @@ def parse_collector(text: str, name: str) -> CollectorConfiguration:
 
 def _sinks(
     file: CollectorFile, name: str, report: ConfigurationReport
-) -> tuple[dict[str, tuple[Sink, DeliveryOptions]], dict[str, PrometheusOptions], dict[str, CommandInput]]:
+) -> tuple[dict[str, tuple[Sink, DeliveryOptions]], dict[str, PrometheusSinkSection], dict[str, CommandInput]]:
     """Where samples are handed on, and commands come from; paths are relative to the folder of the file."""
     sinks: dict[str, tuple[Sink, DeliveryOptions]] = {}
-    pages: dict[str, PrometheusOptions] = {}
+    pages: dict[str, PrometheusSinkSection] = {}
     inputs: dict[str, CommandInput] = {}
-    for index, section in enumerate(file.sink):
-        at: Path = ("sink", index)
-        values = sink_options(section)
-        for key in _SINK_FILES & values.keys():
-            values[key] = within(name, str(values[key]))
-
-        if section.url.startswith(_PROMETHEUS):
-            page = report.make(partial(_page, section.url, values), partial(_key_at, at))
-            if page is not None:
-                pages[section.name] = page
-            continue
-        values["url"] = section.url
-        if section.url.startswith(_FILE):
-            values["url"] = _FILE + within(name, section.url.removeprefix(_FILE))
-        commands = values.pop("commands", None)
-        folder = FilePath(within(name, file.collector.store))
-        made = report.make(partial(make_sink, section.name, values, folder), partial(_key_at, at))
-        if made is not None:
-            sinks[section.name] = made
-        if made is not None and commands is not None:
-            taken = report.make(partial(make_input, section.name, values, commands), partial(_key_at, at))
-            if taken is not None:
-                inputs[section.name] = taken
+    folder = FilePath(within(name, file.collector.store))
+    for index, written in enumerate(file.sink):
+        section = _rooted(written, name)
+        place = partial(_key_at, ("sink", index))
+        if isinstance(section, PrometheusSinkSection):
+            pages[section.name] = section
+        elif isinstance(section, SentSection):
+            made = report.make(partial(make_sink, section, folder), place)
+            taken = None if made is None else report.make(partial(make_input, section), place)
+            sinks |= {} if made is None else {section.name: made}
+            inputs |= {} if taken is None else {section.name: taken}
     return sinks, pages, inputs
+
+
+def _rooted(section: SinkSection, name: str) -> SinkSection:
+    """A sink with paths that are relative to the folder of its file made absolute, or relative to the working
+    directory.
+    """
+    files = {key for key, option in keys_of(type(section)).items() if Mark.FILE in option.marks}
+    paths = {key: within(name, getattr(section, key)) for key in files & section.model_fields_set}
+    if section.url.startswith(_FILE):
+        paths["url"] = _FILE + within(name, section.url.removeprefix(_FILE))
+    return section.model_copy(update=paths)
 
 
 def _key_at(at: Path, key: str | None) -> Path:
     return at if key is None else (*at, key)
 
 
-_PROMETHEUS: Final = "prometheus://"
 _FILE: Final = "file://"
-_SINK_FILES: Final = frozenset({"password_file", "token_file", "authority", "certificate", "key"})
-
-
-def _page(url: str, values: Mapping[str, Any]) -> PrometheusOptions:  # Any: what TOML has
-    for key in values.keys() - {"points", "stale"}:
-        raise ConfigError("unknown key; the keys allowed here are points and stale", key=key)
-    points, stale = values.get("points", []), values.get("stale", 300.0)
-    if not isinstance(points, list) or not points or not all(isinstance(each, str) for each in points):
-        raise ConfigError('needs a list of patterns: points = ["meter-7/*"]', key="points")
-    if isinstance(stale, bool) or not isinstance(stale, int | float) or stale <= 0:
-        raise ConfigError(f"must be a number of seconds above 0, not {stale!r}", key="stale")
-    return PrometheusOptions(url.removeprefix(_PROMETHEUS), tuple(points), float(stale))
 
 
 @dataclass(frozen=True, slots=True)

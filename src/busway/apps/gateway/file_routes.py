@@ -99,7 +99,7 @@ def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> 
     action = RouteAction.FORWARD if upstream is not None else RouteAction.DROP if wanted.drop else RouteAction.REFUSE
     return Route(
         upstream=wanted.link or "",
-        listeners=frozenset(wanted.listeners.names if wanted.listeners else ()),
+        listeners=frozenset(wanted.listeners or ()),
         units=_default_units(wanted, upstream) if asked is None else asked,
         functions=section.asked_functions(),
         addresses=None if addresses is None else AddressRange(*addresses),

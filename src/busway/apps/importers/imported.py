@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from ...config.files.schema import faults_of
+from ...config.files.schema import faults_in
 from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
 from ...errors import ConfigError
 from ..simulator.device_text import device_text
@@ -102,7 +102,7 @@ class ImportedDevice:
             try:
                 SimulatedPointSection.model_validate(keys)
             except ValidationError as error:
-                why = "; ".join(dict.fromkeys(sentence for _, sentence in _faults(error, SimulatedPointSection)))
+                why = "; ".join(dict.fromkeys(sentence for _, sentence in faults_in(error, SimulatedPointSection)))
                 self.omit(point.where, keys["name"] or "a point without a name", why)
                 continue
             names.add(keys["name"])
@@ -117,8 +117,10 @@ class ImportedDevice:
             try:
                 return SimulatedUnitSection.model_validate(data)
             except ValidationError as error:
-                faults = _faults(error, SimulatedUnitSection)
-            wrong = {path[1]: sentence for path, sentence in faults if path[:1] == ("point",) and len(path) > 1}
+                faults = faults_in(error, SimulatedUnitSection)
+            wrong: dict[Any, str] = {
+                path[1]: sentence for path, sentence in faults if path[:1] == ("point",) and len(path) > 1
+            }
             if not wrong:
                 raise ConfigError("; ".join(sentence for _, sentence in faults))
             for place, sentence in wrong.items():
@@ -150,7 +152,3 @@ def _once(name: str, taken: set[str]) -> str:
     while f"{name}_{number}" in taken:
         number += 1
     return f"{name}_{number}"
-
-
-def _faults(error: ValidationError, section: type[Any]) -> list[tuple[Any, str]]:  # Any: keys and places
-    return [fault for each in error.errors() for fault in faults_of(each, section)]

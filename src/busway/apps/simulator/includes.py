@@ -21,11 +21,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from pydantic import ValidationError
-
 from ...config.files.lines import Path
 from ...config.files.problems import FileError
-from ...config.files.schema import Source, faults_of, in_order, read_source
+from ...config.files.schema import Source, in_order, read_source
 from ...config.files.simulation import (
     IncludeSection,
     Parameter,
@@ -228,17 +226,7 @@ class _Including:
 
 
 def _checked_unit(source: Source, index: int) -> DeclaredUnit:
-    try:
-        section = SimulatedUnitSection.model_validate(source.data["unit"][index])
-    except ValidationError as error:
-        raise FileError(
-            in_order(
-                source.problem(("unit", index, *path), sentence)
-                for each in error.errors()
-                for path, sentence in faults_of(each, SimulatedUnitSection)
-            )
-        ) from None
-    return DeclaredUnit(section, source, ("unit", index))
+    return DeclaredUnit(source.checked(SimulatedUnitSection, "unit", index), source, ("unit", index))
 
 
 def _included(error: ConfigError, name: str, where: str) -> ConfigError:

@@ -14,6 +14,7 @@
 `problems`    The error for an invalid file, with one line for each problem
 `schema`      Base of all file schemas, and the translation of schema errors into sentences with a line
 `simulation`  The schema of simulation files: device files whose points have ranges, names for numbers, and behaviours
+`sinks`       The schema of sinks: `[[sink]]` of a collector file, one section class for each kind
 `system`      The schema of configuration files: server, listeners, client, security, policy and units in one file
 ============  ========================================================================================================
 

@@ -30,10 +30,10 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import BeforeValidator, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from ...values.refusal import shown
-from .schema import FileProblems, Section, faults_of
+from .schema import FileProblems, Section, read_section
 
 FASTEST: Final = 0.01
 """Seconds between two changes, at least: below, the timers of a system are no longer exact."""
@@ -212,10 +212,7 @@ def _as_behaviour(value: object) -> object:
         there = ", ".join(KINDS)
         said = f"must be one of {there}, not {shown(kind)}" if "kind" in value else f"is missing; there are {there}"
         raise FileProblems([(("kind",), said)])
-    try:
-        return section.model_validate(value)
-    except ValidationError as error:
-        raise FileProblems([fault for each in error.errors() for fault in faults_of(each, section)]) from None
+    return read_section(section, value)
 
 
 DeclaredBehaviour = Annotated[

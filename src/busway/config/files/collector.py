@@ -31,74 +31,100 @@ Rules:
 1. A point is read in its own class, or else in that of its unit, or else in that of the device; a file with one class
    needs no names.
 2. A profile is a ready-made device, or the path of a device file with one unit; ``with`` sets its parameters.
-3. What a sink may say depends on its kind and is judged where it is made.
+3. What a sink may say depends on its kind (`sinks`).
 """
 
+import math
 from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import BeforeValidator, ConfigDict, Field
+from pydantic import BeforeValidator, Field
 
+from ...options.declaration import Name, Range
 from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url
 from .schema import Section
 from .simulation import Parameter
+from .sinks import AnySink
 from .system import SystemFile, twice
 
-Name = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^/\s\x00-\x1f][^/\x00-\x1f]*$")]
-"""A name of a device: it stands before the slash in ``device/point``."""
+Role = Literal["view", "operate", "configure"]
 
 
 class CollectorSection(Section):
     """``[collector]``: where samples are stored, and options of the collector."""
 
-    store: str = Field(default="data", min_length=1)
-    durability: Literal["process", "power"] = "process"
-    keep_days: float | None = Field(default=None, gt=0, le=100_000)
-    keep_bytes: int | None = Field(default=None, ge=1_000_000)
-    learn: bool = True
-    page: str = Field(default="127.0.0.1:8503", min_length=1, max_length=200)
+    store: Annotated[str, Name("a folder"), "the folder of the store, made where it is not there."] = "data"
+    durability: Annotated[
+        Literal["process", "power"],
+        "what a commit survives: `process`, the end of the process; `power`, a power failure too.",
+    ] = "process"
+    keep_days: Annotated[
+        float | None, Range(0, 100_000, above=True), "days after which samples are dropped; None: never."
+    ] = None
+    keep_bytes: Annotated[
+        int | None, Range(1_000_000, math.inf), "size of the store above which the oldest samples are dropped."
+    ] = None
+    learn: Annotated[bool, "whether what was learnt of devices is kept, in `learnt.json` in the store."] = True
+    page: Annotated[str, Name("an address such as 127.0.0.1:8503"), "host and port of the page; `off` for none."] = (
+        "127.0.0.1:8503"
+    )
 
 
 class PageAccessSection(Section):
     """``[page_access]``: tokens and TLS of the page, and what subjects of client certificates may do."""
 
-    tokens: str | None = Field(default=None, min_length=1)
-    certificate: str | None = Field(default=None, min_length=1)
-    key: str | None = Field(default=None, min_length=1)
-    password_file: str | None = Field(default=None, min_length=1)
-    authority: str | None = Field(default=None, min_length=1)
-    revocation_list: str | None = Field(default=None, min_length=1)
-    subjects: dict[str, Literal["view", "operate", "configure"]] = Field(default_factory=dict)
+    tokens: Annotated[
+        str | None,
+        Name("the path of a file"),
+        "the file of tokens, made with a random one for each role where it is not there; None: `page-tokens` in the",
+        "store.",
+    ] = None
+    certificate: Annotated[str | None, Name("the path of a file"), "file in PEM for HTTPS; None: HTTP."] = None
+    key: Annotated[str | None, Name("the path of a file"), "file with its private key; None: the same file."] = None
+    password_file: Annotated[str | None, Name("the path of a file"), "file whose first line opens the key."] = None
+    authority: Annotated[
+        str | None, Name("the path of a file"), "who issues client certificates; None: none are asked for."
+    ] = None
+    revocation_list: Annotated[str | None, Name("the path of a file"), "which of them are revoked."] = None
+    subjects: Annotated[
+        dict[str, Role], 'role by the subject of a client certificate: `"CN=anna,O=plant" = "operate"`.'
+    ] = Field(default_factory=dict)
 
 
 class PollClassSection(Section):
     """``[poll_class]``, one poll class: how often its points are read."""
 
-    period: float = Field(ge=0.001, le=604_800)
+    period: Annotated[float, Range(0.001, 604_800), "seconds between two reads of its points."]
 
 
 class CollectedDeviceSection(Section):
     """``[[device]]``: a device to poll: over which link, and by which profile."""
 
-    name: Name
-    link: str
-    unit: int | None = Field(default=None, ge=0, le=255)
-    profile: str = Field(min_length=1)
-    with_: dict[str, Parameter] = Field(default_factory=dict, alias="with")
-    poll_class: str = ""
-    firmware: str = ""
-    line_baud: int | None = Field(default=None, ge=50, le=12_000_000)
-
-
-class SinkSection(Section):
-    """``[[sink]]``: a system that gets the samples; further keys depend on its kind."""
-
-    model_config: ClassVar[ConfigDict] = ConfigDict(extra="allow", strict=True, frozen=True)
-
-    name: str = Field(min_length=1)
-    url: str = Field(min_length=1)
+    name: Annotated[
+        str,
+        Name("a name of at most 200 characters without /", r"[^/\s\x00-\x1f][^/\x00-\x1f]{0,199}"),
+        "what the device is called in samples and on the page.",
+    ]
+    link: Annotated[str, "the name of its link."]
+    unit: Annotated[
+        int | None, Range(0, 255), "its unit identifier; None: 255 on TCP. A device on a line must have one."
+    ] = None
+    profile: Annotated[str, Name("a profile"), "a ready-made device, or the path of a device file with one unit."]
+    with_: Annotated[dict[str, Parameter], "parameters of the profile: `with = { base = 100 }`."] = Field(
+        default_factory=dict, alias="with"
+    )
+    poll_class: Annotated[str, "the class of points that name none; left out: the only class."] = ""
+    firmware: Annotated[
+        str,
+        "what the device runs. What two devices with one profile and firmware learnt alike, the third begins with.",
+    ] = ""
+    line_baud: Annotated[
+        int | None,
+        Range(50, 12_000_000),
+        "bits per second of the line, where the device is behind a TCP gateway; None: what reads cost is learnt.",
+    ] = None
 
 
 def _none_here(value: object) -> object:
@@ -112,11 +138,15 @@ class CollectorFile(SystemFile):
 
     retired: ClassVar[dict[str, str]] = {}
 
-    collector: CollectorSection = CollectorSection()
-    page_access: PageAccessSection = PageAccessSection()
-    poll_class: dict[str, PollClassSection] = Field(default_factory=dict)
-    device: list[CollectedDeviceSection] = Field(default_factory=list)
-    sink: list[SinkSection] = Field(default_factory=list)
+    collector: Annotated[CollectorSection, "where samples are stored, and options of the collector."] = (
+        CollectorSection()
+    )
+    page_access: Annotated[PageAccessSection, "who may see and change what on the page."] = PageAccessSection()
+    poll_class: Annotated[dict[str, PollClassSection], "how often points are read, by name of the class."] = Field(
+        default_factory=dict
+    )
+    device: Annotated[list[CollectedDeviceSection], "the devices to poll."] = Field(default_factory=list)
+    sink: Annotated[list[AnySink], "systems that get the samples."] = Field(default_factory=list)
     unit: Annotated[list[UnitSection], BeforeValidator(_none_here)] = Field(default_factory=list)
     listen: Annotated[list[Url], BeforeValidator(_none_here)] = Field(default_factory=list)
     listener: Annotated[list[ListenerSection], BeforeValidator(_none_here)] = Field(default_factory=list)
@@ -148,8 +178,3 @@ def _page_access_faults(access: PageAccessSection) -> Iterator[tuple[Path, str]]
             yield ("page_access", key), "is for a page with TLS: certificate is missing"
     if access.subjects and access.authority is None:
         yield ("page_access", "subjects"), "are those of certificates: the authority that issues them is missing"
-
-
-def sink_options(section: SinkSection) -> dict[str, Any]:  # Any: what TOML has
-    """The keys of a sink beside its name and URL."""
-    return dict(section.model_extra or {})

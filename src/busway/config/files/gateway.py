@@ -209,7 +209,7 @@ class GatewayFile(SystemFile):
             route = section.parameters
             if route.link is not None and route.link not in names:
                 yield ("route", index, "link"), f"there is no link {route.link!r}, but {', '.join(names)}"
-            for place, wanted in enumerate(route.listeners.names if route.listeners else ()):
+            for place, wanted in enumerate(route.listeners or ()):
                 if wanted not in titles:
                     yield (
                         ("route", index, "listeners", place),

@@ -3,19 +3,19 @@
 Knows declared options (`busway.options.declaration`) and pydantic; knows no particular option.
 
 1. A key has the name and the type of the option; the text ``none`` is the value of an option that has none.
-2. The parameter class checks values when all of its keys are there; the JSON Schema repeats their ranges.
+2. Each key is checked by its declaration; the parameter class checks what goes together when all of its keys are there.
 """
 
 from collections.abc import Callable, Iterable, Mapping
 from enum import Enum
 from functools import reduce
 from operator import or_
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_origin
 
-from pydantic import BeforeValidator, Field, create_model, model_validator
+from pydantic import BeforeValidator, create_model, model_validator
 
 from ...errors import ConfigError
-from ...options.declaration import NONE, REQUIRED, Name, Option, Range, declared
+from ...options.declaration import NONE, REQUIRED, Option, declared
 from ...options.offer import Offer
 from ...options.text import build_parameters
 from ...values.refusal import shown
@@ -85,7 +85,7 @@ def with_options_of(
         keys: dict[str, Any] = {}  # pairs of type and default, as pydantic takes them
         for option in Offer.of(*kinds, role=role).options.values():
             if option.name not in without and option.name not in section.model_fields:
-                keys[option.name] = (_annotation(option), _field(option))
+                keys[option.name] = (_annotation(option), ... if option.default is REQUIRED else None)
         made = create_model(
             section.__name__, __base__=section, __module__=section.__module__, __doc__=section.__doc__, **keys
         )
@@ -99,11 +99,13 @@ def _annotation(option: Option) -> Any:  # a type as annotations have it
     """The type of the key for an option, for the schema."""
     kind = reduce(or_, [_plain(kind) for kind in option.kinds])
     if len(option.kinds) > 1:
-        return Annotated[kind, BeforeValidator(_one_of(option), json_schema_input_type=kind)]
-    return _or_none(kind) if option.is_optional else kind
+        return Annotated[kind, BeforeValidator(_one_of(option), json_schema_input_type=kind), option]
+    return Annotated[_or_none(kind) if option.is_optional else kind, option]
 
 
 def _plain(kind: Any) -> Any:  # both are types as annotations have them
+    if get_origin(kind) is tuple:
+        return list[str]
     if issubclass(kind, Enum):
         return Literal[tuple(one.value for one in kind)]
     return getattr(kind, "written_as", list[str] if hasattr(kind, "parse") else kind)
@@ -118,14 +120,3 @@ def _one_of(option: Option) -> Callable[[object], object]:
         raise ValueError(f"must be {option.expected}, not {shown(value)}")
 
     return report
-
-
-def _field(option: Option) -> Any:  # what pydantic makes of it
-    extra: dict[str, Any] = {}  # Any: what JSON has
-    if isinstance(option.limits, Range):
-        extra["exclusiveMinimum" if option.limits.above else "minimum"] = option.limits.low
-        extra["maximum"] = option.limits.high
-    elif isinstance(option.limits, Name):
-        extra["minLength"] = 1
-    default: Any = ... if option.default is REQUIRED else None  # Any: as pydantic has it
-    return Field(default=default, description=option.help, json_schema_extra=extra)

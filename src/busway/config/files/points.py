@@ -50,7 +50,7 @@ from ...points.point_rules import ranged
 from ...values import Address, ValueType, format_address, parse_address, value_type
 from ...values.refusal import shown
 from .lines import Path
-from .schema import FileProblems, Section, faults_of
+from .schema import FileProblems, Section, faults_in
 
 Result = TypeVar("Result")
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -176,6 +176,9 @@ class ReportSection(Section):
         return _report_rule(self.when, self.period, band, percent is not None, self.max_silence)
 
 
+Report = Annotated[ReportSection, BeforeValidator(_as_report, json_schema_input_type=str | ReportSection)]
+
+
 class AlarmSection(Section):
     """``alarm``: a limit of a point, or states of it that are an alarm."""
 
@@ -230,7 +233,7 @@ class WholeSection(Section):
         try:
             section = handler(data)
         except ValidationError as error:
-            found = [fault for each in error.errors() for fault in faults_of(each, cls)]
+            found = faults_in(error, cls)
             raise FileProblems([*found, *cls._further(data, handler, found)]) from None
         faults = list(section.faults()) if isinstance(section, WholeSection) else []
         if faults:
@@ -297,9 +300,7 @@ class PointSection(WholeSection):
     overlaps: bool = False
     poll_class: str = ""
     write: WriteSection | None = None
-    report: Annotated[ReportSection, BeforeValidator(_as_report, json_schema_input_type=str | ReportSection)] = (
-        ReportSection()
-    )
+    report: Report = ReportSection()
     alarm: list[AlarmSection] = Field(default_factory=list)
     was: str = ""
     description: str = ""

@@ -5,32 +5,102 @@ Knows pydantic and TOML texts; knows no particular file.
 1. A file is read as a whole, and one error names everything that is wrong with it.
 2. Unknown keys are refused; the sentence names the known ones.
 3. Nothing is converted: a text is not a number, and a number with a fraction is not a whole number.
+4. A key is one field of its section, annotated with the marks of `busway.options.declaration`: what it may be, and its
+   help. Checks, JSON Schema, help and the tables of the documentation ask `keys_of`.
 """
 
+import math
 import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from typing import Any, ClassVar, TypeVar, get_args
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar, Final, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
 from ...errors import ConfigError
+from ...options.declaration import REQUIRED, Name, Option, Range, option_of
 from ...values.refusal import shown
 from .lines import Path, key_lines, line_of
 from .problems import FileError
+
+
+def _describe(schema: dict[str, Any], section: "type[Section]") -> None:  # what JSON has
+    """Add to the JSON Schema of a section what its keys declare: meaning and range."""
+    for name, option in keys_of(section).items():
+        found = schema.get("properties", {}).get(name)
+        if found is not None:
+            found |= {"description": option.help} if option.help else {}
+            found |= _json_limits(option)
+
+
+def _json_limits(option: Option) -> dict[str, Any]:
+    limits = option.limits
+    if isinstance(limits, Range):
+        low = {"exclusiveMinimum" if limits.above else "minimum": limits.low}
+        ends = low | {"maximum": limits.high}
+        return {name: end for name, end in ends.items() if math.isfinite(end)}
+    if isinstance(limits, Name):
+        is_text = str in option.kinds
+        return {"pattern": f"^{limits.pattern}$"} if limits.pattern else {"minLength" if is_text else "minItems": 1}
+    return {}
 
 
 class Section(BaseModel):
     """Base class of a table in a file: only declared keys, no conversion of values, frozen once read."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
-        extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True
+        extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True, json_schema_extra=_describe
     )
 
     retired: ClassVar[Mapping[str, str]] = {}
     """Keys that this table had once, and what is written instead."""
+
+    @field_validator("*")
+    @classmethod
+    def _check_limits(cls, value: Any, info: ValidationInfo) -> Any:  # Any: what stands in the file, of any type
+        limited = _limited(cls).get(str(info.field_name))
+        if limited is not None:
+            try:
+                limited.check(value)
+            except ConfigError as error:
+                raise ValueError(error.message) from None
+        return value
+
+
+_KEYS: Final[dict[type[Section], Mapping[str, Option]]] = {}
+_LIMITED: Final[dict[type[Section], Mapping[str, Option]]] = {}
+
+
+def keys_of(section: type[Section]) -> Mapping[str, Option]:
+    """The keys that a section declares, by the name that stands in the file, in their order."""
+    found = _KEYS.get(section)
+    if found is None:
+        options = (_option(field.alias or name, field) for name, field in section.model_fields.items())
+        found = _KEYS[section] = MappingProxyType({option.name: option for option in options})
+    return found
+
+
+def _limited(section: type[Section]) -> Mapping[str, Option]:
+    """The keys with a range, by the name of their field. Options of components are checked by their class."""
+    found = _LIMITED.get(section)
+    if found is None:
+        pairs = zip(section.model_fields.items(), keys_of(section).values(), strict=True)
+        found = _LIMITED[section] = {
+            name: one for (name, field), one in pairs if one.limits is not None and one not in field.metadata
+        }
+    return found
+
+
+def _option(name: str, field: Any) -> Option:  # as pydantic has it
+    """The option of a field; one that was generated from a declared option has it among its marks."""
+    made = next((mark for mark in field.metadata if isinstance(mark, Option)), None)
+    if made is not None:
+        return made
+    default = REQUIRED if field.is_required() else field.get_default(call_default_factory=True)
+    return option_of(name, Annotated[field.annotation, None, *field.metadata], default)
 
 
 class FileProblems(ValueError):
@@ -66,14 +136,15 @@ class Source:
         standing = _standing(path, self.lines)
         return ConfigError(sentence, file=self.name, line=line_of(self.lines, standing), key=_written(standing))
 
-    def checked(self, schema: type[File]) -> File:
-        """The data checked by a schema class. Raises `FileError` with all problems."""
+    def checked(self, schema: type[File], *at: str | int) -> File:
+        """The data, or the part at a path, checked by a schema class. Raises `FileError` with all problems."""
+        part: Any = self.data  # what TOML has
+        for key in at:
+            part = part[key]
         try:
-            return schema.model_validate(self.data)
+            return schema.model_validate(part)
         except ValidationError as error:
-            found = [
-                self.problem(path, sentence) for each in error.errors() for path, sentence in faults_of(each, schema)
-            ]
+            found = (self.problem((*at, *path), sentence) for path, sentence in faults_in(error, schema))
             raise FileError(in_order(found)) from None
 
 
@@ -144,6 +215,19 @@ def _densest_line(text: str) -> int:
     """The line that most likely exhausts the parser: that with most brackets, or the longest."""
     lines = text.split("\n")
     return 1 + max(range(len(lines)), key=lambda at: (lines[at].count("[") + lines[at].count("{"), len(lines[at])))
+
+
+def read_section(schema: type[File], data: object) -> File:
+    """Check part of a file by its section class, where that is chosen by what stands in it. Raises `FileProblems`."""
+    try:
+        return schema.model_validate(data)
+    except ValidationError as error:
+        raise FileProblems(faults_in(error, schema)) from None
+
+
+def faults_in(error: ValidationError, schema: type[Section]) -> list[tuple[Path, str]]:
+    """Translate an error of pydantic to paths in the section, and sentences."""
+    return [fault for each in error.errors() for fault in faults_of(each, schema)]
 
 
 def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
@@ -218,7 +302,7 @@ def _unknown_key(key: str, section: type[Section] | None) -> str:
         return "unknown key"
     if key in section.retired:
         return f"this key has another name now; write {section.retired[key]}"
-    known = [field.alias or name for name, field in section.model_fields.items()]
+    known = list(keys_of(section))
     near = get_close_matches(key, known, 1)
     if near:
         return f"unknown key; is it {near[0]}?"

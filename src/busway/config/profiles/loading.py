@@ -6,12 +6,9 @@ Knows files, parameters and the schema of units; includes and plays nothing (`bu
 from collections.abc import Mapping
 from dataclasses import replace
 
-from pydantic import ValidationError
-
 from ...errors import ConfigError
 from ...values.refusal import shown
-from ..files.problems import FileError
-from ..files.schema import faults_of, in_order, read_source
+from ..files.schema import read_source
 from ..files.simulation import Parameter, ProfileFile, SimulatedUnitSection
 from ..parameters import FilledSource, declared_parameters
 from . import read_profile
@@ -50,13 +47,4 @@ def load_profile(name: str, *, unit: int, parameters: Mapping[str, Parameter] | 
     filled = replace(source, data=data)
     shape = {key: value for key, value in data.items() if key in ProfileFile.model_fields}
     replace(source, data=shape).checked(ProfileFile)
-    try:
-        return SimulatedUnitSection.model_validate(sections[0])
-    except ValidationError as error:
-        raise FileError(
-            in_order(
-                filled.problem(("unit", 0, *path), sentence)
-                for each in error.errors()
-                for path, sentence in faults_of(each, SimulatedUnitSection)
-            )
-        ) from None
+    return filled.checked(SimulatedUnitSection, "unit", 0)

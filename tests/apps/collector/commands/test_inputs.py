@@ -16,6 +16,8 @@ from waiting import until
 import busway
 from busway.apps.collector.commands.input_options import make_input
 from busway.apps.collector.commands.inputs import overlap, parsed
+from busway.config.files.schema import FileProblems
+from busway.config.files.sinks import sink_section
 from busway.errors import ConfigError, InvalidRequest
 
 MQTT = """
@@ -214,32 +216,31 @@ def test_a_message_that_says_nothing_is_refused(payload: bytes) -> None:
 @pytest.mark.parametrize(
     ("commands", "sentence"),
     [
-        (True, "a table is needed"),
-        ({}, "points names what may be written"),
-        ({"points": []}, "points names what may be written"),
-        ({"points": ["*"]}, "points names what may be written"),
-        ({"points": ["a/b"], "topics": "x"}, "unknown key topics"),
+        (True, "must be a table, not True"),
+        ({}, "is missing"),
+        ({"points": []}, "names what may be written"),
+        ({"points": ["*"]}, "names what may be written"),
+        ({"points": ["a/b"], "topics": "x"}, "unknown key; is it topic"),
         ({"points": ["a/b"], "topic": "plant/set"}, "each once and as a level of its own"),
         ({"points": ["a/b"], "topic": "plant/{device}/{device}/{point}"}, "each once and as a level of its own"),
         ({"points": ["a/b"], "topic": "plant/{device}/x{point}"}, "each once and as a level of its own"),
         ({"points": ["a/b"], "topic": "#/{device}/{point}"}, "no wildcards"),
         ({"points": ["a/b"], "topic": "/{device}/{point}"}, "no wildcards"),
         ({"points": ["a/b"], "topic": "busway/{device}/{point}"}, "on which samples are sent"),
-        ({"points": ["a/b"], "seconds": 0}, "seconds are above 0"),
+        ({"points": ["a/b"], "seconds": 0.0}, r"must be 0…86400, not 0"),
     ],
 )
 def test_a_table_of_commands_that_cannot_be_is_refused(commands: Any, sentence: str) -> None:
     pytest.importorskip("aiomqtt")
-    with pytest.raises(ConfigError, match=sentence):
-        make_input("broker", {"url": "mqtt://127.0.0.1", "per_point": True}, commands)
+    table = {"name": "broker", "url": "mqtt://127.0.0.1", "per_point": True, "commands": commands}
+    with pytest.raises((ConfigError, FileProblems), match=sentence):
+        make_input(sink_section(table))
 
 
 def test_commands_come_by_mqtt_and_nats_alone(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="come by MQTT or NATS"):
-        make_input("lines", {"url": "file://lines.jsonl"}, {"points": ["a/b"]})
     file = commanded_plant(tmp_path, "tcp://127.0.0.1:1", more='[[sink]]\nname = "l"\nurl = "file://l.jsonl"\n')
     file.write_text(file.read_text() + 'commands = { points = ["boiler/mode"] }\n')
-    with pytest.raises(ConfigError, match="come by MQTT or NATS"):
+    with pytest.raises(ConfigError, match=r"sink\[0\]\.commands: unknown key"):
         busway.collect(file)
 
 

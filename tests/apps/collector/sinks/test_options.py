@@ -5,10 +5,20 @@ from typing import Any
 
 import pytest
 
+from busway.apps.collector.sinks.interface import Sink
 from busway.apps.collector.sinks.options import make_sink
+from busway.config.files.schema import FileProblems
+from busway.config.files.sinks import SentSection, sink_section
 from busway.errors import ConfigError
+from busway.options.sinks import DeliveryOptions
 
 pytest.importorskip("aiomqtt")
+
+
+def made(table: dict[str, Any]) -> tuple[Sink, DeliveryOptions]:
+    section = sink_section({"name": "s", **table})
+    assert isinstance(section, SentSection)
+    return make_sink(section)
 
 
 @pytest.mark.parametrize(
@@ -26,23 +36,20 @@ pytest.importorskip("aiomqtt")
 )
 def test_the_scheme_says_the_kind(url: str, kind: str, package: str) -> None:
     pytest.importorskip(package)
-    sink, options = make_sink("s", {"url": url})
+    sink, options = made({"url": url})
     assert type(sink).__name__ == kind
     assert options.points == ("*",)
 
 
 def test_how_samples_are_handed_on_is_in_the_table_too() -> None:
-    _, options = make_sink(
-        "s",
+    _, options = made(
         {
             "url": "file:///x.csv",
             "points": ["meter-7", "*/power"],
             "most": 100,
-            "age": 5,
-            "keep": 3600,
-            "report": "change",
-            "deadband_percent": 2,
-            "max_silence": 60,
+            "age": 5.0,
+            "keep": 3600.0,
+            "report": {"when": "change", "deadband": "2 %", "max_silence": 60.0},
         },
     )
     assert options.points == ("meter-7/*", "*/power")
@@ -53,30 +60,30 @@ def test_how_samples_are_handed_on_is_in_the_table_too() -> None:
 @pytest.mark.parametrize(
     ("table", "says"),
     [
-        ({}, "sink s: needs a url"),
-        ({"url": "kafka://x"}, "sink s: kafka is no kind of sink; there are mqtt, mqtts"),
+        ({}, "is missing; there are mqtt, mqtts"),
+        ({"url": "kafka://x"}, "kafka is no kind of sink; there are mqtt, mqtts"),
         ({"url": "mqtt://u:secret@broker"}, "a password does not belong here"),
-        ({"url": "mqtt://broker", "topci": "x"}, "unknown key, is topic meant"),
+        ({"url": "mqtt://broker", "topci": "x"}, "unknown key; is it topic?"),
         ({"url": "mqtt://broker", "topic": "plant"}, "a topic has {device}"),
-        ({"url": "mqtt://broker", "topic": 5}, "str is needed, not 5"),
+        ({"url": "mqtt://broker", "topic": 5}, "must be a text, not 5"),
         ({"url": "mqtt://broker", "authority": "ca.pem"}, "is for a URL that encrypts"),
         ({"url": "mqtts://broker", "authority": "/nothing.pem"}, "cannot be used for TLS"),
         ({"url": "mqtt://broker", "password_variable": "BUSWAY_NOT_SET"}, "the environment has no BUSWAY_NOT_SET"),
         ({"url": "mqtt://"}, "names no host"),
-        ({"url": "sparkplug+mqtt://broker", "group": "plant"}, "names of a group and an edge node"),
+        ({"url": "sparkplug+mqtt://broker", "group": "plant"}, "is missing"),
         ({"url": "sparkplug+mqtt://broker", "group": "a/b", "edge_node": "hall"}, "a name without / + #"),
         ({"url": "mqtt://broker", "discovery": "homeassistant"}, "needs per_point"),
         ({"url": "file:///x.xlsx"}, "files are csv, jsonl or parquet"),
-        ({"url": "file:///x.csv", "most": True}, "int is needed, not True"),
-        ({"url": "file:///x.csv", "most": 0}, "1…100000 samples"),
+        ({"url": "file:///x.csv", "most": True}, "must be a whole number, not True"),
+        ({"url": "file:///x.csv", "most": 0}, "must be 1…100000, not 0"),
         ({"url": "postgresql://db:x/plant"}, "Port could not be cast to integer"),
-        ({"url": "file:///x.csv", "report": "never"}, "is every, change or change_or_period"),
-        ({"url": "file:///x.csv", "points": []}, "a list of patterns"),
+        ({"url": "file:///x.csv", "report": "never"}, "must be 'every', 'change' or 'change_or_period', not 'never'"),
+        ({"url": "file:///x.csv", "points": []}, "must be a list of patterns"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(table: dict[str, Any], says: str) -> None:
-    with pytest.raises(ConfigError) as refused:
-        make_sink("s", table)
+    with pytest.raises((ConfigError, FileProblems)) as refused:
+        made(table)
     assert says in str(refused.value)
     assert "secret" not in str(refused.value)
 
@@ -86,13 +93,13 @@ def test_a_secret_comes_from_a_file_or_from_the_environment(tmp_path: Path, monk
     secret.write_text("geheim\n")
     table = {"url": "mqtt://collector@broker", "password_file": str(secret)}
     with pytest.raises(ConfigError, match="can be read by others"):
-        make_sink("s", table)
+        made(table)
     secret.chmod(0o600)
-    sink, _ = make_sink("s", table)
+    sink, _ = made(table)
     assert sink._address["password"] == "geheim"  # type: ignore[attr-defined]
     monkeypatch.setenv("BROKER_PASSWORD", "anders")
-    sink, _ = make_sink("s", {"url": "mqtt://collector@broker", "password_variable": "BROKER_PASSWORD"})
+    sink, _ = made({"url": "mqtt://collector@broker", "password_variable": "BROKER_PASSWORD"})
     assert sink._address["password"] == "anders"  # type: ignore[attr-defined]
     with pytest.raises(ConfigError, match="exclude each other"):
-        make_sink("s", {**table, "password_variable": "BROKER_PASSWORD"})
+        made({**table, "password_variable": "BROKER_PASSWORD"})
     assert "geheim" not in repr(sink)

@@ -23,8 +23,6 @@ MADE: Final = "busway-"
 """The beginning of keys that are made here."""
 USUAL_SECONDS: Final = 30.0
 """Seconds in which a command is sent where it does not say until when."""
-LONGEST_SECONDS: Final = 86_400.0
-"""How far away the expiry of a command may be."""
 LONGEST_VALUE: Final = 2000
 """Characters of a value, as JSON."""
 

@@ -25,6 +25,7 @@ from typing import Any, Final, Protocol, TypeVar
 
 from ....access.audit_log import AuditLog
 from ....errors import InvalidRequest, ModbusError, Overloaded
+from ....options.sinks import LONGEST_SECONDS
 from ....pdu.message import Request
 from ....points.point import Point
 from ....points.point_rules import ReadRules
@@ -33,7 +34,6 @@ from ....values.refusal import shown
 from ..poller import LinkPoller
 from .audit import command_line
 from .command import (
-    LONGEST_SECONDS,
     MADE,
     USUAL_SECONDS,
     CommandResult,

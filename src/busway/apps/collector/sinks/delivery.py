@@ -19,12 +19,12 @@ import json
 import logging
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
 
-from ....errors import ConfigError
+from ....options.sinks import DeliveryOptions
 from ....points.point_rules import ReportRule
 from ..sample_clock import EARLIEST
 from ..samples import NANOSECONDS, reason_text
@@ -42,33 +42,6 @@ ASIDE_LIMIT: Final = 16 * 1024 * 1024
 _EVERY: Final = ReportRule()
 
 _log = logging.getLogger("busway.sinks")
-
-
-@dataclass(frozen=True, slots=True)
-class DeliveryOptions:
-    """Options of a delivery: which samples the sink gets, and in what batches.
-
-    Attributes:
-        points: patterns ``device/point`` of what it gets.
-        most: samples in one batch, 1…100 000.
-        age: seconds for which samples are collected before they are sent, 0…3600.
-        keep: seconds for which samples wait for a sink that is down; then they are dropped. At least ``age``.
-        report: when a sample is handed on.
-    """
-
-    points: tuple[str, ...] = ("*",)
-    most: int = 5000
-    age: float = 1.0
-    keep: float = 7 * 86_400.0
-    report: ReportRule = field(default_factory=ReportRule)
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.most <= 100_000:
-            raise ConfigError(f"a batch has 1…100000 samples, not {self.most}", key="most")
-        if not 0 <= self.age <= 3600:
-            raise ConfigError(f"samples are collected for 0…3600 s, not {self.age:g}", key="age")
-        if self.keep < max(self.age, 1.0):
-            raise ConfigError(f"samples wait for 1 s at least, and longer than age, not {self.keep:g}", key="keep")
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,9 +16,10 @@ import os
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
 from ....errors import ConfigError
+from ....options.sinks import FileFormat
 from ..samples import NANOSECONDS, reason_text
 from ..store.committed_samples import CommittedSample
 from ..store.folder import UNFINISHED, sync_file, sync_folder
@@ -26,15 +27,13 @@ from ..store.sealing import arrow
 from .documents import sample_document
 from .interface import SinkDown
 
-Format = Literal["csv", "jsonl", "parquet"]
-FORMATS: Final = ("csv", "jsonl", "parquet")
 HEADER: Final = ("time", "device", "point", "value", "quality", "reason", "half_width", "commit")
 
 
 class FileSink:
     """Sink that writes samples to files."""
 
-    def __init__(self, path: str | os.PathLike[str], kind: Format | None = None) -> None:
+    def __init__(self, path: str | os.PathLike[str], kind: FileFormat | str | None = None) -> None:
         """Set the path of the files; nothing is opened yet.
 
         Args:
@@ -45,12 +44,15 @@ class FileSink:
             ConfigError: there is no such format.
         """
         self._path = os.fspath(path)
-        found = kind or self._path.rpartition(".")[2].lower()
-        if found not in FORMATS:
-            raise ConfigError(f"files are csv, jsonl or parquet, not {found!r}", key="format")
-        self._write = self._write_parquet if found == "parquet" else self._append
-        self._lines: Callable[[Sequence[CommittedSample]], str] = _csv_lines if found == "csv" else _json_lines
-        self._header = ",".join(HEADER) + "\n" if found == "csv" else ""
+        given = kind or self._path.rpartition(".")[2].lower()
+        try:
+            found = FileFormat(given)
+        except ValueError:
+            raise ConfigError(f"files are csv, jsonl or parquet, not {given!r}", key="format") from None
+        is_csv = found is FileFormat.CSV
+        self._write = self._write_parquet if found is FileFormat.PARQUET else self._append
+        self._lines: Callable[[Sequence[CommittedSample]], str] = _csv_lines if is_csv else _json_lines
+        self._header = ",".join(HEADER) + "\n" if is_csv else ""
 
     async def open(self) -> None:
         """Do nothing: files are opened for each batch."""

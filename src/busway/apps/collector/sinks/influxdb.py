@@ -16,9 +16,11 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
+from ....options.sinks import InfluxOptions
 from ..store.committed_samples import CommittedSample
 from .interface import SinkDown, SinkRefused
 
+_USUAL: Final = InfluxOptions()
 _REFUSED: Final = (400, 413, 422)
 
 
@@ -29,7 +31,7 @@ class InfluxSink:
         self,
         url: str,
         *,
-        measurement: str = "samples",
+        measurement: str = _USUAL.measurement,
         token: str | None = None,
         tls: ssl.SSLContext | None = None,
         timeout: float = 10.0,

@@ -21,10 +21,12 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
+from ....options.sinks import MqttOptions
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .documents import alarm_document, documents, sample_document
 from .interface import SinkDown
 
+_USUAL: Final = MqttOptions()
 IN_FLIGHT: Final = 64
 """Messages that are sent before the first is acknowledged."""
 
@@ -37,10 +39,10 @@ class MqttSink:
         host: str,
         port: int = 1883,
         *,
-        topic: str = "busway/{device}",
-        per_point: bool = False,
-        retain: bool = False,
-        discovery: str | None = None,
+        topic: str = _USUAL.topic,
+        per_point: bool = _USUAL.per_point,
+        retain: bool = _USUAL.retain,
+        discovery: str | None = _USUAL.discovery,
         user: str | None = None,
         password: str | None = None,
         tls: ssl.SSLContext | None = None,

@@ -19,10 +19,12 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
+from ....options.sinks import NatsOptions
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .documents import alarm_document, documents
 from .interface import SinkDown, SinkRefused
 
+_USUAL: Final = NatsOptions()
 IN_FLIGHT: Final = 64
 """Messages that are sent before the first is acknowledged."""
 
@@ -34,7 +36,7 @@ class NatsSink:
         self,
         url: str,
         *,
-        subject: str = "busway.{device}",
+        subject: str = _USUAL.subject,
         stream: str | None = None,
         user: str | None = None,
         password: str | None = None,

@@ -16,10 +16,12 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
+from ....options.sinks import PostgresqlOptions
 from ..samples import Value
 from ..store.committed_samples import CommittedSample
 from .interface import SinkDown, SinkRefused
 
+_USUAL: Final = PostgresqlOptions()
 _COLUMNS: Final = ("time", "device", "point", "value", "text", "reason", "half_width", "nanoseconds")
 _TABLE: Final = """
 CREATE TABLE IF NOT EXISTS {table} (
@@ -38,10 +40,10 @@ class PostgresqlSink:
         self,
         url: str,
         *,
-        table: str = "samples",
+        table: str = _USUAL.table,
         password: str | None = None,
         tls: ssl.SSLContext | None = None,
-        timescale: bool = False,
+        timescale: bool = _USUAL.timescale,
         timeout: float = 30.0,
     ) -> None:
         """Set the database; nothing is sent yet.

@@ -10,9 +10,10 @@ import threading
 from collections.abc import Mapping, Sequence
 
 from ....errors import ConfigError
+from ....options.sinks import DeliveryOptions
 from ....points.point_rules import ReportRule
 from ..store.writer import StoreWriter
-from .delivery import PAUSE_LIMIT, Delivery, DeliveryOptions, SinkStatus
+from .delivery import PAUSE_LIMIT, Delivery, SinkStatus
 from .interface import Sink
 
 _log = logging.getLogger("busway.sinks")

@@ -1,0 +1,182 @@
+"""The schema of sinks: ``[[sink]]`` of a collector file, one section class for each kind; the URL's scheme says which.
+
+Knows the keys; what they mean is declared in `busway.options.sinks`, and `busway.apps.collector.sinks` makes the sinks.
+
+::
+
+    [[sink]]
+    name = "broker"
+    url = "mqtts://collector@broker.example:8883"
+    password_file = "broker-password"
+    points = ["meter-7", "*/power"]
+    report = { when = "change", deadband = "1 %" }
+"""
+
+from collections.abc import Mapping
+from functools import reduce
+from operator import or_
+from typing import Annotated, Any, Final
+from urllib.parse import SplitResult, urlsplit
+
+from pydantic import AfterValidator, BeforeValidator
+
+from ...options import sinks
+from ...options.declaration import Name, Range
+from ...values.refusal import shown
+from .options import OptionSection, with_options_of
+from .points import Report, ReportSection
+from .schema import FileProblems, Section, read_section
+
+
+def _checked_url(url: str) -> str:
+    parts = urlsplit(url)
+    _ = parts.port  # a ValueError says what is wrong with it
+    if parts.password is not None:
+        raise ValueError("a password does not belong here; name a file by password_file")
+    return url
+
+
+def _checked_points(patterns: list[str]) -> list[str]:
+    if not patterns or not all("/" in each for each in patterns):
+        raise ValueError('names what may be written: ["meter-7/setpoint", "pump-*/speed"]')
+    return patterns
+
+
+class SinkSection(OptionSection):
+    """``[[sink]]``: a system that gets the samples."""
+
+    name: Annotated[
+        str,
+        Name("a name of letters, digits, - _ and .", r"(?!\.)[\w.-]+"),
+        "its place in the store has this name.",
+    ]
+    url: Annotated[str, AfterValidator(_checked_url), "where to, and by its scheme what kind; never with a password."]
+
+    @property
+    def parts(self) -> SplitResult:
+        """The parts of its URL."""
+        return urlsplit(self.url)
+
+
+@with_options_of(sinks.DeliveryOptions)
+class SentSection(SinkSection):
+    """A sink that samples are sent to, in batches."""
+
+    report: Annotated[Report, "which samples are handed on, as `report` of a point; a change of quality always."] = (
+        ReportSection()
+    )
+
+    def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
+        """The options of some parameter classes that this section sets, by name."""
+        found = super().options_of(*kinds)
+        return found | {"report": self.report.described()} if "report" in found else found
+
+
+class CommandsSection(Section):
+    """``commands``: which points may be written by messages from the server of a sink."""
+
+    points: Annotated[
+        list[str],
+        AfterValidator(_checked_points),
+        "patterns `device/point` of what may be written from there.",
+    ]
+    seconds: Annotated[
+        float,
+        Range(0, sinks.LONGEST_SECONDS, above=True),
+        "seconds within which a command that does not say until when is sent, or else expires.",
+    ] = 10.0
+
+
+class MqttCommandsSection(CommandsSection):
+    """``commands`` of a sink by MQTT."""
+
+    topic: Annotated[str, "topic of commands; `{device}` and `{point}` are levels of their own."] = (
+        "busway/{device}/{point}/set"
+    )
+
+
+class NatsCommandsSection(CommandsSection):
+    """``commands`` of a sink by NATS."""
+
+    subject: Annotated[str, "subject of commands; `{device}` and `{point}` are levels of their own."] = (
+        "busway.{device}.{point}.set"
+    )
+
+
+@with_options_of(sinks.MqttOptions, sinks.PasswordOptions, sinks.CertificateOptions)
+class MqttSinkSection(SentSection):
+    """``[[sink]]`` with ``mqtt://`` or ``mqtts://``: a broker of MQTT."""
+
+    commands: Annotated[MqttCommandsSection | None, "which points may be written by messages."] = None
+
+
+@with_options_of(sinks.SparkplugOptions, sinks.PasswordOptions, sinks.CertificateOptions)
+class SparkplugSinkSection(SentSection):
+    """``[[sink]]`` with ``sparkplug+mqtt://`` or ``sparkplug+mqtts://``: a broker of Sparkplug B."""
+
+
+@with_options_of(sinks.PostgresqlOptions, sinks.PasswordOptions, sinks.CertificateOptions)
+class PostgresqlSinkSection(SentSection):
+    """``[[sink]]`` with ``postgresql://``: a database."""
+
+
+@with_options_of(sinks.InfluxOptions, sinks.TokenOptions, sinks.CertificateOptions)
+class InfluxSinkSection(SentSection):
+    """``[[sink]]`` with ``influxdb+http://`` or ``influxdb+https://``: a server of InfluxDB line protocol."""
+
+
+@with_options_of(sinks.NatsOptions, sinks.PasswordOptions, sinks.TokenOptions, sinks.CertificateOptions)
+class NatsSinkSection(SentSection):
+    """``[[sink]]`` with ``nats://`` or ``tls://``: a server of NATS JetStream."""
+
+    commands: Annotated[NatsCommandsSection | None, "which points may be written by messages."] = None
+
+
+@with_options_of(sinks.FileOptions)
+class FileSinkSection(SentSection):
+    """``[[sink]]`` with ``file://``: files of samples."""
+
+
+class PrometheusSinkSection(SinkSection):
+    """``[[sink]]`` with ``prometheus://``: a page of last values that Prometheus scrapes."""
+
+    points: Annotated[
+        list[str], Name('a list of patterns such as "meter-7/*"'), "patterns `device/point` of what it shows."
+    ]
+    stale: Annotated[float, Range(0, 1e9, above=True), "seconds after which a value is left out."] = 300.0
+
+
+KINDS: Final[Mapping[str, type[SinkSection]]] = {
+    "mqtt": MqttSinkSection,
+    "mqtts": MqttSinkSection,
+    "sparkplug+mqtt": SparkplugSinkSection,
+    "sparkplug+mqtts": SparkplugSinkSection,
+    "postgresql": PostgresqlSinkSection,
+    "influxdb+http": InfluxSinkSection,
+    "influxdb+https": InfluxSinkSection,
+    "nats": NatsSinkSection,
+    "tls": NatsSinkSection,
+    "file": FileSinkSection,
+    "prometheus": PrometheusSinkSection,
+}
+"""The kinds by the scheme of their URL. To add one: its options, its section here, and what makes it."""
+
+
+def sink_section(value: Any) -> SinkSection:  # what stands in the file, of any type
+    """Read a sink by the section class of its kind. Raises `FileProblems`."""
+    if isinstance(value, SinkSection):
+        return value
+    if not isinstance(value, dict):
+        raise FileProblems([((), f"must be a table, not {shown(value)}")])
+    url = value.get("url")
+    scheme = url.partition(":")[0] if isinstance(url, str) else ""
+    kind = KINDS.get(scheme)
+    if kind is None:
+        given = "is missing" if url is None else f"{scheme or shown(url)} is no kind of sink"
+        raise FileProblems([(("url",), f"{given}; there are {', '.join(KINDS)}")])
+    return read_section(kind, value)
+
+
+AnySink = Annotated[
+    SinkSection, BeforeValidator(sink_section, json_schema_input_type=reduce(or_, dict.fromkeys(KINDS.values())))
+]
