@@ -143,12 +143,12 @@ class _Attempts:
 
     @contextlib.contextmanager
     def noting_failure(self, connection: socket.socket) -> Iterator[None]:
-        """Close the socket where the block fails, and note an `OSError` as the problem; others pass."""
-        try:
-            yield
-        except OSError as error:
-            connection.close()
-            self.problem = error
-        except BaseException:
-            connection.close()
-            raise
+        """Close the socket where the block fails, and note an `OSError` as the problem; all else passes."""
+        with contextlib.ExitStack() as unless_connected:
+            unless_connected.callback(connection.close)
+            try:
+                yield
+            except OSError as error:
+                self.problem = error
+            else:
+                unless_connected.pop_all()

@@ -243,7 +243,11 @@ class Collector:
         self._audit = AuditLog(**{**options, "path": path})
         targets = CollectedTargets(lambda: self.configuration, self._poller_of, self.values)
         journal = CommandJournal(Path(configuration.store))
-        self._commands = CommandRunner(targets, journal, self._audit)
+        try:
+            self._commands = CommandRunner(targets, journal, self._audit)
+        except OSError as error:
+            journal.close()
+            raise ConfigError(str(error), file=str(journal.path)) from error
         assert self._committer is not None
         self._maintenance = MaintenanceBook(self._committer.writer.manifest, self._audit)
         self._end_maintenance_of_others()

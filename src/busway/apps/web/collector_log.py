@@ -54,7 +54,7 @@ class CollectorLog(logging.Handler):
             logging.lastResort.handle(record)
         try:
             text = printable(record.getMessage())[:LONGEST_LINE]
-        except Exception:
+        except Exception:  # of the arguments' own `__str__`, as in every handler; `handleError` prints it to stderr
             self.handleError(record)
             return
         with self._guard:

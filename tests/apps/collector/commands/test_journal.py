@@ -4,7 +4,9 @@ import sqlite3
 from pathlib import Path
 
 import pytest
+from commanded_plant import commanded_plant
 
+import busway
 from busway.apps.collector.commands.command import MADE, CommandResult, CommandState, OldValue, PointCommand
 from busway.apps.collector.commands.journal import CUT_OFF, JOURNAL, CommandJournal
 from busway.errors import ConfigError, Overloaded
@@ -98,3 +100,33 @@ def test_a_file_that_is_no_journal_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / JOURNAL).write_bytes(b"no database at all, but long enough to be looked at" * 100)
     with pytest.raises(ConfigError, match=JOURNAL):
         CommandJournal(tmp_path)
+
+
+def test_a_journal_that_cannot_be_read_says_so_as_an_error_of_the_system(tmp_path: Path) -> None:
+    journal = CommandJournal(tmp_path)
+    assert journal.take(open_command("a")) is None
+    journal._database.execute("ALTER TABLE commands RENAME TO lost")
+    for asked in (lambda: journal.find("a"), lambda: journal.newest(1), lambda: journal.take(open_command("a"))):
+        with pytest.raises(OSError, match="the journal of commands cannot be"):
+            asked()
+    journal._database.execute("ALTER TABLE lost RENAME TO commands")
+    assert journal.find("a") == open_command("a")
+    journal.close()
+
+
+async def test_a_collector_whose_journal_cannot_be_written_does_not_begin_and_leaves_it_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[CommandJournal] = []
+
+    def cannot_be_written(journal: CommandJournal) -> list[CommandResult]:
+        opened.append(journal)
+        raise OSError("the journal of commands cannot be written: the disk is full")
+
+    monkeypatch.setattr(CommandJournal, "end_cut_off", cannot_be_written)
+    file = commanded_plant(tmp_path, "tcp://127.0.0.1:1")
+    with pytest.raises(ConfigError, match="the disk is full"):
+        async with busway.collect(file):
+            pass
+    with pytest.raises(OSError, match="closed database"):
+        opened[0].newest(1)

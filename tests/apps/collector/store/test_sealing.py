@@ -9,6 +9,7 @@ import pytest
 from collected import METER, NOON, at, filled, meter_read, read_of
 
 from busway.apps.collector.samples import PointGroup
+from busway.apps.collector.store import sealing
 from busway.apps.collector.store.folder import SEGMENTS
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.sealing import SealingFailed
@@ -32,6 +33,29 @@ def test_a_segment_stays_where_the_process_that_seals_fails(tmp_path: Path, monk
     assert len(Store(tmp_path).read()) == 9
     writer.close(at(10))
     assert check_store_files(tmp_path) == []
+
+
+def test_a_segment_stays_where_the_process_that_seals_does_not_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = filled(tmp_path, 3)
+    writer.roll()
+    with monkeypatch.context() as patched:
+        patched.setattr(sealing, "_LONGEST", 0)
+        with pytest.raises(SealingFailed, match=r"00000001\.sqlite could not be sealed within 0 s"):
+            writer.seal_closed()
+    assert [part.kind for part in writer.manifest.parts()] == ["closed"]
+    writer.close(at(10))
+
+
+def test_nothing_is_imported_from_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "pyarrow.py").write_text("raise SystemExit('another pyarrow')\n")
+    monkeypatch.chdir(tmp_path / "work")
+    writer = filled(tmp_path / "store", 3)
+    writer.roll()
+    assert writer.seal_closed() == 1
+    writer.close(at(10))
 
 
 def test_nothing_is_left_where_the_process_that_asked_has_ended(tmp_path: Path) -> None:

@@ -15,12 +15,13 @@ import hashlib
 import json
 import sqlite3
 import threading
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 from ....errors import ConfigError, Overloaded
+from ..store.database import open_database, transaction
 from ..store.folder import sync_folder
 from .command import MADE, CommandResult, CommandState, OldValue, PointCommand
 
@@ -56,14 +57,14 @@ class CommandJournal:
         self._most, self._most_keys = most, most_keys
         self._lock = threading.Lock()
         try:
-            self._database = sqlite3.connect(self.path, isolation_level=None, check_same_thread=False, timeout=10.0)
+            self._database = open_database(self.path, "PRAGMA synchronous=FULL")
             with ExitStack() as unless_open:
                 unless_open.callback(self._database.close)
-                self.path.chmod(0o600)
+                self.path.chmod(0o600)  # before there is a write-ahead log, which has the rights of the file
                 self._database.execute("PRAGMA journal_mode=WAL")
-                self._database.execute("PRAGMA synchronous=FULL")
                 self._database.executescript(_SCHEMA)
-                self._count()
+                self._kept: int = self._database.execute("SELECT count(*) FROM commands").fetchone()[0]
+                self._used: int = self._database.execute("SELECT count(*) FROM used_keys").fetchone()[0]
                 sync_folder(folder)
                 unless_open.pop_all()
         except (sqlite3.Error, OSError) as error:
@@ -76,12 +77,14 @@ class CommandJournal:
 
     def end_cut_off(self) -> list[CommandResult]:
         """Mark commands that an earlier process left unfinished as unknown (rule 2); returns them. Call it once, at the
-        start.
+        start. Raises `OSError`.
         """
-        with self._lock:
+        with self._in_use("written"):
             found = [_result(row) for row in self._rows("WHERE state = ?", (CommandState.OPEN.value,))]
             ended = [each.finished(CommandState.UNKNOWN, CUT_OFF) for each in found]
-            self._transaction(lambda: self._set_all(ended))
+            with transaction(self._database):
+                for each in ended:
+                    self._set(each)
         return ended
 
     def take(self, result: CommandResult) -> CommandResult | None:
@@ -96,10 +99,10 @@ class CommandJournal:
 
         Raises:
             Overloaded: no further keys of callers can be remembered (rule 3); nothing is recorded.
-            OSError: the file cannot be written; nothing is recorded.
+            OSError: the file cannot be read or written; nothing is recorded.
         """
         key = result.command.key
-        with self._lock:
+        with self._in_use("written"):
             found = self._found(key)
             if found is not None:
                 return found
@@ -108,23 +111,38 @@ class CommandJournal:
                 return result.finished(CommandState.REFUSED, "this key was used before, long ago; nothing was sent")
             if is_callers and self._used >= self._most_keys:
                 raise Overloaded(f"{self._most_keys} keys of callers are remembered, the limit: send it without a key")
-            self._transaction(lambda: self._add(result))
+            counted = self._kept, self._used
+            try:
+                with transaction(self._database):
+                    self._add(result)
+            except sqlite3.Error:
+                self._kept, self._used = counted
+                raise
         return None
 
     def finish(self, result: CommandResult) -> None:
         """Record the result of an accepted command, durably. Raises `OSError`."""
-        with self._lock:
-            self._transaction(lambda: self._set(result))
+        with self._in_use("written"), transaction(self._database):
+            self._set(result)
 
     def find(self, key: str) -> CommandResult | None:
-        """The result recorded under a key; None without one."""
-        with self._lock:
+        """The result recorded under a key; None without one. Raises `OSError`."""
+        with self._in_use():
             return self._found(key)
 
     def newest(self, limit: int) -> list[CommandResult]:
-        """The latest results, the newest first."""
-        with self._lock:
+        """The latest results, the newest first. Raises `OSError`."""
+        with self._in_use():
             return [_result(row) for row in self._rows("ORDER BY number DESC LIMIT ?", (limit,))]
+
+    @contextmanager
+    def _in_use(self, what: str = "read") -> Iterator[None]:
+        """Context manager that holds the lock; what SQLite raises becomes an `OSError`."""
+        with self._lock:
+            try:
+                yield
+            except sqlite3.Error as error:
+                raise OSError(f"the journal of commands cannot be {what}: {error}") from error
 
     # SQL; the lock is held.
 
@@ -137,24 +155,6 @@ class CommandJournal:
 
     def _is_used(self, key: str) -> bool:
         return bool(self._database.execute("SELECT 1 FROM used_keys WHERE digest = ?", (_digest(key),)).fetchone())
-
-    def _count(self) -> None:
-        self._kept: int = self._database.execute("SELECT count(*) FROM commands").fetchone()[0]
-        self._used: int = self._database.execute("SELECT count(*) FROM used_keys").fetchone()[0]
-
-    def _transaction(self, change: Callable[[], object]) -> None:
-        try:
-            self._database.execute("BEGIN IMMEDIATE")
-            try:
-                change()
-                self._database.execute("COMMIT")
-            except BaseException:
-                if self._database.in_transaction:
-                    self._database.execute("ROLLBACK")
-                self._count()
-                raise
-        except sqlite3.Error as error:
-            raise OSError(f"the journal of commands cannot be written: {error}") from error
 
     def _add(self, result: CommandResult) -> None:
         command = result.command
@@ -191,10 +191,6 @@ class CommandJournal:
         self._used += len(digests)
         self._database.executemany("DELETE FROM commands WHERE number = ?", [(number,) for number, _ in rows])
         self._kept -= len(rows)
-
-    def _set_all(self, results: Sequence[CommandResult]) -> None:
-        for each in results:
-            self._set(each)
 
     def _set(self, result: CommandResult) -> None:
         self._database.execute(

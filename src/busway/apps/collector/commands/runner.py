@@ -246,6 +246,7 @@ class CommandRunner:
         Raises:
             NoSuchCommand: nothing is armed or recorded under this key.
             InvalidRequest: someone else has armed it.
+            OSError: the journal cannot be read; nothing was sent.
         """
         armed = self._armed.get(key)
         if armed is not None:
@@ -262,7 +263,7 @@ class CommandRunner:
         return self._unrecorded.get(key, found)
 
     async def newest(self, limit: int) -> list[CommandResult]:
-        """The commands recorded last, the newest first."""
+        """The commands recorded last, the newest first. Raises `OSError`."""
         found = await self._in_thread(self._journal.newest, limit)
         return [self._unrecorded.get(each.command.key, each) for each in found]
 
@@ -400,7 +401,7 @@ class CommandRunner:
     async def _send_guarded(self, result: CommandResult, until: float) -> CommandResult:
         try:
             return await self._send(result, until)
-        except Exception:
+        except Exception:  # a defect: it may have been sent, so its end is recorded and told as unknown, not lost
             _log.exception("a command ended by a defect")
             return result.finished(CommandState.UNKNOWN, "a defect of this program, which its log shows")
 
@@ -544,7 +545,7 @@ async def _in_turn(poller: LinkPoller, device: str, make: Callable[[], Awaitable
         except asyncio.CancelledError:
             _fail(future, _LinkEnded())
             raise
-        except Exception as error:
+        except Exception as error:  # defects too: the command waits for this future, and raises what it gets
             _fail(future, error)
         else:
             if not future.done():

@@ -100,9 +100,10 @@ class MqttSink:
         client, self._client = self._client, None
         if client is None:
             return
-        with contextlib.suppress(Exception):  # it may be gone already
+        gone = (import_module("aiomqtt").MqttError, OSError)  # the broker, or the connection to it
+        with contextlib.suppress(*gone):
             await client.publish(self._status_topic, b"offline", qos=1, retain=True, timeout=1.0)
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(*gone):
             await client.__aexit__(None, None, None)
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:

@@ -110,7 +110,9 @@ class NatsSink:
         """Disconnect from the server."""
         client, self._client, self._jetstream = self._client, None, None
         if client is not None:
-            with contextlib.suppress(Exception):  # it may be gone already
+            with contextlib.suppress(
+                import_module("nats").errors.Error, OSError, TimeoutError
+            ):  # it may be gone already
                 await client.close()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:

@@ -90,9 +90,10 @@ class PostgresqlSink:
         """Disconnect from the database."""
         connection, self._connection = self._connection, None
         if connection is not None:
+            pg = import_module("asyncpg")
             try:
                 await connection.close(timeout=2.0)
-            except Exception:  # it is gone already
+            except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError):  # it is gone already
                 connection.terminate()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:

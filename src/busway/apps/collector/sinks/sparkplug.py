@@ -160,11 +160,12 @@ class SparkplugSink:
         client, self._client = self._client, None
         if client is None:
             return
+        gone = (import_module("aiomqtt").MqttError, OSError)  # the broker, or the connection to it
         if self._is_born:
             self._is_born = False
-            with contextlib.suppress(Exception):  # it may be gone already
+            with contextlib.suppress(*gone):
                 await client.publish(self._topic("NDEATH"), self._death(), qos=1, timeout=1.0)
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(*gone):
             await client.__aexit__(None, None, None)
         for device in self._devices.values():
             device.is_born = False

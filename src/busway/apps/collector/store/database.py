@@ -1,11 +1,12 @@
-"""Opens connections to the SQLite files of a store.
+"""Opens connections to the SQLite files of a store, and makes transactions on them.
 
 Knows SQLite; knows no table.
 """
 
 import os
 import sqlite3
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote
@@ -36,3 +37,15 @@ def open_database(path: Path, *statements: str, script: str = "", makes: bool = 
             database.executescript(script)
         unless_open.pop_all()
     return database
+
+
+@contextmanager
+def transaction(database: sqlite3.Connection) -> Iterator[None]:
+    """Context manager of a transaction: committed when the block ends, undone if it raises. Raises `sqlite3.Error`."""
+    database.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        database.execute("COMMIT")
+    finally:
+        if database.in_transaction:  # something was raised
+            database.execute("ROLLBACK")

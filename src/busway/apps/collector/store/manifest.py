@@ -22,7 +22,7 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ..samples import PointDescription
-from .database import open_database
+from .database import open_database, transaction
 from .folder import MANIFEST, check_store
 
 FORMAT: Final = 1
@@ -207,14 +207,8 @@ class Manifest:
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
         """Context manager of a transaction: durable when the block ends, undone if it raises."""
-        with self._lock:
-            self._database.execute("BEGIN IMMEDIATE")
-            try:
-                yield self._database
-                self._database.execute("COMMIT")
-            finally:
-                if self._database.in_transaction:  # something was raised
-                    self._database.execute("ROLLBACK")
+        with self._lock, transaction(self._database):
+            yield self._database
 
     def _all(self, sql: str, *values: object) -> list[Any]:  # rows of SQLite have any type
         with self._lock:

@@ -13,6 +13,7 @@ from typing import Final
 
 from ..sample_clock import EARLIEST
 from ..samples import Reason
+from .database import transaction
 
 _MOVED: Final = "CASE WHEN {0} < :earliest THEN {0} + :shift ELSE {0} END"
 
@@ -20,8 +21,7 @@ _MOVED: Final = "CASE WHEN {0} < :earliest THEN {0} + :shift ELSE {0} END"
 def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
     """Move what commits from ``first`` on have from before `EARLIEST`; how many samples. Raises `sqlite3.Error`."""
     known = {"earliest": EARLIEST, "shift": shift, "first": first, "clock": int(Reason.CLOCK)}
-    database.execute("BEGIN IMMEDIATE")
-    try:
+    with transaction(database):
         moved = database.execute(
             "UPDATE OR REPLACE samples SET time = time + :shift,"
             " reason = CASE reason WHEN :clock THEN 0 ELSE reason END"
@@ -38,9 +38,4 @@ def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
             known,
         )
         database.execute(f"UPDATE alarms SET at = {_MOVED.format('at')} WHERE commit_number >= :first", known)
-        database.execute("COMMIT")
-    except BaseException:
-        if database.in_transaction:
-            database.execute("ROLLBACK")
-        raise
     return moved

@@ -16,7 +16,7 @@ import os
 import sqlite3
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import closing
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -56,14 +56,12 @@ def write_parts(segment: Path, points: PointTexts, parent: int) -> Iterator[tupl
     for name, low, high in ranges:
         table = _named(_table(segment, kinds, low, high), points)
         target = segment.with_name(f"{name}.{os.getpid()}{UNFINISHED}")
-        try:
+        with ExitStack() as unless_wanted:
+            unless_wanted.callback(target.unlink, missing_ok=True)
             _write(table, target)
-        except BaseException:
-            target.unlink(missing_ok=True)
-            raise
-        if os.getppid() != parent:
-            target.unlink(missing_ok=True)
-            return
+            if os.getppid() != parent:
+                return
+            unless_wanted.pop_all()
         yield target, {"file": name, "bytes": size_of(target), **_facts(table)}
 
 

@@ -76,19 +76,26 @@ def _written(source: Path, points: list[StoredPoint], step: Step) -> list[tuple[
         "parent": os.getpid(),
         "points": [[point.id, point.device, point.point, point.unit_of_measure] for point in points],
     }
-    command = [sys.executable, "-m", f"{__package__}.sealed_part"]
+    command = [*_interpreter(), "-m", f"{__package__}.sealed_part"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, encoding="utf-8") as process:
         step("seal-begun")
         try:
             answer, complaint = process.communicate(json.dumps(asked), timeout=_LONGEST)
-        except BaseException:
-            process.kill()
-            raise
+        except subprocess.TimeoutExpired as error:
+            raise SealingFailed(f"{source.name} could not be sealed within {_LONGEST} s") from error
+        finally:
+            process.kill()  # one that has ended is left alone
     if process.returncode:
         reason = complaint.strip().splitlines()[-1:] or [f"it ended with {process.returncode}"]
         raise SealingFailed(f"{source.name} could not be sealed: {reason[0]}")
     return [(Path(unfinished), sealed) for unfinished, sealed in json.loads(answer)]
+
+
+def _interpreter() -> list[str]:
+    """This Python, to import from where this process does: ``-m`` would look into the working folder first."""
+    is_own = any(path in ("", os.getcwd()) for path in sys.path)
+    return [sys.executable] if is_own else [sys.executable, "-P"]
 
 
 def remove_unlisted(folder: Path, manifest: Manifest) -> None:
