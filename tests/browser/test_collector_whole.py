@@ -9,11 +9,22 @@ from page_collector import watched_collector
 PROFILE = """\
 [[unit]]
 unit = 1
-point = [
-    { name = "speed", address = "4x1", scale = 0.1, unit_of_measure = "rpm", minimum = 0, maximum = 3000, write = { verify = "read-back" } },
-    { name = "level", address = "4x2", access = "read", alarm = [{ kind = "H", limit = 80, acknowledge = true }] },
-]
-"""  # noqa: E501
+
+[[unit.point]]
+name = "speed"
+address = "4x1"
+scale = 0.1
+unit_of_measure = "rpm"
+minimum = 0
+maximum = 3000
+write = { verify = "read-back" }
+
+[[unit.point]]
+name = "level"
+address = "4x2"
+access = "read"
+alarm = [{ kind = "H", limit = 80, acknowledge = true }]
+"""
 
 
 def expect(locator):

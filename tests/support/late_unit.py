@@ -12,7 +12,7 @@ import socket
 import threading
 import time
 import tty
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from types import TracebackType
 from typing import Self
 
@@ -38,9 +38,9 @@ class LateUnit:
         heard: the PDUs of all requests so far.
     """
 
-    def __init__(self, scheme: str, *, path: str | None = None, options: str = "", hiccups: tuple[int, ...] = (3,)):
+    def __init__(self, scheme: str, *, path: str | None = None, options: str = "", hiccups: Container[int] = (3,)):
         self.heard: list[bytes] = []
-        self.hiccups = hiccups
+        self.hiccups: Container[int] = hiccups
         self.asked_for_data = 0
         self.registers: dict[int, int] = {}
         self._framing = line_framing(

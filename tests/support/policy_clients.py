@@ -9,6 +9,7 @@ import ssl
 import struct
 from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 from policy_oracle import Asker
 from tls_peers import foreign_context
@@ -59,7 +60,7 @@ class PlainClient(asyncio.Protocol, asyncio.DatagramProtocol):
         self._replies: list[Reply] = []
         self._data = b""
         self._came = asyncio.Event()
-        self._transport: asyncio.BaseTransport | None = None
+        self._transport: asyncio.Transport | None = None
         self.lost = False
 
     @classmethod
@@ -80,7 +81,7 @@ class PlainClient(asyncio.Protocol, asyncio.DatagramProtocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take the transport."""
-        self._transport = transport
+        self._transport = cast(asyncio.Transport, transport)
         address, port = transport.get_extra_info("sockname")[:2]
         self.local = f"{address}:{port}"
 
@@ -126,9 +127,9 @@ class PlainClient(asyncio.Protocol, asyncio.DatagramProtocol):
         """Send bytes as they are: one segment, or one datagram."""
         assert self._transport is not None
         if self.scheme == "udp":
-            self._transport.sendto(data)  # type: ignore[attr-defined]
+            cast(asyncio.DatagramTransport, self._transport).sendto(data)
         else:
-            self._transport.write(data)  # type: ignore[attr-defined]
+            self._transport.write(data)
 
     async def receive(self, count: int = 1) -> Sequence[Reply]:
         """The next replies, in the order in which they came. Raises `TimeoutError`."""
@@ -148,7 +149,7 @@ class PlainClient(asyncio.Protocol, asyncio.DatagramProtocol):
     def close(self) -> None:
         """End the connection."""
         if self._transport is not None:
-            self._transport.abort()  # type: ignore[attr-defined]
+            self._transport.abort()
 
 
 @contextlib.asynccontextmanager

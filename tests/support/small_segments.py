@@ -27,5 +27,5 @@ def small_retention(age: float | None, size: int | None) -> Retention:
 
 if __name__ == "__main__":
     with_segments_of(int(sys.argv.pop(1)))
-    collector.Retention = small_retention  # type: ignore[assignment,misc]
+    vars(collector)["Retention"] = small_retention
     main()

@@ -270,7 +270,7 @@ class Walk:
         wrong += lines.problems()
         handed = {key: values for key, values in lines.values.items() if values != {None}}
         oldest = min(key[2] for key in kept) if self.drops else 0
-        everything = {**{key: min(values) for key, values in handed.items()}, **kept}  # type: ignore[type-var]
+        everything = {**{key: min(values, key=str) for key, values in handed.items()}, **kept}
         wrong += self._same("a file", {key: values for key, values in handed.items() if key[2] >= oldest}, kept)
         wrong += [f"{key} never reached the file" for key in kept if key not in lines.values]
         for name, seen in self.seen:

@@ -1,7 +1,7 @@
 """The polling engine: samples of what devices say, reasons for what they do not, intervals, and what it learns."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
@@ -333,9 +333,8 @@ async def test_a_write_wakes_an_engine_that_sleeps() -> None:
     poller.add("plc", 1, PlanBook({"c": [number("a", 1)]}, ReadRules(), network_cost()), {"c": 3600.0})
     task = asyncio.create_task(poller.run())
     written = asyncio.Event()
-    perform: Callable[[], Awaitable[None]] = lambda: _set(written)  # noqa: E731
     await asyncio.sleep(0)
-    poller.write("plc", perform)
+    poller.write("plc", lambda: _set(written))
     async with asyncio.timeout(10):
         await written.wait()
     task.cancel()

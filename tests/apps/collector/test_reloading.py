@@ -18,7 +18,8 @@ from busway.errors import ConfigError
 
 
 def changes(collector: busway.Collector, folder: Path) -> list[dict[str, Any]]:
-    collector._audit.flush()  # type: ignore[union-attr]
+    assert collector._audit is not None
+    collector._audit.flush()
     lines = [json.loads(line) for line in (folder / "data" / "audit.log").read_text().splitlines()]
     return [line for line in lines if line["event"] == "configuration"]
 

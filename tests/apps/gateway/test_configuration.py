@@ -108,8 +108,8 @@ class Files:
         )
         return parse_gateway(self.text + lines, "x.toml")
 
-    def service(self, **overrides: object) -> Service:
-        return Service(self.read, Overrides(control="off", can_reload=True, **overrides))  # type: ignore[arg-type]
+    def service(self, *, standard_port: bool | None = None) -> Service:
+        return Service(self.read, Overrides(control="off", can_reload=True, standard_port=standard_port))
 
 
 LISTENER = '[[listener]]\nname = "office"\nurl = "tcp://127.0.0.1:0"\n'

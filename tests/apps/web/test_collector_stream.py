@@ -27,9 +27,9 @@ def stream_of(plant: WatchedCollector) -> ClientConnection:
 def until(socket: ClientConnection, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
     limit = time.monotonic() + 20
     while time.monotonic() < limit:
-        message = json.loads(socket.recv(timeout=20))
+        message: dict[str, Any] = json.loads(socket.recv(timeout=20))
         if holds(message):
-            return message  # type: ignore[no-any-return]
+            return message
     raise AssertionError("nothing of that kind came")
 
 

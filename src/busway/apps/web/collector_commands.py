@@ -248,9 +248,13 @@ class CommandsApi:
 
 
 def _given(value: Plain) -> CommandValue:
-    if value is None or (isinstance(value, list) and None in value):
-        raise HTTPException(422, "value: null is no value to write")
-    return value  # type: ignore[return-value]  # a list without None
+    if isinstance(value, list):
+        items = [each for each in value if each is not None]
+        if len(items) == len(value):
+            return items
+    elif value is not None:
+        return value
+    raise HTTPException(422, "value: null is no value to write")
 
 
 def _answer(result: CommandResult) -> CommandAnswer:

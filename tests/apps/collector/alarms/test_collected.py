@@ -5,6 +5,7 @@ import contextlib
 import os
 import sys
 from collections.abc import AsyncIterator
+from functools import partial
 from pathlib import Path
 
 import alarm_worker
@@ -12,7 +13,7 @@ import pytest
 from waiting import until
 
 import busway
-from busway.apps.collector.alarms.events import AlarmEventKind, AlarmState
+from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind, AlarmState
 from busway.apps.collector.configuration import load_collector
 from busway.errors import InvalidRequest
 from busway.server.server import Server
@@ -62,7 +63,7 @@ async def served(*values: int) -> AsyncIterator[tuple[Server, busway.Device]]:
         yield server, device
 
 
-async def next_event(events: AsyncIterator[object]) -> str:
+async def next_event(events: AsyncIterator[AlarmEvent]) -> str:
     async with asyncio.timeout(20):
         event = await anext(events)
     return f"{event.point} {event.limit} {event.kind}"
@@ -95,7 +96,7 @@ async def test_an_alarm_is_raised_acknowledged_and_cleared_and_all_of_it_is_in_t
                 "acknowledged",
                 "cleared",
             ]
-            await events.aclose()  # type: ignore[attr-defined]
+            await events.aclose()
         kept = busway.Store(tmp_path / "data").alarms("boiler/temperature")
         assert [(each.kind, each.value, each.by) for each in kept] == [
             (AlarmEventKind.RAISED, 81, ""),
@@ -165,10 +166,14 @@ async def test_totals_go_on_after_a_kill(tmp_path: Path) -> None:
                 sys.executable, alarm_worker.__file__, os.fspath(file), stdout=asyncio.subprocess.DEVNULL
             )
             try:
-                await until(lambda total=total: _last(tmp_path) == total, 40)  # type: ignore[misc]
+                await until(partial(_is_last, tmp_path, total), 40)
             finally:
                 worker.kill()
                 await worker.wait()
+
+
+def _is_last(folder: Path, total: int) -> bool:
+    return _last(folder) == total
 
 
 def _last(folder: Path) -> object:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import pytest
 from hypothesis import given
@@ -133,8 +134,10 @@ def test_no_alarm_is_raised_twice_or_cleared_twice_in_a_row(rule: AlarmRule, his
     assert kinds == [RAISED, CLEARED] * (len(kinds) // 2) + [RAISED] * (len(kinds) % 2)
 
 
-def machine_of(kind: str = "H", limit: float = 80.0, delay: float = 0.0, hysteresis: float = 0.0) -> AlarmMachine:
-    return AlarmMachine("boiler", "temperature", AlarmRule(kind, limit, delay, hysteresis, True), "°C")  # type: ignore[arg-type]
+def machine_of(
+    kind: Literal["H", "LL"] = "H", limit: float = 80.0, delay: float = 0.0, hysteresis: float = 0.0
+) -> AlarmMachine:
+    return AlarmMachine("boiler", "temperature", AlarmRule(kind, limit, delay, hysteresis, True), "°C")
 
 
 def feed(machine: AlarmMachine, at: float, value: Value | None, reason: int = 0) -> AlarmEventKind | None:

@@ -272,7 +272,5 @@ def _quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("busway.apps.collector.commands.runner.SHOWN_AFTER", (0.0, 0.0))
 
 
-class TestCommands(Commands.TestCase):  # type: ignore[misc,name-defined]
-    """The machine as a test."""
-
-    settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
+TestCommands = Commands.TestCase
+TestCommands.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)

@@ -41,7 +41,8 @@ class Plant:
         return await self.collector.write("boiler", point, value, by="anna", **more)
 
     def audit(self) -> list[dict[str, Any]]:
-        self.collector._audit.flush()  # type: ignore[union-attr]
+        assert self.collector._audit is not None
+        self.collector._audit.flush()
         return [json.loads(line) for line in (self.folder / "data" / "audit.log").read_text().splitlines()]
 
 
@@ -258,7 +259,7 @@ async def test_what_is_read_to_confirm_a_value_is_a_sample(tmp_path: Path) -> No
         await running.collector.read_again()
         await until(lambda: running.collector.status()[0].state == "polled", 20)
         assert (await running.write("setpoint", 33.5)).is_done
-        await until(lambda: running.collector.values.last("boiler", "setpoint")[0] == 33.5)  # type: ignore[index]
+        await until(lambda: (running.collector.values.last("boiler", "setpoint") or (0,))[0] == 33.5)
         table = busway.Store(tmp_path / "data").read("boiler/setpoint", since="1m")
         assert (table.value[-1], table.reason[-1]) == (33.5, 0)
 

@@ -10,14 +10,20 @@ from collected import NOON, PUMP, at, meter_read, read_of
 from waiting import wait_until
 
 from busway.apps.collector.samples import Gap, PointDescription, PointGroup, Reason, StateInterval
-from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.commit_thread import INTERVAL, MOST_WAITING, Committer
 from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.writer import Commit, StoreWriter
 
 
-def committer_of(folder: Path, **options: float) -> Committer:
-    return Committer(StoreWriter(folder, now=NOON), now=lambda: at(100), retry=0.01, **options)  # type: ignore[arg-type]
+def committer_of(folder: Path, *, interval: float = INTERVAL, most_waiting: int = MOST_WAITING) -> Committer:
+    return Committer(
+        StoreWriter(folder, now=NOON),
+        now=lambda: at(100),
+        interval=interval,
+        most_waiting=most_waiting,
+        retry=0.01,
+    )
 
 
 def test_a_subscriber_is_told_what_is_in_the_store_by_then(tmp_path: Path) -> None:
@@ -77,7 +83,7 @@ def test_a_subscriber_that_fails_stops_nothing(tmp_path: Path, caplog: pytest.Lo
 
 
 def test_a_defect_of_the_store_is_told_in_the_status_and_ends_no_thread(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     committer = committer_of(tmp_path, interval=0.0)
     commit_really = committer.writer.commit
@@ -89,7 +95,7 @@ def test_a_defect_of_the_store_is_told_in_the_status_and_ends_no_thread(
             raise ZeroDivisionError("of the test")
         return commit_really(*arguments)
 
-    committer.writer.commit = commit  # type: ignore[method-assign]
+    monkeypatch.setattr(committer.writer, "commit", commit)
     committer.add(meter_read(1))
     wait_until(lambda: committer.status().error == "of the test")
     is_broken.clear()
@@ -100,7 +106,7 @@ def test_a_defect_of_the_store_is_told_in_the_status_and_ends_no_thread(
 
 
 def test_a_full_disk_is_told_and_survived_and_what_is_lost_is_a_gap_with_its_number(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     committer = committer_of(tmp_path, interval=0.0, most_waiting=30)
     committer.add(meter_read(0))
@@ -108,16 +114,16 @@ def test_a_full_disk_is_told_and_survived_and_what_is_lost_is_a_gap_with_its_num
     full = threading.Event()
     full.set()
 
-    def commit(*arguments: object) -> Commit:
+    def commit(*arguments: Any) -> Commit:  # Any: those of `StoreWriter.commit`
         if full.is_set():
             committer.writer._segment_for(at(100))
             committer.writer.limit_pages(1)
             batches = [read_of(PUMP, 1000 + number, "x" * 4000) for number in range(100)]
-            return commit_really([*batches, *arguments[0]], *arguments[1:])  # type: ignore[misc]
-        return commit_really(*arguments)  # type: ignore[arg-type]
+            return commit_really([*batches, *arguments[0]], *arguments[1:])
+        return commit_really(*arguments)
 
     commit_really = committer.writer.commit
-    committer.writer.commit = commit  # type: ignore[method-assign]
+    monkeypatch.setattr(committer.writer, "commit", commit)
     for number in range(1, 21):
         committer.add(meter_read(number))
     assert not committer.flush(timeout=0.3)

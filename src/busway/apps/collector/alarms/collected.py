@@ -9,7 +9,7 @@ Knows the book, the committer and asyncio; for the thread of the event loop.
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Final, TypeVar
 
@@ -121,7 +121,7 @@ class CollectorAlarms:
             self._promised.pop(id(event), None)
         return event
 
-    async def events(self) -> AsyncIterator[AlarmEvent]:
+    async def events(self) -> AsyncGenerator[AlarmEvent, None]:
         """The events from now on, each after it is in the journal, until the collector ends."""
         reader = _EventReader()
         self._readers.append(reader)
