@@ -8,5 +8,6 @@
 `records`       what collectors share: leases, members, the generation
 `balance`       which collector takes a free shard, and which shards move
 `member`        one collector in its zone: what it owns, takes, renews and hands on
+`member_driver` runs a member by asyncio on a coordinator
 ==============  ===========================================================================================
 """

@@ -1,0 +1,142 @@
+"""Drives a member by asyncio: its proposals go to the coordinator, what the coordinator says comes back.
+
+Knows tasks and the clock; what is proposed, and what follows from an answer, is decided by `member`.
+
+1. The fence of a transaction is `FleetMember.may_begin`, asked with `boot_time` right before bytes are sent. No task has
+   to run first: a process that was frozen finds its leases lapsed, whatever runs first when it goes on.
+2. An error of the coordinator is an outcome that is not known. Nothing here ends for it.
+"""
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from contextlib import aclosing
+
+from .coordinator import (
+    SNAPSHOT_BEGINS,
+    SNAPSHOT_ENDS,
+    Coordinator,
+    CoordinatorDown,
+    OutcomeUnknown,
+    RevisionConflict,
+)
+from .member import FleetMember, NotConfirmed, Proposal, ShardEvent
+
+_log = logging.getLogger("busway.fleet")
+
+
+def boot_time() -> float:
+    """Seconds of a clock that nobody sets and that counts while the machine sleeps, where there is one."""
+    clock = getattr(time, "CLOCK_BOOTTIME", None)
+    return time.monotonic() if clock is None else time.clock_gettime(clock)
+
+
+class MemberDriver:
+    """Runs one member on a coordinator.
+
+    Args:
+        member: whose proposals are made.
+        coordinator: of its zone; not closed here.
+        told: gets each event of a shard, in order, in the event loop; it must be quick.
+        now: the clock of leases.
+    """
+
+    def __init__(
+        self,
+        member: FleetMember,
+        coordinator: Coordinator,
+        told: Callable[[ShardEvent], None],
+        *,
+        now: Callable[[], float] = boot_time,
+    ) -> None:
+        self.member: FleetMember = member
+        self._coordinator, self._told, self._now = coordinator, told, now
+        self._wake = asyncio.Event()
+        self._changed = asyncio.Event()
+        self._error: str | None = None
+        self._asking: set[asyncio.Task[None]] = set()
+
+    @property
+    def error(self) -> str | None:
+        """Why the coordinator did not confirm the last change; None where it did."""
+        return self._error
+
+    async def run(self) -> None:
+        """Take part until cancelled. Raises `ConfigError` where the zone can never be watched."""
+        try:
+            async with asyncio.TaskGroup() as tasks:
+                tasks.create_task(self._watch())
+                tasks.create_task(self._take_turns())
+        finally:
+            for task in self._asking:
+                task.cancel()
+            await asyncio.gather(*self._asking, return_exceptions=True)
+
+    def wake(self) -> None:
+        """Have a turn now: something was changed in the member."""
+        self._wake.set()
+
+    async def end(self, seconds: float) -> bool:
+        """Hand everything back, while `run` still runs; gives whether that was done in time.
+
+        Args:
+            seconds: how long it may take.
+        """
+        self.member.end()
+        self.wake()
+        try:
+            async with asyncio.timeout(seconds):
+                while not self.member.has_ended:
+                    self._changed.clear()
+                    await self._changed.wait()
+        except TimeoutError:
+            return False
+        return True
+
+    async def _watch(self) -> None:
+        async with aclosing(self._coordinator.watch()) as entries:
+            async for entry in entries:
+                if entry is SNAPSHOT_BEGINS:
+                    self.member.begin_snapshot()
+                elif entry is SNAPSHOT_ENDS:
+                    self.member.end_snapshot(self._now())
+                else:
+                    self.member.entry(entry, self._now())
+                self.wake()
+
+    async def _take_turns(self) -> None:
+        while True:
+            self._wake.clear()
+            for proposal in self.member.turn(self._now()):
+                task = asyncio.create_task(self._ask(proposal))
+                self._asking.add(task)
+                task.add_done_callback(self._asking.discard)
+            for event in self.member.events():
+                self._told(event)
+            self._changed.set()
+            wait = self.member.next_turn() - self._now()
+            try:
+                async with asyncio.timeout(min(max(wait, 0.0), 60.0)):
+                    await self._wake.wait()
+            except TimeoutError:
+                pass
+
+    async def _ask(self, proposal: Proposal) -> None:
+        result: int | NotConfirmed
+        try:
+            async with asyncio.timeout(self.member.times.answer):
+                if proposal.revision:
+                    result = await self._coordinator.replace(proposal.key, proposal.value, proposal.revision)
+                else:
+                    result = await self._coordinator.create(proposal.key, proposal.value)
+            self._error = None
+        except RevisionConflict:
+            result = NotConfirmed.CONFLICT
+        except (CoordinatorDown, OutcomeUnknown, TimeoutError) as error:
+            result = NotConfirmed.UNKNOWN
+            if self._error is None:
+                _log.warning("the coordinator does not confirm: %s", str(error) or "no answer in time")
+            self._error = str(error) or "no answer in time"
+        self.member.outcome(proposal, result, self._now())
+        self.wake()

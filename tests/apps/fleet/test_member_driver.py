@@ -1,0 +1,98 @@
+"""Members with real coordinators and real time, short leases."""
+
+import asyncio
+import contextlib
+import random
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+
+import pytest
+from foreign_servers import nats_server
+
+from busway.apps.fleet.coordinators import open_coordinator
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.lease_times import LeaseTimes
+from busway.apps.fleet.member import FleetMember, ShardEvent, Step
+from busway.apps.fleet.member_driver import MemberDriver, boot_time
+
+COSTS = {f"{number:04d}": 0.05 for number in range(8)}
+TIMES = LeaseTimes(ttl=3.0, renew=0.6, guard=0.3, answer=0.5)
+
+pytestmark = pytest.mark.real_time
+
+
+class Collecting:
+    """A member whose links stop at once when they are to."""
+
+    def __init__(self, name: str) -> None:
+        self.member = FleetMember(name, f"run of {name}", name, TIMES, random.Random(name))
+        self.member.set_shards(COSTS)
+        self.events: list[ShardEvent] = []
+        self.driver: MemberDriver | None = None
+
+    def told(self, event: ShardEvent) -> None:
+        self.events.append(event)
+        if event.step is Step.LEAVE:
+            assert self.driver is not None
+            self.member.left(event.shard)
+            self.driver.wake()
+
+
+@contextlib.asynccontextmanager
+async def running(url: str, name: str) -> AsyncIterator[Collecting]:
+    one = Collecting(name)
+    coordinator = await open_coordinator(url, "hall", CoordinatorOptions(answer=0.5))
+    one.driver = MemberDriver(one.member, coordinator, one.told)
+    task = asyncio.create_task(one.driver.run())
+    try:
+        yield one
+    finally:
+        task.cancel()
+        await asyncio.wait([task])
+        await coordinator.close()
+
+
+async def until(condition: Callable[[], bool], seconds: float = 20.0) -> float:
+    begun = boot_time()
+    while not condition():
+        assert boot_time() < begun + seconds, "it did not come"
+        await asyncio.sleep(0.02)
+    return boot_time() - begun
+
+
+async def test_two_collectors_share_and_the_other_takes_over_what_one_has_left_behind(tmp_path: Path) -> None:
+    url = f"local:{tmp_path}"
+    async with contextlib.AsyncExitStack() as stack:
+        one = await stack.enter_async_context(running(url, "one"))
+        async with running(url, "two") as two:
+            await until(lambda: {len(one.member.owned), len(two.member.owned)} == {4})
+        took = await until(lambda: len(one.member.owned) == 8)
+        assert took < TIMES.ttl + TIMES.guard + 2.0
+        assert all(event.step is not Step.LOST for event in two.events)
+
+
+async def test_a_collector_that_ends_in_order_hands_everything_on_at_once(tmp_path: Path) -> None:
+    url = f"local:{tmp_path}"
+    async with running(url, "one") as one, running(url, "two") as two:
+        await until(lambda: {len(one.member.owned), len(two.member.owned)} == {4})
+        assert two.driver is not None
+        assert await two.driver.end(5.0)
+        assert await until(lambda: len(one.member.owned) == 8) < TIMES.ttl
+
+
+async def test_a_server_that_is_away_for_longer_than_a_lease_ends_all_ownership_until_it_is_back(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("nats")
+    with nats_server(tmp_path) as server:
+        async with running(f"nats://127.0.0.1:{server.port}", "one") as one:
+            await until(lambda: len(one.member.owned) == 8)
+            first = {shard: each.epoch for shard, each in one.member.owned.items()}
+            server.stop()
+            await until(lambda: not one.member.owned)
+            assert one.driver is not None
+            assert one.driver.error is not None
+            assert not one.member.may_begin("0000", boot_time(), 0.0)
+            server.start()
+            await until(lambda: len(one.member.owned) == 8)
+            assert all(each.epoch > first[shard] for shard, each in one.member.owned.items())
