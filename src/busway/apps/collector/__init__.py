@@ -9,6 +9,7 @@
 `schedule`        which read of a link is next, and when
 `admission`       whether a link can do what its devices are to be asked
 `poller`          the polling engine of one link
+`permitted_link`  a link each transaction of which must be permitted
 `derived_points`  totals, computed points, members of groups that a count names
 `reply_timeout`   how long to wait for a device
 `sample_clock`    the clock of samples, which never runs back

@@ -39,6 +39,7 @@ from .configuration import CollectedDevice, CollectorConfiguration, load_collect
 from .derived_points import DerivedPoints
 from .knowledge import Knowledge, read_knowledge
 from .maintenance import MaintenanceBook
+from .permitted_link import PermittedLink
 from .poller import LinkPoller
 from .reloading import left_for_the_next_start, refuse_what_cannot_change, replace_file
 from .sample_clock import SampleClock
@@ -59,6 +60,8 @@ CLOCK_EVERY: Final = 5.0
 """Seconds between two comparisons with the wall clock."""
 AUDIT_LOG: Final = "audit.log"
 """The file in the store that keeps the audit log, where the configuration names none."""
+FINISH_LIMIT: Final = 2.0
+"""Seconds beyond its timeout for which a transaction may go on when its link is to stop."""
 LEARNT_EVERY: Final = 30.0
 """Seconds after which what was learnt is written, if it changed."""
 
@@ -132,8 +135,16 @@ class Collector:
 
     alarms: CollectorAlarms
 
-    def __init__(self, configuration: CollectorConfiguration) -> None:
+    def __init__(self, configuration: CollectorConfiguration, *, permit: Callable[[str], None] | None = None) -> None:
+        """Set what is collected; nothing is opened yet.
+
+        Args:
+            configuration: what its file says.
+            permit: called with the name of a link right before each of its transactions, reads and writes; an error
+                that it raises (a `LinkDown`) is that of the transaction, of which nothing is sent then.
+        """
         self.configuration: CollectorConfiguration = configuration
+        self._permit = permit
         self._started_with = configuration
         self.readers_lost: int = 0
         self._committer: Committer | None = None
@@ -350,6 +361,17 @@ class Collector:
         assert self._committer is not None
         return self._committer.status()
 
+    @property
+    def newest_commit(self) -> int:
+        """The number of the last commit; 0 before the first."""
+        assert self._committer is not None
+        return self._committer.writer.newest_commit
+
+    async def flush(self) -> bool:
+        """Commit what was taken so far; False where the store could not be written in ten seconds."""
+        assert self._committer is not None
+        return await asyncio.to_thread(self._committer.flush)
+
     def subscribe(self, told: Callable[[Commit], None]) -> None:
         """Have a function called with each commit from now on, in the thread of the store: it must be quick."""
         assert self._committer is not None
@@ -551,6 +573,7 @@ class Collector:
             self._sinks.set_point_rules(_report_rules(configuration))
         done: list[str] = []
         changed = [name for name, link in self._links.items() if link.key != _key_of(configuration, name)]
+        await asyncio.gather(*(self._finish_link(name) for name in changed))
         for name in changed:
             await self._stop_link(name)
             if name not in configuration.links:
@@ -586,7 +609,7 @@ class Collector:
         )
         poller = LinkPoller(
             name,
-            link,
+            link if self._permit is None else PermittedLink(name, link, self._permit),
             schedule,
             self._clock,
             self._take,
@@ -613,6 +636,12 @@ class Collector:
         task = asyncio.create_task(poller.run(), name=f"busway collector link {name}")
         task.add_done_callback(_log_defect)
         self._links[name] = _RunningLink(_key_of(configuration, name), link, poller, task)
+
+    async def _finish_link(self, name: str) -> None:
+        """Let the transaction that runs on a link end."""
+        running = self._links[name]
+        running.poller.finish()
+        await asyncio.wait([running.task], timeout=running.poller.schedule.timeout + FINISH_LIMIT)
 
     async def _stop_link(self, name: str) -> None:
         running = self._links.pop(name)

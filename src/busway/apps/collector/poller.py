@@ -196,7 +196,7 @@ class LinkPoller:
         self._numbered = numbered
         self._now = now
         self._wake: asyncio.Event | None = None
-        self._has_ended = False
+        self._has_ended = self._is_finishing = False
         self._latencies: deque[float] = deque(maxlen=KEPT_LATENCIES)
 
     def latencies(self, parts: Sequence[float]) -> list[float]:
@@ -309,13 +309,18 @@ class LinkPoller:
         if self._wake is not None:
             self._wake.set()
 
+    def finish(self) -> None:
+        """End the task after the transaction that runs, so that no reply is left on its way."""
+        self._is_finishing = True
+        self.wake()
+
     # The task.
 
     async def run(self) -> None:
-        """Poll until the task is cancelled."""
+        """Poll until the task is cancelled, or after `finish`."""
         self._wake = asyncio.Event()
         try:
-            while True:
+            while not self._is_finishing:
                 turn = self.schedule.next(self._now())
                 if isinstance(turn, float):
                     await self._sleep(turn - self._now())

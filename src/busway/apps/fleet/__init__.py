@@ -1,13 +1,16 @@
 """The fleet: several collectors that share the links of a plant, each link polled by one of them.
 
-==============  ===========================================================================================
-`shards`        the groups of links that are owned together, and which hosts may own them
-`coordinator`   the interface of the table that collectors change by compare-and-set
-`coordinators`  its backends: one file, NATS JetStream, PostgreSQL
-`lease_times`   how long a lease holds, and the epoch of an ownership
-`records`       what collectors share: leases, members, the generation
-`balance`       which collector takes a free shard, and which shards move
-`member`        one collector in its zone: what it owns, takes, renews and hands on
-`member_driver` runs a member by asyncio on a coordinator
-==============  ===========================================================================================
+=================  ========================================================================================
+`shards`           the groups of links that are owned together, and which hosts may own them
+`coordinator`      the interface of the table that collectors change by compare-and-set
+`coordinators`     its backends: one file, NATS JetStream, PostgreSQL
+`lease_times`      how long a lease holds, and the epoch of an ownership
+`records`          what collectors share: leases, members, the generation
+`balance`          which collector takes a free shard, and which shards move
+`member`           one collector in its zone: what it owns, takes, renews and hands on
+`member_driver`    runs a member by asyncio on a coordinator
+`plant`            the part of a plant's configuration that one collector works on
+`ownership`        what a collector owned, and in which epoch its samples were taken
+`fleet_collector`  a collector that polls what it owns
+=================  ========================================================================================
 """

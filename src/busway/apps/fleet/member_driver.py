@@ -2,8 +2,8 @@
 
 Knows tasks and the clock; what is proposed, and what follows from an answer, is decided by `member`.
 
-1. The fence of a transaction is `FleetMember.may_begin`, asked with `boot_time` right before bytes are sent. No task has
-   to run first: a process that was frozen finds its leases lapsed, whatever runs first when it goes on.
+1. The fence of a transaction is `FleetMember.may_begin`, asked with `boot_time` right before bytes are sent. No task
+   has to run first: a process that was frozen finds its leases lapsed, whatever runs first when it goes on.
 2. An error of the coordinator is an outcome that is not known. Nothing here ends for it.
 """
 

@@ -287,6 +287,11 @@ class StoreWriter:
         """Bytes of the write-ahead log of the open segment."""
         return 0 if self._segment is None else self._segment.log_size()
 
+    @property
+    def newest_commit(self) -> int:
+        """The number of the last commit; a number before the next one where none was made since the start."""
+        return self._next - 1
+
     def _take_number(self) -> int:
         if self._next >= self._behind:
             self._next, self._behind = self.manifest.reserve_numbers()

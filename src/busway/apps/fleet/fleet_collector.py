@@ -1,0 +1,198 @@
+"""A collector of a fleet: polls the links of the shards that it owns, and no others.
+
+Knows the collector, the member and the log of ownership; what is owned is decided by `member`.
+
+1. A link begins after its epoch is on disk. It stops before its shard is handed on: what runs ends, what was taken is
+   committed, and only then is the lease released.
+2. Right before each transaction the lease is asked (`FleetMember.may_begin`), with the longest that it may take. A
+   lease that lapses therefore ends polling at once, whatever else waits.
+3. Changes of ownership are applied one after the other, all that have come together as one.
+"""
+
+import asyncio
+import logging
+import random
+import secrets
+import sqlite3
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AsyncExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from ...errors import LinkDown
+from ..collector.collector import Collector
+from ..collector.configuration import CollectorConfiguration
+from .coordinator import Coordinator
+from .lease_times import Epoch, LeaseTimes
+from .member import FleetMember, ShardEvent, Step
+from .member_driver import MemberDriver, boot_time
+from .ownership import OwnershipLog
+from .plant import costs_by_link, longest_transaction, refuse_slow_links, restricted
+from .shards import checked_name, links_by_shard
+
+END_LIMIT: Final = 10.0
+"""Seconds in which shards are handed back when the collector ends in order."""
+
+_log = logging.getLogger("busway.fleet")
+
+
+class FleetCollector:
+    """A collector that shares the links of a plant with others; an asynchronous context manager.
+
+    Args:
+        configuration: of the whole plant; each collector of the fleet has a store of its own.
+        coordinator: of the zone; not closed here.
+        name: of this collector, the only one of its name in the zone.
+        host: of the machine, for links that only some hosts can reach.
+        shards: how many the zone has, 1…1024; the same for all collectors.
+        hosts: by link, the hosts that can reach it, the preferred one first; links that are missing all can reach.
+        times: of the leases; the same for all collectors.
+        capacity: how much this collector may take beside the others.
+        now: the clock of leases.
+
+    Attributes:
+        member: what it owns, as the zone sees it.
+        collector: what polls.
+        ownership: the log of what it owned.
+    """
+
+    collector: Collector
+    ownership: OwnershipLog
+
+    def __init__(
+        self,
+        configuration: CollectorConfiguration,
+        coordinator: Coordinator,
+        name: str,
+        *,
+        host: str,
+        shards: int = 256,
+        hosts: Mapping[str, Sequence[str]] | None = None,
+        times: LeaseTimes | None = None,
+        capacity: float = 1.0,
+        now: Callable[[], float] = boot_time,
+    ) -> None:
+        times = times or LeaseTimes()
+        refuse_slow_links(configuration, times)
+        self._configuration = configuration
+        self._now = now
+        self._links_of = links_by_shard(((link, (hosts or {}).get(link, ())) for link in configuration.links), shards)
+        self._shard_of = {link: shard for shard, links in self._links_of.items() for link in links}
+        self._worst = {link: longest_transaction(configuration, link) for link in configuration.links}
+        self.member: FleetMember = FleetMember(
+            checked_name(name, "collector"),
+            secrets.token_hex(8),
+            checked_name(host, "host"),
+            times,
+            random.Random(),
+            capacity=capacity,
+        )
+        self._driver = MemberDriver(self.member, coordinator, self._told, now=now)
+        self._active: dict[str, Epoch] = {}
+        self._waiting: list[ShardEvent] = []
+        self._wake = asyncio.Event()
+        self._tasks: list[asyncio.Task[None]] = []
+
+    async def __aenter__(self) -> Self:
+        """Open the store and take part in the zone. Raises as `Collector.__aenter__`."""
+        async with AsyncExitStack() as unless_started:
+            collector = Collector(restricted(self._configuration, ()), permit=self._permit)
+            self.collector = await unless_started.enter_async_context(collector)
+            loads = {load.link: load.load for load in self._configuration.loads(collector.knowledge)}
+            costs = costs_by_link(self._configuration, loads)
+            self.member.set_shards(
+                {shard: sum(costs[link] for link in links) for shard, links in self._links_of.items()}
+            )
+            self.ownership = OwnershipLog(Path(self._configuration.store))
+            unless_started.callback(self.ownership.close)
+            self._tasks = [
+                asyncio.create_task(self._driver.run(), name="busway fleet member"),
+                asyncio.create_task(self._apply_changes(), name="busway fleet links"),
+            ]
+            unless_started.pop_all()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Hand everything back, then stop."""
+        async with AsyncExitStack() as steps:
+            steps.callback(self.ownership.close)
+            steps.push_async_exit(self.collector)
+            steps.push_async_callback(self._end_tasks)
+            if not any(task.done() for task in self._tasks) and not await self._driver.end(END_LIMIT):
+                _log.warning("not all shards were handed back in %g s: others take them later", END_LIMIT)
+
+    async def _end_tasks(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def _permit(self, link: str) -> None:
+        """Raise `LinkDown` where a transaction of a link may not begin (rule 2)."""
+        if link not in self._active or not self.member.may_begin(self._shard_of[link], self._now(), self._worst[link]):
+            raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent")
+
+    def _told(self, event: ShardEvent) -> None:
+        self._waiting.append(event)
+        self._wake.set()
+        if event.step is Step.LOST:
+            for link in self._links_of.get(event.shard, ()):
+                self._active.pop(link, None)
+            _log.warning("shard %s in epoch %s is lost: %s", event.shard, event.epoch, event.reason)
+
+    async def _apply_changes(self) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            events, self._waiting = self._waiting, []
+            await self._apply(events)
+
+    async def _apply(self, events: Sequence[ShardEvent]) -> None:
+        """Stop what is not owned any more, begin what is owned now, hand on what has stopped."""
+        ended = [event for event in events if event.step is not Step.GAINED]
+        for event in ended:
+            for link in self._links_of.get(event.shard, ()):
+                self._active.pop(link, None)
+        if ended:
+            await self._poll_active()
+            await self.collector.flush()
+            for event in ended:
+                await asyncio.to_thread(
+                    self.ownership.end,
+                    self._links_of.get(event.shard, ()),
+                    event.epoch,
+                    self.collector.newest_commit,
+                    time.time_ns(),
+                )
+                if event.step is Step.LEAVE:
+                    self.member.left(event.shard)
+            self._driver.wake()
+        gained = [event for event in events if self._is_owned(event)]
+        if gained:
+            await self.collector.flush()
+            for event in gained:
+                await self._begin(event)
+            await self._poll_active()
+
+    def _is_owned(self, event: ShardEvent) -> bool:
+        """Whether an ownership that was gained still holds."""
+        owned = self.member.owned.get(event.shard)
+        is_kept = owned is not None and owned.epoch == event.epoch and owned.leaving is None
+        return event.step is Step.GAINED and is_kept
+
+    async def _begin(self, event: ShardEvent) -> None:
+        links = self._links_of.get(event.shard, [])
+        try:
+            await asyncio.to_thread(
+                self.ownership.begin, links, event.epoch, self.collector.newest_commit, time.time_ns()
+            )
+        except sqlite3.Error as error:
+            _log.error("shard %s is not polled: its epoch cannot be recorded: %s", event.shard, error)
+            return
+        self._active.update((link, event.epoch) for link in links)
+
+    async def _poll_active(self) -> None:
+        await self.collector.reload(restricted(self._configuration, self._active), by=self.member.name, origin="fleet")

@@ -1,0 +1,119 @@
+"""What this collector owned, and in which epoch its samples were taken: one SQLite file beside the store.
+
+Knows epochs and commit numbers; knows no coordinator.
+
+1. A link's ownership begins after everything that was taken before is committed, so the epoch of a sample follows from
+   the number of its commit.
+2. A row is on disk before the first transaction of its epoch.
+3. An ownership whose end is missing ended with the process.
+"""
+
+import sqlite3
+import threading
+from bisect import bisect_left
+from collections.abc import Iterable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ...errors import ConfigError
+from .lease_times import Epoch
+
+OWNERSHIP: Final = "fleet.sqlite"
+_SCHEMA: Final = """
+CREATE TABLE IF NOT EXISTS ownership (
+    link TEXT NOT NULL, generation INTEGER NOT NULL, revision INTEGER NOT NULL, after_commit INTEGER NOT NULL,
+    begin INTEGER NOT NULL, last_commit INTEGER, "end" INTEGER, PRIMARY KEY (link, generation, revision)
+)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Ownership:
+    """The time in which this collector owned a link.
+
+    Attributes:
+        link: its name.
+        epoch: of the ownership.
+        after_commit: the last commit before it.
+        begin: nanoseconds since 1970 UTC.
+        last_commit: the last commit in it; None while it lasts, or where the process was killed.
+        end: nanoseconds since 1970 UTC; None like ``last_commit``.
+    """
+
+    link: str
+    epoch: Epoch
+    after_commit: int
+    begin: int
+    last_commit: int | None = None
+    end: int | None = None
+
+
+class OwnershipLog:
+    """The log of one store; usable from any thread.
+
+    Args:
+        folder: of the store, whose lock this process holds.
+
+    Raises:
+        ConfigError: the file cannot be opened.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        path = folder / OWNERSHIP
+        self._lock = threading.Lock()
+        try:
+            self._database = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+            path.chmod(0o600)
+            self._database.execute("PRAGMA journal_mode=WAL")
+            self._database.execute("PRAGMA synchronous=FULL")
+            self._database.execute(_SCHEMA)
+        except (sqlite3.Error, OSError) as error:
+            raise ConfigError(f"the log of ownership cannot be used: {error}", file=str(path)) from error
+        self._epochs: dict[str, list[tuple[int, Epoch]]] = {}
+        for each in self.all():
+            self._epochs.setdefault(each.link, []).append((each.after_commit, each.epoch))
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            self._database.close()
+
+    def begin(self, links: Iterable[str], epoch: Epoch, after_commit: int, now: int) -> None:
+        """Links are owned from now on. Raises `sqlite3.Error`: then they must not be polled."""
+        rows = [(link, epoch.generation, epoch.revision, after_commit, now) for link in links]
+        with self._lock:
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                self._database.executemany("INSERT INTO ownership VALUES (?, ?, ?, ?, ?, NULL, NULL)", rows)
+            except sqlite3.Error:
+                self._database.execute("ROLLBACK")
+                raise
+            self._database.execute("COMMIT")
+            for link, *_ in rows:
+                self._epochs.setdefault(link, []).append((after_commit, epoch))
+
+    def end(self, links: Iterable[str], epoch: Epoch, last_commit: int, now: int) -> None:
+        """Links are no longer owned; all their samples are committed. Raises `sqlite3.Error`."""
+        rows = [(last_commit, now, link, epoch.generation, epoch.revision) for link in links]
+        with self._lock:
+            self._database.executemany(
+                'UPDATE ownership SET last_commit = ?, "end" = ? WHERE link = ? AND generation = ? AND revision = ?',
+                rows,
+            )
+
+    def epoch_of(self, link: str, commit: int) -> Epoch | None:
+        """The epoch in which a sample of a link was taken that has this commit; None for one from before the fleet."""
+        known = self._epochs.get(link, ())
+        place = bisect_left(known, commit, key=lambda each: each[0])
+        return known[place - 1][1] if place else None
+
+    def all(self) -> list[Ownership]:
+        """All that was owned, the oldest first."""
+        with self._lock, closing(self._database.cursor()) as cursor:
+            rows = cursor.execute("SELECT * FROM ownership ORDER BY after_commit, begin, link").fetchall()
+        return [
+            Ownership(link, Epoch(generation, revision), after_commit, begin, last_commit, end)
+            for link, generation, revision, after_commit, begin, last_commit, end in rows
+        ]

@@ -1,0 +1,71 @@
+"""Devices of a plant on plain sockets, which write down every request: who asked, when, and for what.
+
+Knows bytes and asyncio; nothing of the library under test.
+"""
+
+import asyncio
+import struct
+from dataclasses import dataclass, field
+
+FIRST_DUE = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """One request on the wire of a device."""
+
+    at: float
+    peer: int
+    function: int
+    address: int
+
+
+@dataclass
+class FleetDevice:
+    """A device whose registers 0 and 1 count its reads."""
+
+    name: str
+    port: int = 0
+    asked: list[Asked] = field(default_factory=list)
+    written: list[tuple[int, int]] = field(default_factory=list)
+    reads: int = 0
+
+    async def serve(self) -> asyncio.Server:
+        server = await asyncio.start_server(self._talk, "127.0.0.1", self.port)
+        self.port = server.sockets[0].getsockname()[1]
+        return server
+
+    async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        peer = writer.get_extra_info("peername")[1]
+        try:
+            while True:
+                head = await reader.readexactly(7)
+                transaction, _, length, unit = struct.unpack(">HHHB", head)
+                pdu = await reader.readexactly(length - 1)
+                function, address = pdu[0], struct.unpack(">H", pdu[1:3])[0]
+                self.asked.append(Asked(asyncio.get_running_loop().time(), peer, function, address))
+                reply = self._reply(function, address, pdu)
+                writer.write(struct.pack(">HHHB", transaction, 0, len(reply) + 1, unit) + reply)
+        except (asyncio.IncompleteReadError, ConnectionError):
+            pass
+        finally:
+            writer.close()
+
+    def _reply(self, function: int, address: int, pdu: bytes) -> bytes:
+        if function == 3:
+            self.reads += 1
+            count = struct.unpack(">H", pdu[3:5])[0]
+            values = [(self.reads >> 16) & 0xFFFF, self.reads & 0xFFFF, *range(2, 120)]
+            return bytes((3, 2 * count)) + struct.pack(f">{count}H", *values[address : address + count])
+        if function in (6, 16):
+            self.written.append((address, struct.unpack(">H", pdu[-2:])[0]))
+            return pdu[:5]
+        return bytes((function | 0x80, 1))
+
+    def owners(self) -> list[int]:
+        """The peers that asked, in order, each run of requests of one peer once."""
+        found: list[int] = []
+        for each in self.asked:
+            if not found or found[-1] != each.peer:
+                found.append(each.peer)
+        return found
