@@ -24,6 +24,7 @@ from types import TracebackType
 from typing import Final, Protocol, Self
 
 from ..errors import ConfigError
+from ..options.declaration import declared
 from ..options.service import AuditParameters, OnFailure
 from ..options.text import build_parameters
 from ..safe_files import open_to_append
@@ -31,6 +32,7 @@ from .denials import About, DenialLine, RepeatedDenials
 
 _log = logging.getLogger("busway.audit")
 
+_USUAL: Final = declared(AuditParameters)
 _CHUNK: Final = 64 * 1024
 """Characters of lines that are written without waiting for the interval: one write of this size takes 50 µs."""
 _KEPT: Final = 4 * 1024 * 1024
@@ -136,9 +138,9 @@ class AuditLog:
         self,
         path: str | os.PathLike[str],
         *,
-        interval: float = 0.2,
-        on_failure: str = "serve",
-        repeat_interval: float = 60.0,
+        interval: float = _USUAL["interval"].default,
+        on_failure: str = _USUAL["on_failure"].default.value,
+        repeat_interval: float = _USUAL["repeat_interval"].default,
         schedule: FlushSchedule = by_event_loop,
         clock: Callable[[], float] = time.monotonic,
         now: Callable[[], float] = time.time,

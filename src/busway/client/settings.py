@@ -105,14 +105,11 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
         security = chosen.build(TlsParameters) if endpoint.carrier == "tls" else None
         watched = breaker if breaker.open_after else None
         return LinkSettings(endpoint, parameters, sockets, management, breaker=watched, security=security)
-    port = None
-    if endpoint.carrier == "serial":
-        port = SerialSettings.from_options(chosen.values[SerialSettings], binary=endpoint.framing == "rtu")
     line = LineSettings(
         chosen.build(SerialClientParameters),
         breaker,
         chosen.build(FramingParameters),
-        port,
+        chosen.serial_settings(),
         chosen.build(OpeningParameters),
     )
     return LinkSettings(endpoint, parameters, sockets, management, line)

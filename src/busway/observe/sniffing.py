@@ -193,13 +193,10 @@ def line_to_hear(url: str | Endpoint) -> LineToHear:
             f"{endpoint.url}: only a line can be listened to: rtu or ascii, alone or with +tcp or +udp",
         )
     chosen = Offer.at(endpoint, "monitor", MONITORS).chosen(endpoint.options, of=endpoint.url)
-    port = None
-    if endpoint.carrier == "serial":
-        port = SerialSettings.from_options(chosen.values[SerialSettings], binary=endpoint.framing == "rtu")
     return LineToHear(
         endpoint,
         chosen.build(FramingParameters),
-        port,
+        chosen.serial_settings(),
         chosen.build(SocketParameters),
         chosen.build(OpeningParameters),
     )

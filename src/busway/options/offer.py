@@ -119,6 +119,11 @@ class ChosenOptions:
         """Build the parameter object of a class from the given options; defaults for others. Raises `ConfigError`."""
         return build_parameters(kind, self.values.get(kind, {}), framing=self.offer.framing)
 
+    def serial_settings(self) -> SerialSettings | None:
+        """Build the settings of the serial line; None where no port has an effect. Raises `ConfigError`."""
+        given = self.values.get(SerialSettings)
+        return None if given is None else SerialSettings.from_options(given, binary=self.offer.framing == "rtu")
+
 
 def canonical(options: Mapping[str, object]) -> dict[str, object]:
     """Return options with their alternative names replaced by their own names.

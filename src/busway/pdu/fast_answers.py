@@ -6,6 +6,7 @@ Knows the wire form of the table functions and the blocks they act on; knows no 
    the generic path". It returns None for every request that is not plainly valid, so all refusals are decided in one
    place.
 2. It must equal the generic path on every request; a property test checks that.
+3. Each function is written out, also where two are alike: one more call for each request is what this file saves.
 
 Measured: 1.0 µs for a read of ten registers from frame to frame, against 2.1 µs by the generic path.
 """

@@ -80,13 +80,10 @@ def listener_settings(
     """
     endpoint = parse_endpoint(listener.endpoint)
     chosen = Offer.at(endpoint, "server", LISTENERS).chosen(endpoint.options, of=f"a listener on {endpoint.url}")
-    port = None
-    if endpoint.carrier == "serial":
-        port = SerialSettings.from_options(chosen.values[SerialSettings], binary=endpoint.framing == "rtu")
     return ListenerSettings(
         endpoint,
         chosen.build(FramingParameters),
-        port,
+        chosen.serial_settings(),
         chosen.build(OpeningParameters),
         listener.limits or limits,
         listener.access,

@@ -40,6 +40,18 @@ class Plant:
     async def write(self, point: str, value: Any, **more: Any) -> CommandResult:
         return await self.collector.write("boiler", point, value, by="anna", **more)
 
+    async def hold(self) -> asyncio.Event:
+        """Hold the turn of the device until the event is set."""
+        held, release = asyncio.Event(), asyncio.Event()
+
+        async def hold() -> None:
+            held.set()
+            await release.wait()
+
+        assert self.collector._poller_of("boiler").write("boiler", hold)
+        await held.wait()
+        return release
+
     def audit(self) -> list[dict[str, Any]]:
         assert self.collector._audit is not None
         self.collector._audit.flush()
@@ -171,15 +183,7 @@ async def test_a_command_whose_time_is_over_is_not_sent(tmp_path: Path) -> None:
 
 async def test_a_command_that_waits_for_its_turn_longer_than_its_time_is_not_sent(tmp_path: Path) -> None:
     async with plant(tmp_path) as running:
-        poller = running.collector._poller_of("boiler")
-        held, release = asyncio.Event(), asyncio.Event()
-
-        async def hold() -> None:
-            held.set()
-            await release.wait()
-
-        assert poller.write("boiler", hold)
-        await held.wait()
+        release = await running.hold()
         waiting = asyncio.create_task(running.write("setpoint", 5, expires=time.time() + 0.1))
         await asyncio.sleep(0.2)
         release.set()
@@ -314,15 +318,7 @@ async def test_an_armed_command_is_sent_when_its_own_person_confirms_it(tmp_path
 
 async def test_too_many_open_commands_of_a_device_are_refused_without_taking_their_key(tmp_path: Path) -> None:
     async with plant(tmp_path) as running:
-        poller = running.collector._poller_of("boiler")
-        held, release = asyncio.Event(), asyncio.Event()
-
-        async def hold() -> None:
-            held.set()
-            await release.wait()
-
-        assert poller.write("boiler", hold)
-        await held.wait()
+        release = await running.hold()
         waiting = [asyncio.create_task(running.write("mode", number % 3)) for number in range(MOST_OPEN)]
         await asyncio.sleep(0)
         refused = await running.write("mode", 1, key="again")
@@ -335,15 +331,8 @@ async def test_too_many_open_commands_of_a_device_are_refused_without_taking_the
 
 async def test_a_link_that_ends_ends_its_commands(tmp_path: Path) -> None:
     async with plant(tmp_path) as running:
+        await running.hold()
         poller = running.collector._poller_of("boiler")
-        held = asyncio.Event()
-
-        async def hold() -> None:
-            held.set()
-            await asyncio.sleep(3600)
-
-        assert poller.write("boiler", hold)
-        await held.wait()
         waiting = asyncio.create_task(running.write("mode", 1))
         await until(lambda: len(poller.schedule._writes) == 1)
         await running.collector._stop_link("hall")
