@@ -128,6 +128,7 @@ async def _collect(configuration: "CollectorConfiguration", every: float, *, as_
                         print_status(collector, as_json=as_json)
             for task in tasks:
                 task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
             print_status(collector, as_json=as_json)
 
 

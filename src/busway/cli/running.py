@@ -153,3 +153,4 @@ async def read_again_on_hangup(
         finally:
             for task in tasks:
                 task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)

@@ -157,11 +157,13 @@ class CollectorStream:
             pass
         finally:
             self._viewers.remove(viewer)
-            sender.cancel()
+            ended = [sender]
             if not self._viewers and self._ticker is not None:
-                self._ticker.cancel()
+                ended.append(self._ticker)
                 self._ticker = None
-            await asyncio.gather(sender, return_exceptions=True)
+            for task in ended:
+                task.cancel()
+            await asyncio.gather(*ended, return_exceptions=True)
 
     async def _receive(self, socket: WebSocket, viewer: Viewer) -> None:
         while True:

@@ -175,6 +175,7 @@ class SecuringConnection(asyncio.Protocol):
         self._tls = tls
         self._given = given
         self._connections: set[Any] = given["server_state"].connections
+        self._tasks: set[asyncio.Task[None]] = given["server_state"].tasks
         self._early: list[bytes] = []
         self._has_ended = False
         self._transport: asyncio.Transport | None = None
@@ -191,6 +192,8 @@ class SecuringConnection(asyncio.Protocol):
         transport.pause_reading()
         self._shared.waiting[self] = None
         self._handshake = asyncio.get_running_loop().create_task(self._secure(transport))
+        self._tasks.add(self._handshake)  # the server awaits them when it stops
+        self._handshake.add_done_callback(self._tasks.discard)
 
     async def _secure(self, transport: asyncio.Transport) -> None:
         loop = asyncio.get_running_loop()

@@ -183,7 +183,11 @@ class HostedPage(ABC):
             unless_started.enter_context(self._lasting())
             server = self._server = _Server(_configured(self.application(rules), context))
             self._task = asyncio.create_task(server.serve([bound]))
-            await server.answering.wait()
+            try:
+                await server.answering.wait()
+            except asyncio.CancelledError:
+                await self.stop()
+                raise
             self._opened = unless_started.pop_all()
 
     async def stop(self) -> None:
@@ -192,6 +196,11 @@ class HostedPage(ABC):
         if task is not None and self._server is not None:
             self._server.should_exit = True
             await task
+            left = (
+                self._server.server_state.tasks
+            )  # uvicorn cancels requests that take too long, and does not await them
+            if left:
+                await asyncio.wait(left)
         self._opened.close()
         self.url = ""
 

@@ -14,8 +14,12 @@ from foreign_servers import ForeignServer, mosquitto, nats_server
 from waiting import until
 
 import busway
+from busway.apps.collector.commands.command import CommandState
 from busway.apps.collector.commands.input_options import make_input
-from busway.apps.collector.commands.inputs import overlap, parsed
+from busway.apps.collector.commands.inputs import InputMessage, InputRights, overlap, parsed
+from busway.apps.collector.commands.journal import CUT_OFF, CommandJournal
+from busway.apps.collector.commands.mqtt import MqttCommands
+from busway.apps.collector.commands.nats import NatsCommands
 from busway.config.files.schema import FileProblems
 from busway.config.files.sinks import sink_section
 from busway.errors import ConfigError, InvalidRequest
@@ -198,6 +202,130 @@ async def test_commands_by_nats_are_requests_with_a_reply(tmp_path: Path) -> Non
                 await until(lambda: collector.input_statuses()[0].error is None, 30)
             finally:
                 await client.close()
+
+
+class HeldReceiver:
+    """A receiver whose commands end only when they are cancelled, as those of a device that does not answer."""
+
+    def __init__(self) -> None:
+        self.is_connected = asyncio.Event()
+        self.has_taken = asyncio.Event()
+        self.has_ended = False
+
+    def connected(self) -> None:
+        self.is_connected.set()
+
+    def down(self, error: str) -> None:
+        raise AssertionError(error)
+
+    def is_for_commands(self, where: str) -> bool:
+        return False
+
+    async def take(self, message: InputMessage) -> bytes:
+        self.has_taken.set()
+        try:
+            await asyncio.Event().wait()
+        finally:
+            await asyncio.sleep(0)
+            self.has_ended = True
+        return b""
+
+
+@contextlib.asynccontextmanager
+async def receiving(made: Any) -> AsyncIterator[HeldReceiver]:
+    """An input that receives; at the end it is cancelled as a collector that ends does it."""
+    receiver = HeldReceiver()
+    task = asyncio.create_task(made.run(receiver))
+    try:
+        await asyncio.wait_for(receiver.is_connected.wait(), 20)
+        yield receiver
+    finally:
+        task.cancel()
+        await asyncio.wait([task])
+
+
+async def test_an_mqtt_input_has_ended_its_tasks_when_it_ends(tmp_path: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    with mosquitto(tmp_path) as server:
+        made = MqttCommands("127.0.0.1", server.port, InputRights("plant/{device}/{point}/set", ("*/*",)))
+        async with MqttUser(server) as user:
+            async with receiving(made) as receiver:
+                await user.send("plant/boiler/setpoint/set", "1")
+                await asyncio.wait_for(receiver.has_taken.wait(), 20)
+            assert receiver.has_ended
+
+
+async def test_a_nats_input_has_ended_its_tasks_when_it_ends(tmp_path: Path) -> None:
+    nats = pytest.importorskip("nats")
+    with nats_server(tmp_path) as server:
+        url = f"nats://127.0.0.1:{server.port}"
+        client = await nats.connect(url)
+        try:
+            async with receiving(NatsCommands(url, InputRights("plant.{device}.{point}.set", ("*/*",)))) as receiver:
+                await client.publish("plant.boiler.setpoint.set", b"1")
+                await asyncio.wait_for(receiver.has_taken.wait(), 20)
+            assert receiver.has_ended
+        finally:
+            await client.close()
+
+
+async def test_a_command_that_a_device_executes_while_the_collector_ends_is_recorded_and_audited(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("aiomqtt")
+    written = asyncio.Event()
+    with mosquitto(tmp_path) as server:
+        async with plant(tmp_path, MQTT.format(port=server.port)) as (_, boiler), MqttUser(server) as user:
+            boiler.before.append(lambda change: written.set())
+            await user.send("plant/boiler/mode/set", '{"value": "auto", "key": "last"}')
+            await asyncio.wait_for(written.wait(), 20)
+    with contextlib.closing(CommandJournal(tmp_path / "data")) as journal:
+        recorded = journal.find("last")
+    assert recorded is not None
+    assert recorded.state in (CommandState.DONE, CommandState.UNKNOWN)
+    assert recorded.reason != CUT_OFF
+    (line,) = [json.loads(each) for each in (tmp_path / "data" / "audit.log").read_text().splitlines()]
+    assert (line["key"], line["outcome"]) == ("last", recorded.state.value)
+
+
+@contextlib.asynccontextmanager
+async def mute_server() -> AsyncIterator[tuple[int, asyncio.Event]]:
+    """A server that accepts a connection and says nothing: its port, and the event that it has accepted one.
+
+    At the end it waits until the connection is closed.
+    """
+    accepted, closed = asyncio.Event(), asyncio.Event()
+
+    async def say_nothing(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        accepted.set()
+        with contextlib.suppress(ConnectionError):
+            await reader.read(-1)
+        writer.close()
+        closed.set()
+
+    async with await asyncio.start_server(say_nothing, "127.0.0.1", 0) as server:
+        yield server.sockets[0].getsockname()[1], accepted
+        await asyncio.wait_for(closed.wait(), 20)
+
+
+async def test_an_mqtt_input_that_ends_while_it_connects_closes_its_connection() -> None:
+    pytest.importorskip("aiomqtt")
+    async with mute_server() as (port, accepted):
+        made = MqttCommands("127.0.0.1", port, InputRights("plant/{device}/{point}/set", ("*/*",)))
+        task = asyncio.create_task(made.run(HeldReceiver()))
+        await asyncio.wait_for(accepted.wait(), 20)
+        task.cancel()
+        await asyncio.wait([task])
+
+
+async def test_a_nats_input_that_ends_while_it_connects_closes_its_connection() -> None:
+    pytest.importorskip("nats")
+    async with mute_server() as (port, accepted):
+        made = NatsCommands(f"nats://127.0.0.1:{port}", InputRights("plant.{device}.{point}", ("*/*",)))
+        task = asyncio.create_task(made.run(HeldReceiver()))
+        await asyncio.wait_for(accepted.wait(), 20)
+        task.cancel()
+        await asyncio.wait([task])
 
 
 @pytest.mark.parametrize(

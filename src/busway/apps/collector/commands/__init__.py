@@ -10,6 +10,7 @@
 `targets`        the points of a running collector as targets of commands, and what they are known to be
 `inputs`         commands that come by messages: which points, what they look like, what is answered
 `input_options`  the table of a file that permits them
+`message_tasks`  the tasks that handle messages; they end with their connection
 `mqtt`           commands by MQTT 5
 `nats`           commands by NATS request and reply
 ===============  =====================================================================================

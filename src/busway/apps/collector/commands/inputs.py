@@ -27,8 +27,6 @@ from .runner import CommandRunner
 
 LONGEST_REQUEST: Final = 16_384
 """Bytes of a message."""
-MOST_AT_ONCE: Final = 32
-"""Messages of one input that are worked on."""
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 30.0
 _LONGEST_NAME: Final = 100

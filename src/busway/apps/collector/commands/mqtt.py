@@ -9,14 +9,19 @@ Knows topics and properties; the protocol is aiomqtt's (``busway[mqtt]``).
 """
 
 import asyncio
+import contextlib
 import logging
 import ssl
+from collections.abc import AsyncIterator
+from functools import partial
 from importlib import import_module
 from typing import Any, Final
 
 from ....extras import require
 from ..sinks.mqtt import topic_level
-from .inputs import LONGEST_REQUEST, MOST_AT_ONCE, PAUSE, PAUSE_LIMIT, CommandReceiver, InputMessage, InputRights
+from ..sinks.mqtt_connection import connect
+from .inputs import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandReceiver, InputMessage, InputRights
+from .message_tasks import MOST_AT_ONCE, MessageTasks
 
 _LONGEST_TOPIC: Final = 500
 _log = logging.getLogger("busway.collector.commands")
@@ -57,7 +62,6 @@ class MqttCommands:
         self._where = f"{host}:{port}"
         self._address: dict[str, Any] = {"hostname": host, "port": port, "username": user, "password": password}
         self._address |= {"tls_context": tls, "identifier": client_id, "timeout": timeout}
-        self._tasks: set[asyncio.Task[None]] = set()
 
     def level(self, name: str) -> str:
         """A name as one level of a topic."""
@@ -69,11 +73,11 @@ class MqttCommands:
         wait = PAUSE
         while True:
             try:
-                async with self._client(mqtt) as client:
+                async with _connected(self._client(mqtt)) as client, MessageTasks() as tasks:
                     await self._subscribe(client)
                     receiver.connected()
                     wait = PAUSE
-                    await self._receive(client, receiver)
+                    await self._receive(client, tasks, receiver)
             except (mqtt.MqttError, OSError) as error:
                 receiver.down(f"the broker {self._where} cannot be reached: {error}")
             await asyncio.sleep(wait)
@@ -101,14 +105,9 @@ class MqttCommands:
         wildcards = self.rights.where.replace("{device}", "+").replace("{point}", "+")
         await client.subscribe(wildcards, options=options)
 
-    async def _receive(self, client: Any, receiver: CommandReceiver) -> None:
-        places = asyncio.Semaphore(MOST_AT_ONCE)
+    async def _receive(self, client: Any, tasks: MessageTasks, receiver: CommandReceiver) -> None:
         async for message in client.messages:
-            await places.acquire()
-            task = asyncio.create_task(self._handle(client, message, receiver))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
-            task.add_done_callback(lambda _: places.release())
+            await tasks.begin(partial(self._handle, client, message, receiver))
 
     async def _handle(self, client: Any, message: Any, receiver: CommandReceiver) -> None:
         properties = message.properties
@@ -141,3 +140,13 @@ class MqttCommands:
             sent.CorrelationData = properties.CorrelationData
         sent.ContentType = "application/json"
         await client.publish(topic, answer, qos=1, retain=False, properties=sent)
+
+
+@contextlib.asynccontextmanager
+async def _connected(client: Any) -> AsyncIterator[Any]:  # the library's own
+    """Connection of a client, as the library's own ``async with``, but for `connect`."""
+    await connect(client)
+    try:
+        yield client
+    finally:
+        await client.__aexit__(None, None, None)

@@ -10,12 +10,14 @@ import asyncio
 import contextlib
 import logging
 import ssl
+from functools import partial
 from importlib import import_module
 from typing import Any
 
 from ....extras import require
 from ..sinks.nats import subject_token
-from .inputs import LONGEST_REQUEST, MOST_AT_ONCE, PAUSE, PAUSE_LIMIT, CommandReceiver, InputMessage, InputRights
+from .inputs import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandReceiver, InputMessage, InputRights
+from .message_tasks import MOST_AT_ONCE, MessageTasks
 
 _log = logging.getLogger("busway.collector.commands")
 
@@ -53,7 +55,6 @@ class NatsCommands:
         self._url, self._timeout = url, timeout
         given = {"user": user, "password": password, "token": token, "tls": tls}
         self._options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
-        self._tasks: set[asyncio.Task[None]] = set()
         self._cause = ""
 
     def level(self, name: str) -> str:
@@ -65,10 +66,10 @@ class NatsCommands:
         nats = import_module("nats")
         wait = PAUSE
         while True:
-            ended, client = asyncio.Event(), None
+            ended, client = asyncio.Event(), nats.NATS()
             self._cause = ""
             try:
-                client = await nats.connect(
+                await client.connect(
                     self._url,
                     allow_reconnect=False,
                     max_reconnect_attempts=1,  # 0 would try for ever
@@ -79,15 +80,16 @@ class NatsCommands:
                     disconnected_cb=_setter(ended),
                     **self._options,
                 )
-                await self._subscribe(client, receiver)
-                receiver.connected()
-                wait = PAUSE
-                await ended.wait()
+                async with MessageTasks() as tasks:
+                    await self._subscribe(client, tasks, receiver)
+                    receiver.connected()
+                    wait = PAUSE
+                    await ended.wait()
                 receiver.down(f"the server has closed the connection {self._cause}".rstrip())
             except (nats.errors.Error, OSError, TimeoutError) as error:
                 receiver.down(f"the server cannot be used: {self._cause or error or type(error).__name__}")
             finally:
-                if client is not None:
+                if client.is_connecting or client.is_connected:  # also where connecting failed or was given up
                     with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone already
                         await client.close()
             await asyncio.sleep(wait)
@@ -97,15 +99,9 @@ class NatsCommands:
         """Remember why a connection failed: the error of `connect` does not tell it."""
         self._cause = str(error) or type(error).__name__
 
-    async def _subscribe(self, client: Any, receiver: CommandReceiver) -> None:  # the library's own
-        places = asyncio.Semaphore(MOST_AT_ONCE)
-
+    async def _subscribe(self, client: Any, tasks: MessageTasks, receiver: CommandReceiver) -> None:
         async def came(message: Any) -> None:
-            await places.acquire()
-            task = asyncio.create_task(self._handle(message, receiver))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
-            task.add_done_callback(lambda _: places.release())
+            await tasks.begin(partial(self._handle, message, receiver))
 
         wildcards = self.rights.where.replace("{device}", "*").replace("{point}", "*")
         await client.subscribe(

@@ -8,6 +8,7 @@
 `documents`          samples as JSON, one document for each device and commit
 `files`              CSV, JSON lines, Parquet
 `mqtt`               MQTT 5, with discovery by Home Assistant
+`mqtt_connection`    connects clients of MQTT, and closes those that cannot connect
 `postgresql`         PostgreSQL and TimescaleDB
 `influxdb`           InfluxDB line protocol over HTTP
 `nats`               NATS JetStream

@@ -25,6 +25,7 @@ from ....options.sinks import MqttOptions
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .documents import alarm_document, documents, sample_document
 from .interface import SinkDown
+from .mqtt_connection import connect
 
 _USUAL: Final = MqttOptions()
 IN_FLIGHT: Final = 64
@@ -88,7 +89,7 @@ class MqttSink:
         client = mqtt.Client(**self._address, will=will, protocol=mqtt.ProtocolVersion.V5)
         client.pending_calls_threshold = 10 * IN_FLIGHT
         try:
-            await client.__aenter__()
+            await connect(client)
             self._client = client
             await client.publish(self._status_topic, b"online", qos=1, retain=True)
         except (mqtt.MqttError, OSError) as error:

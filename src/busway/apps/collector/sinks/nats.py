@@ -74,8 +74,9 @@ class NatsSink:
         """Connect to the server, and create the stream if that was configured. Raises `SinkDown`."""
         nats = import_module("nats")
         self._cause = ""
+        self._client = nats.NATS()  # `close` ends it also where connecting fails or is given up
         try:
-            self._client = await nats.connect(
+            await self._client.connect(
                 self._url,
                 allow_reconnect=False,
                 max_reconnect_attempts=1,  # 0 would try for ever
@@ -109,10 +110,8 @@ class NatsSink:
     async def close(self) -> None:
         """Disconnect from the server."""
         client, self._client, self._jetstream = self._client, None, None
-        if client is not None:
-            with contextlib.suppress(
-                import_module("nats").errors.Error, OSError, TimeoutError
-            ):  # it may be gone already
+        if client is not None and (client.is_connecting or client.is_connected):
+            with contextlib.suppress(import_module("nats").errors.Error, OSError, TimeoutError):  # it may be gone
                 await client.close()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:

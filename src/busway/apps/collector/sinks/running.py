@@ -72,11 +72,9 @@ class SinkThread:
             task.cancel()
 
     def _run(self) -> None:
-        try:
-            self._loop.run_until_complete(self._deliver())
-        finally:
-            self._loop.run_until_complete(self._loop.shutdown_default_executor())
-            self._loop.close()
+        # A runner ends and awaits what libraries have left behind too, such as a connection that was being made.
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._deliver())
 
     async def _deliver(self) -> None:
         self._tasks = {asyncio.create_task(self._guarded(delivery)) for delivery in self._deliveries}

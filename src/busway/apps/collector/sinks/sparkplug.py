@@ -33,6 +33,7 @@ from ..samples import Quality, Reason, Value, reason_text
 from ..store.committed_samples import CommittedSample
 from .interface import SinkDown
 from .mqtt import topic_level
+from .mqtt_connection import connect
 from .sparkplug_payload import DataType, Metric, SparkplugQuality, asked_for_rebirth, encode_payload, type_of
 
 REBIRTH_PAUSE: Final = 5.0
@@ -136,7 +137,7 @@ class SparkplugSink:
         self._host_online.clear()
         self._host_time = 0
         try:
-            await client.__aenter__()
+            await connect(client)
             self._client = client
             self._listener = asyncio.create_task(self._listen(client))
             await client.subscribe(self._topic("NCMD"), qos=1)
