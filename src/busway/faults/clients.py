@@ -14,7 +14,7 @@ from ..options.endpoints import parse_endpoint
 
 @dataclass(frozen=True, slots=True)
 class ClientFaultProfile:
-    """A named way in which clients misbehave; the counterpart of `FaultProfile`.
+    """A named way in which clients misbehave; `FaultProfile` is the same for devices.
 
     Attributes:
         name: as in the documentation.
@@ -32,7 +32,7 @@ class ClientFaultProfile:
 
 
 def _slow_loris(size: int = 3) -> bytes:
-    """The first ``size`` bytes of a request, 1…11, after which the client falls silent."""
+    """Return the first ``size`` bytes of a request, 1…11, after which the client falls silent."""
     return bytes.fromhex("0001 0000 0006 01 03 0000 0001")[:size]
 
 

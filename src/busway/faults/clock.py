@@ -1,4 +1,4 @@
-"""Clocks for delays: that of an event loop, and a fake clock that a test moves by hand.
+"""Clocks that time delayed replies: that of an event loop, and a fake clock that a test moves by hand.
 
 Knows times and callbacks; knows no Modbus.
 
@@ -15,14 +15,14 @@ from typing import Protocol
 
 
 class Timer(Protocol):
-    """A callback scheduled with a clock."""
+    """Interface of a call scheduled with a clock."""
 
     def cancel(self) -> None:
-        """Cancel the scheduled callback."""
+        """Cancel the scheduled call."""
 
 
 class Clock(Protocol):
-    """A source of time that also schedules callbacks."""
+    """Interface of a source of time that also calls functions at a time."""
 
     def now(self) -> float:
         """The current time in seconds, monotonic."""
@@ -32,7 +32,7 @@ class Clock(Protocol):
 
 
 class LoopClock:
-    """The clock of an asyncio event loop.
+    """The clock of an asyncio event loop, with its scheduled calls.
 
     Args:
         loop: the loop in whose thread callbacks run.
@@ -51,7 +51,7 @@ class LoopClock:
 
 
 class FakeTimer:
-    """A scheduled callback of a `FakeClock`.
+    """A call scheduled with a fake clock.
 
     Attributes:
         when: time of the callback, in seconds of the clock.
@@ -66,7 +66,7 @@ class FakeTimer:
         self.cancelled: bool = False
 
     def cancel(self) -> None:
-        """Cancel the scheduled callback."""
+        """Cancel the scheduled call."""
         self.cancelled = True
 
 
@@ -116,6 +116,6 @@ class FakeClock:
 
     @property
     def next_due(self) -> float | None:
-        """Time of the next callback, in seconds of this clock; None without any."""
+        """Return the time of the next scheduled call, in seconds of this clock; None without any."""
         with self._lock:
             return min((when for when, _, timer in self._timers if not timer.cancelled), default=None)

@@ -1,4 +1,4 @@
-"""The connection tap of faults: sends delayed and changed replies on a server's connections, and closes them.
+"""Carries faults out on a server's connections: sends delayed and changed replies, and closes connections.
 
 Knows tapped connections, an event loop and a clock; what is sent, and when, is decided by `FaultyConversation`.
 
@@ -20,8 +20,7 @@ _CONNECTED = frozenset({"tcp", "tls"})
 
 
 class FaultyTap:
-    """The connection tap of a faulty server, or of several that share faults: keeps their open connections. Pass it as
-    ``tap``.
+    """Observer of a server's connections on which faults are carried out; pass it as ``tap``. It keeps the open ones.
 
     Args:
         faults: the faults to apply.
@@ -53,7 +52,7 @@ class FaultyTap:
         return iter(list(self._faulty.values()))
 
     def find(self, listener: str, peer: str) -> "FaultyConnection | None":
-        """The connection of a request, by listener and peer of its context; None if it is not known."""
+        """Return the connection on which a request came, by listener and peer; None if it is not known."""
         return self._faulty.get((listener, peer))
 
     @property
@@ -74,7 +73,7 @@ class FaultyTap:
         self._changed()
 
     def connection_closed(self, connection: TappedConnection) -> None:
-        """Forget a closed connection; it is counted until its socket is closed, just after this call."""
+        """Forget a connection that was closed; it counts as open until its socket is closed, just after this."""
         faulty = self._faulty.get((connection.listener, connection.peer))
         if faulty is not None and faulty.connection is connection:
             faulty.end()
@@ -87,7 +86,7 @@ class FaultyTap:
         self._changed()
 
     def _moved(self, faulty: "FaultyConnection") -> None:
-        """Note whether a connection has delayed replies to send."""
+        """Note whether a connection has delayed replies that are still to be sent."""
         if faulty.has_unsent:
             self._with_unsent.add(faulty)
         elif faulty in self._with_unsent:
@@ -104,7 +103,7 @@ class FaultyTap:
 
 
 class FaultyConnection:
-    """A tapped connection with faults: sends what its `FaultyConversation` plans, at the planned time.
+    """A connection on which faults are carried out: sends what its `FaultyConversation` plans, when it is due.
 
     Attributes:
         connection, conversation, clock: as given.
@@ -135,18 +134,18 @@ class FaultyConnection:
 
     @property
     def has_unsent(self) -> bool:
-        """Whether delayed replies wait to be sent; later replies must not overtake them."""
+        """Whether delayed replies wait to be sent, which later replies must not overtake."""
         return not self._has_ended and (self._sending > 0 or self.conversation.has_unsent)
 
     def pump_soon(self) -> None:
-        """Schedule `pump` for the end of this turn of the event loop."""
+        """Arrange that due replies are sent at the end of this turn of the event loop."""
         self._moved(self)
         if not self._is_due:
             self._is_due = True
             self._loop.call_soon(self.pump)
 
     def pump(self) -> None:
-        """Send the replies that are due, and set the timer for the next reply or close."""
+        """Send the replies that are due, and set the timer for the next reply or for closing."""
         self._is_due = False
         if self._has_ended:
             return
@@ -166,7 +165,7 @@ class FaultyConnection:
             self._timer = self.clock.call_at(deadline, self.ask_to_pump)
 
     def ask_to_pump(self, *, is_used_now: bool = False) -> None:
-        """Run `pump` in the event loop; may be called from any thread."""
+        """Have due replies sent by the event loop; may be called from any thread."""
 
         def pump() -> None:
             contact = self.conversation.contact
@@ -182,7 +181,7 @@ class FaultyConnection:
         self._moved(self)
 
     def end(self) -> None:
-        """Stop sending on this connection, for good."""
+        """Stop sending on this connection for good."""
         self._has_ended = True
         self._stop_timer()
         self._moved(self)

@@ -34,7 +34,7 @@ SAME_MOMENT = 1e-6
 
 
 class Carrier(Enum):
-    """The kinds of transport on which a fault can occur."""
+    """The kinds of transport on which a fault can occur: TCP, TLS, UDP, serial."""
 
     TCP = "tcp"
     """Frames of Modbus on TCP/IP, whose header has a transaction identifier; over TCP, TLS or UDP."""
@@ -49,7 +49,7 @@ EVERYWHERE = frozenset(Carrier)
 
 @dataclass(slots=True, eq=False, weakref_slot=True)
 class Contact:
-    """One connection as faults see it. Times are seconds in the clock of ``now``.
+    """What faults know of one connection. Times are seconds in the clock of ``now``.
 
     Attributes:
         opened: when it was made.
@@ -67,7 +67,7 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """A request, with its connection and the time it was received.
+    """A request that faults may apply to, with its connection and the time it was received.
 
     Attributes:
         contact: the connection.
@@ -98,7 +98,7 @@ class Exchange:
 
     @property
     def spans(self) -> tuple[Span, ...]:
-        """The item ranges that the request names; none if it is malformed or unknown."""
+        """The ranges of items that the request names; none if it is malformed or unknown."""
         return self.request.spans() if isinstance(self.request, Request) else ()
 
     @property
@@ -109,7 +109,7 @@ class Exchange:
 
 @dataclass(frozen=True, slots=True)
 class Emission:
-    """A frame that is to be sent to the client.
+    """A frame that a faulty device is to send to the client, and when.
 
     Attributes:
         transaction, unit, pdu: its content. Without a PDU no frame is sent.
@@ -143,7 +143,7 @@ ClosesAt = Callable[[Contact], float | None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fault:
-    """One kind of misbehaviour, as functions that replace parts of the normal behaviour; None leaves a part as it is.
+    """One way to misbehave, as functions that replace parts of a device's behaviour; None leaves a part as it is.
 
     Args:
         name: of the fault profile.
@@ -164,13 +164,13 @@ class Fault:
     options: Mapping[str, Any] = field(default_factory=dict)  # Any: of the types that the fault profile declares
 
     def is_met(self, contact: Contact) -> bool:
-        """Whether the fault can occur on a connection."""
+        """Whether the fault can occur on a connection of this kind."""
         return not self.carriers.isdisjoint(contact.carriers)
 
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """When a fault is active: seconds and numbers of requests, counted since it was switched on.
+    """When a fault is active: by seconds and numbers of requests since it was switched on.
 
     Args:
         after: seconds until it begins.
@@ -204,13 +204,13 @@ class Schedule:
         return self.lasts is None or elapsed < self.lasts
 
     def is_turn(self, chosen: int) -> bool:
-        """Whether the fault strikes the next request, after ``chosen`` matching ones."""
+        """Whether the fault applies to the next request, after ``chosen`` requests that it could apply to."""
         return chosen >= self.skip and (self.times is None or chosen < self.skip + self.times)
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Which requests a fault applies to; None selects all.
+    """Which requests a fault applies to, by unit, function and items; None selects all.
 
     Args:
         units: unit identifiers, 0…255.
@@ -262,7 +262,7 @@ def _touches(span: Span, first: int, end: int) -> bool:
 
 
 class AppliedFault:
-    """A fault added to a server, with its selection, its switch and its count.
+    """A fault that was added to a server: the requests it applies to, whether it is on, and how often it applied.
 
     Attributes:
         label: its name, unique in the server.
@@ -300,7 +300,7 @@ class AppliedFault:
         return self.fault.name
 
     def on(self) -> None:
-        """Switch the fault on and start its schedule again."""
+        """Switch the fault on; its schedule starts again."""
         self._since = None
         self._chosen = 0
         self.enabled = True
@@ -320,9 +320,7 @@ class AppliedFault:
         return self.selection.schedule.is_time(now - self._since)
 
     def strikes(self, exchange: Exchange) -> Exchange | None:
-        """The exchange as this fault sees it, if the fault applies; otherwise None. Counts the request for its
-        schedule.
-        """
+        """Return the request as this fault sees it, if the fault applies, else None. Counts it for the schedule."""
         if not self.is_on(exchange.now) or not self.fault.is_met(exchange.contact):
             return None
         if not self.selection.means(exchange):
@@ -361,7 +359,7 @@ class Faults:
     def add(
         self, fault: Fault, selection: Selection | None = None, *, enabled: bool = True, label: str = ""
     ) -> AppliedFault:
-        """Add a fault; it acts after the existing ones.
+        """Add a fault to the server; it acts after the existing ones.
 
         Args:
             fault: the fault.
@@ -391,13 +389,13 @@ class Faults:
         return applied
 
     def remove(self, applied: AppliedFault) -> None:
-        """Remove a fault; no effect if it was removed before."""
+        """Remove a fault from the server; no effect if it was removed before."""
         with self._lock:
             self._applied = tuple(one for one in self._applied if one is not applied)
         self._changed()
 
     def watch(self, changed: Callable[[], None]) -> None:
-        """Call ``changed`` after a fault was added, removed or switched, in the thread that did so."""
+        """Have ``changed`` called after a fault was added, removed or switched, in the thread that did so."""
         with self._lock:
             self._watchers = (*self._watchers, changed)
 
@@ -423,7 +421,7 @@ class Faults:
             self.remove(applied)
 
     def find(self, label: str) -> AppliedFault:
-        """Find a fault by its label. Raises `ConfigError` that lists the known labels."""
+        """Return the fault with this label. Raises `ConfigError` that lists the known labels."""
         for one in self._applied:
             if one.label == label:
                 return one
@@ -433,7 +431,7 @@ class Faults:
     # What a conversation asks.
 
     def admit(self, contact: Contact) -> bool:
-        """Whether a new connection may stay open, or a fault closes it."""
+        """Whether a new connection may stay open; False if a fault closes it at once."""
         for one in self._applied:
             if one.fault.admits is None or not one.fault.is_met(contact) or not one.is_on(contact.opened):
                 continue
@@ -443,7 +441,7 @@ class Faults:
         return True
 
     def strike(self, exchange: Exchange) -> list[tuple[AppliedFault, Exchange]]:
-        """The faults that apply to a request, each with the exchange as it sees it."""
+        """Return the faults that apply to a request, each with the request as it sees it."""
         found = []
         for one in self._applied:
             seen = one.strikes(exchange)
@@ -452,7 +450,7 @@ class Faults:
         return found
 
     def closes_at(self, contact: Contact, now: float) -> float | None:
-        """When a fault will close a connection because it is idle; None for never."""
+        """Return when a fault will close a connection because it is idle; None for never."""
         return min((when for when, _ in self._closing(contact, now)), default=None)
 
     def closes(self, contact: Contact, now: float) -> bool:

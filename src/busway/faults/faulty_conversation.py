@@ -44,7 +44,7 @@ class _Due:
 
 
 class FaultyConversation:
-    """Plans the replies of one connection of a device with faults.
+    """One connection of a device with faults: plans which bytes answer its requests, and when.
 
     Args:
         faults: the faults to apply.
@@ -68,24 +68,24 @@ class FaultyConversation:
 
     @property
     def has_unsent(self) -> bool:
-        """Whether delayed replies wait to be sent; later replies must not overtake them."""
+        """Whether delayed replies wait to be sent, which later replies must not overtake."""
         return bool(self._outbox)
 
     # Requests.
 
     def frame(self, transaction: int, unit: int, pdu: bytes) -> bytes:
-        """The frame of a PDU, as a client sends it."""
+        """Return a PDU as a frame in the framing of the connection."""
         return self._encode(transaction, unit, pdu, None)
 
     def strike(self, exchange: Exchange) -> Struck:
-        """The faults that apply to a request; counts the request as received."""
+        """Return the faults that apply to a request, which is counted as received."""
         struck = self._faults.strike(exchange)
         self.contact.last_received = exchange.now
         return struck
 
     @staticmethod
     def asked(struck: Struck) -> bytes | None:
-        """The PDU that a fault answers in place of the device, `SILENCE` for none; None if the device answers."""
+        """Return the PDU with which a fault answers, `SILENCE` for none; None if the device answers itself."""
         for applied, seen in struck:
             asked = applied.fault.asked
             answer = asked(seen) if asked is not None else None
@@ -95,7 +95,7 @@ class FaultyConversation:
         return None
 
     def answered(self, exchange: Exchange, struck: Struck, answer: bytes, now: float) -> bool:
-        """Plan the bytes to send for a reply, changed by the faults that strike it. Returns whether there is a reply.
+        """Plan the bytes for a reply of the device, as faults change it. Returns whether anything is sent.
 
         Args:
             exchange: the request.
@@ -118,7 +118,7 @@ class FaultyConversation:
     # Time.
 
     def tick(self, now: float) -> list[bytes]:
-        """The bytes that are due to be sent now, one item per write."""
+        """Return the bytes that are due to be sent now, one item per write."""
         writes: list[bytes] = []
         glued = False
         while self._outbox and self._outbox[0].when <= now + SAME_MOMENT and not self.closed:
@@ -137,7 +137,7 @@ class FaultyConversation:
         return writes
 
     def deadline(self, now: float) -> float | None:
-        """The time of the next `tick`; None until the next request."""
+        """Return the time of the next `tick`; None until the next request."""
         closes_at = self._faults.closes_at(self.contact, now)
         due = self._outbox[0].when if self._outbox else None
         return min((when for when in (closes_at, due) if when is not None), default=None)

@@ -1,4 +1,4 @@
-"""Fault profiles: named ways in which real devices misbehave, each with its options.
+"""Fault profiles: named ways in which real devices misbehave, and the options that each has.
 
 Knows the description of a profile and how to make its fault; knows no connection.
 
@@ -25,7 +25,7 @@ LONGEST = 86_400.0
 
 @dataclass(frozen=True, slots=True)
 class Says:
-    """Annotation of an option of a fault profile: its meaning and range.
+    """Annotation of an option of a fault profile: says its meaning and range.
 
     Attributes:
         meaning: in words, with the unit of measure.
@@ -38,7 +38,7 @@ class Says:
 
 
 def in_seconds(meaning: str) -> Says:
-    """The annotation of an option that is a time of 0 s to a day; ``meaning`` follows the word seconds."""
+    """Return the annotation of an option that is a time of 0 s to a day; ``meaning`` follows the word seconds."""
     return Says(f"seconds {meaning}", 0.0, LONGEST)
 
 
@@ -71,7 +71,7 @@ class Parameter:
         return f"at least {least:g}" if most is None else f"{least:g}…{most:.6g}"
 
     def check(self, value: Any) -> None:  # Any: user input
-        """Raise `ConfigError`, with the name as key, for a value of a wrong type or outside the range."""
+        """Raise `ConfigError`, with the option's name as key, for a value of a wrong type or outside the range."""
         if self.kind is None or (value is None and self.is_optional):
             return
         fits = isinstance(value, self.kind) or (self.kind is float and isinstance(value, int))
@@ -115,7 +115,7 @@ class FaultProfile:
 
     @property
     def options(self) -> Mapping[str, Any]:  # Any: an option has the type of its default
-        """The options of the profile with their defaults."""
+        """Return the options of the profile with their defaults."""
         return {name: one.default for name, one in self.parameters.items()}
 
     @property
@@ -148,11 +148,11 @@ class FaultProfileTable(Mapping[str, FaultProfile]):
             self._by_name[one.name] = one
 
     def with_fault_profiles(self, *fault_profiles: FaultProfile) -> "FaultProfileTable":
-        """A new table with additional fault profiles."""
+        """Return a new table with further fault profiles."""
         return FaultProfileTable(*self.values(), *fault_profiles)
 
     def named(self, name: str) -> FaultProfile:
-        """Find a fault profile by name. Raises `ConfigError` that lists the known ones."""
+        """Return the fault profile with this name. Raises `ConfigError` that lists the known ones."""
         found = self._by_name.get(name)
         if found is None:
             raise ConfigError(f"there is no fault profile {name!r}; there are {', '.join(self._by_name)}", key=name)

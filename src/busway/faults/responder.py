@@ -34,7 +34,7 @@ from .faulty_conversation import Struck
 
 
 class FaultyResponder:
-    """Applies faults to the answers of another responder.
+    """Responder that asks another one and applies faults to its answers.
 
     Args:
         inner: the wrapped responder, which answers correctly.
@@ -53,14 +53,12 @@ class FaultyResponder:
 
     @property
     def functions(self) -> FunctionTable:
-        """The table of functions of the wrapped responder."""
+        """The table of function codes, with their messages, of the wrapped responder."""
         return self.inner.functions
 
     @property
     def generation(self) -> int:
-        """A number that changes with the faults, with the wrapped responder, and when the last delayed reply
-        was sent.
-        """
+        """A number that changes with the faults, with the wrapped responder, and after the last delayed reply."""
         return self.inner.generation + self._faults.generation + self._tap.drained
 
     @property
@@ -68,7 +66,7 @@ class FaultyResponder:
         return not (self._faults.is_any_on or self._heard or self._tap.has_any_unsent)
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """The served unit of the wrapped responder; without the fast path while a fault is on."""
+        """Return the unit of the wrapped responder that answers; without the fast path while a fault is on."""
         served = self.inner.serves(unit)
         return served if served is None or self._is_aside else replace(served, is_direct=False)
 
@@ -95,7 +93,7 @@ class FaultyResponder:
 
 
 class _Turn:
-    """One request whose reply is planned and sent by its `FaultyConnection`."""
+    """One request to a faulty device, whose reply is planned and sent by its `FaultyConnection`."""
 
     def __init__(self, faulty: FaultyConnection, exchange: Exchange, struck: Struck) -> None:
         self._faulty = faulty
@@ -103,7 +101,7 @@ class _Turn:
         self._struck = struck
 
     def say(self, context: RequestContext, answer: bytes, outcome: Message | None) -> None:
-        """Plan the bytes to send for a reply PDU, and tell the outcome to observers; an empty PDU means no reply."""
+        """Plan the bytes to send for a reply PDU, and tell observers the outcome; an empty PDU means no reply."""
         faulty = self._faulty
         is_sent = faulty.conversation.answered(self._exchange, self._struck, answer, faulty.clock.now())
         context.end(outcome if is_sent and outcome is not None else SILENCE)

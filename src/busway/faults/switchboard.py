@@ -1,4 +1,4 @@
-"""The faults of a server by name: added, switched and removed from a file, a command line or the web page.
+"""The faults of a server by name: a file, a command line or the web page adds, switches and removes them.
 
 Knows fault profiles, names and the server's side of faults; knows no file and no HTTP.
 
@@ -73,12 +73,12 @@ class FaultSwitchboard:
         self.fault_profiles = fault_profiles
 
     def attach(self, server: Server) -> None:
-        """Apply the faults to all listeners of a server. Raises `ConfigError` if the server is running."""
+        """Apply these faults on all listeners of a server. Raises `ConfigError` if the server is running."""
         server.wrap_responder(self.around)
         server.use_tap(self.tap)
 
     def around(self, responder: Responder) -> FaultyResponder:
-        """Wrap a responder so that the faults apply to its answers; its server needs ``tap`` too."""
+        """Return a responder that applies these faults to another's answers; its server needs ``tap`` too."""
         return FaultyResponder(responder, self.faults, self.tap)
 
     def add(
@@ -95,7 +95,7 @@ class FaultSwitchboard:
         on: bool = True,
         parameters: Mapping[str, Any] | None = None,  # as `FaultStatus.parameters`
     ) -> str:
-        """Add a fault; it acts after the existing ones.
+        """Add a fault to the server by name; it acts after the existing ones.
 
         Args:
             fault_profile: the name of a fault profile.
@@ -130,18 +130,18 @@ class FaultSwitchboard:
         self.faults.remove(self.faults.find(name))
 
     def list(self) -> list[FaultStatus]:
-        """The status of all faults, in the order in which they act."""
+        """Return the status of all faults, in the order in which they act."""
         return [self._status(one) for one in self.faults]
 
     def __iter__(self) -> Iterator[FaultStatus]:
         return iter(self.list())
 
     def status(self, name: str) -> FaultStatus:
-        """The status of one fault. Raises `ConfigError` for an unknown name."""
+        """Return the status of one fault. Raises `ConfigError` for an unknown name."""
         return self._status(self.faults.find(name))
 
     def watch(self, changed: Callable[[], None]) -> Callable[[], None]:
-        """Call ``changed`` after faults were added, removed or switched, in the thread that did so.
+        """Have ``changed`` called after faults were added, removed or switched, in the thread that did so.
 
         Returns:
             A function that ends this.

@@ -55,14 +55,14 @@ def is_capture(head: bytes) -> bool:
 
 
 class Capture:
-    """One capture file; a context manager. Can be used from several threads.
+    """A capture file for Wireshark, into which connections and lines write; a context manager. For several threads.
 
     Attributes:
         failure: why writing ended; empty while it works.
     """
 
     def __init__(self, stream: BinaryIO, *, clock: Callable[[], float] = time.time) -> None:
-        """Begin a capture file in ``stream``, which `close` closes.
+        """Begin a capture file in the binary ``stream``, which `close` closes.
 
         Args:
             stream: where to write, opened in binary mode.
@@ -87,27 +87,25 @@ class Capture:
 
     @property
     def packets(self) -> int:
-        """Number of packets written so far."""
+        """Number of packets written to the capture file so far."""
         return self._writer.packets
 
     def stream(self, local: object, peer: object) -> "StreamCapture":
-        """Capture a TCP connection between two addresses, as ``getsockname`` and ``getpeername`` gave them."""
+        """Return a recorder for a TCP connection between addresses from ``getsockname`` and ``getpeername``."""
         return StreamCapture(self, Node.of(local), Node.of(peer))
 
     def connection(self, ends: SocketAddresses) -> "StreamCapture | DatagramCapture":
-        """Capture a TCP or UDP connection between two socket addresses."""
+        """Return a recorder for a TCP or UDP connection between two socket addresses."""
         return DatagramCapture(self, ends) if ends.is_datagram else self.stream(ends.local, ends.peer)
 
     def datagram(self, local: object, peer: object, data: bytes, *, is_outgoing: bool) -> None:
-        """Write a UDP datagram between two socket addresses."""
+        """Write a UDP datagram between two socket addresses to the capture file."""
         here, there = Node.of(local), Node.of(peer)
         source, destination = (here, there) if is_outgoing else (there, here)
         self.ip_packet(udp_packet(source, destination, data), is_outgoing=is_outgoing)
 
     def line(self, name: str) -> "LineCapture":
-        """Capture a serial line with the name of its endpoint; one interface of the file, however often it is
-        called.
-        """
+        """Return a recorder for a serial line; a line is one interface of the file, however often it is asked for."""
         with self._lock:
             number = self._lines.get(name)
         if number is None:
@@ -117,7 +115,7 @@ class Capture:
         return LineCapture(self, number)
 
     def close(self) -> None:
-        """End the file with the undecided bytes of lines. May be called twice; later packets are dropped."""
+        """Write what lines have not decided yet, and close the file. May be called twice; later packets are dropped."""
         TRACE.settle()
         with self._lock:
             self.failure = self.failure or "closed"
@@ -129,7 +127,7 @@ class Capture:
     # What the connections and lines of this file hand in.
 
     def ip_packet(self, packet: bytes, *, is_outgoing: bool) -> None:
-        """Write an IP packet."""
+        """Write an IP packet to the capture file."""
 
         def write() -> int:
             if self._ip_interface is None:
@@ -141,7 +139,7 @@ class Capture:
         self._guarded(write)
 
     def line_packet(self, interface: int, packet: bytes, at: float | None, flow: Flow, comment: str) -> None:
-        """Write a frame of a serial line, seen at ``at`` (seconds since 1970), now if it is None."""
+        """Write a frame of a serial line to the file, seen at ``at`` (seconds since 1970), now if it is None."""
 
         def write() -> int:
             self._writer.add_packet(interface, packet, self._clock() if at is None else at, flow=flow, comment=comment)
@@ -150,7 +148,7 @@ class Capture:
         self._guarded(write)
 
     def _guarded(self, write: Callable[[], int]) -> int:
-        """Write under the lock; the first failure ends the capture file."""
+        """Do a write under the lock; the first failure ends the capture file."""
         with self._lock:
             if self.failure:
                 return 0
@@ -163,7 +161,7 @@ class Capture:
 
 
 class StreamCapture:
-    """The capture of one TCP connection in a file. Used by one thread at a time."""
+    """Recorder of one TCP connection in a capture file. Used by one thread at a time."""
 
     __slots__ = ("_capture", "_local", "_peer", "_received", "_sent")
 
@@ -174,7 +172,7 @@ class StreamCapture:
         self._received = self._sent = 1  # sequence numbers behind a handshake that was not seen
 
     def received(self, data: bytes) -> None:
-        """Write received bytes as TCP packets."""
+        """Write bytes that the connection received as TCP packets."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._peer, self._local, piece, self._received, self._sent)
@@ -182,7 +180,7 @@ class StreamCapture:
             self._capture.ip_packet(packet, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
-        """Write sent bytes as TCP packets."""
+        """Write bytes that the connection sent as TCP packets."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._local, self._peer, piece, self._sent, self._received)
@@ -191,7 +189,7 @@ class StreamCapture:
 
 
 class DatagramCapture:
-    """The capture of datagrams between two addresses in a file."""
+    """Recorder of the datagrams between two addresses in a capture file."""
 
     __slots__ = ("_capture", "_ends")
 
@@ -200,16 +198,16 @@ class DatagramCapture:
         self._ends = ends
 
     def received(self, data: bytes) -> None:
-        """Write a received datagram."""
+        """Write a received datagram to the capture file."""
         self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
-        """Write a sent datagram."""
+        """Write a sent datagram to the capture file."""
         self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=True)
 
 
 class LineCapture:
-    """The capture of one serial line in a file."""
+    """Recorder of one serial line in a capture file."""
 
     __slots__ = ("_capture", "_interface")
 
@@ -225,7 +223,7 @@ class LineCapture:
         direction: Direction | None = None,
         is_outgoing: bool = False,
     ) -> None:
-        """Write a frame or damaged chunk that a receiver found.
+        """Write a frame, or damaged bytes, that a receiver found on the line.
 
         Args:
             found: what it found.

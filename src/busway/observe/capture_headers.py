@@ -35,14 +35,14 @@ _PROTOCOL_COLUMN, _INFO_COLUMN = 33, 36
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One end of a captured connection: an address and a port, 0…65535."""
+    """One end of a connection in a capture file: an address and a port, 0…65535."""
 
     address: IPv4Address | IPv6Address
     port: int
 
     @classmethod
     def of(cls, socket_address: object) -> "Node":
-        """The node of an address from ``getsockname`` or ``getpeername``; 0.0.0.0:0 if there is no address."""
+        """Return the end of a connection with this socket address; 0.0.0.0:0 if there is none."""
         if isinstance(socket_address, tuple) and len(socket_address) >= 2:
             host, port = socket_address[:2]
             try:
@@ -53,13 +53,13 @@ class Node:
 
 
 def _unmapped(address: IPv4Address | IPv6Address) -> IPv4Address | IPv6Address:
-    """An IPv4 address instead of its mapped IPv6 form, which listeners on every interface report."""
+    """Return an IPv4 address instead of its mapped IPv6 form, which listeners on every interface report."""
     mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
     return mapped or address
 
 
 def tcp_packet(source: Node, destination: Node, payload: bytes, sequence: int, acknowledged: int) -> bytes:
-    """An IP packet with a TCP segment of at most 65 000 bytes; numbers are taken modulo 2³²."""
+    """Return an IP packet with a TCP segment of at most 65 000 bytes; numbers are taken modulo 2³²."""
     header = _TCP.pack(
         source.port,
         destination.port,
@@ -75,7 +75,7 @@ def tcp_packet(source: Node, destination: Node, payload: bytes, sequence: int, a
 
 
 def udp_packet(source: Node, destination: Node, payload: bytes) -> bytes:
-    """An IP packet with a UDP datagram of at most 65 000 bytes."""
+    """Return an IP packet with a UDP datagram of at most 65 000 bytes."""
     header = _UDP.pack(source.port, destination.port, _UDP.size + len(payload), 0)
     return _ip_packet(source, destination, UDP, header, 6, payload)
 
@@ -83,7 +83,7 @@ def udp_packet(source: Node, destination: Node, payload: bytes) -> bytes:
 def _ip_packet(
     source: Node, destination: Node, protocol: int, header: bytes, checksum_at: int, payload: bytes
 ) -> bytes:
-    """Build an IP packet, with the checksum of the inner header filled in."""
+    """Return an IP packet, with the checksum of the TCP or UDP header inside it filled in."""
     size = len(header) + len(payload)
     pseudo = source.address.packed + destination.address.packed + struct.pack(">II", size, protocol)
     total = checksum(pseudo + header + payload) or 0xFFFF
@@ -98,7 +98,7 @@ def _ip_packet(
 
 
 def checksum(data: bytes) -> int:
-    """The internet checksum (RFC 1071)."""
+    """Return the internet checksum of bytes (RFC 1071)."""
     even = data if len(data) % 2 == 0 else data + b"\0"
     total: int = sum(struct.unpack(f">{len(even) // 2}H", even))
     while total > 0xFFFF:
@@ -107,8 +107,7 @@ def checksum(data: bytes) -> int:
 
 
 def line_pdu(dissector: str, source: Node, destination: Node, frame: bytes, *, info: str = "") -> bytes:
-    """A frame of a serial line as an exported PDU for ``dissector``, between two IPv4 nodes that stand for master and
-    unit.
+    """Return a serial frame as an exported PDU for Wireshark's ``dissector``, between addresses for master and unit.
 
     ``info`` is what the list of packets shows where the dissector shows nothing.
     """

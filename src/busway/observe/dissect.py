@@ -1,4 +1,4 @@
-"""Dissects a frame from an unknown source: framing, direction and every field, also of broken frames.
+"""Explains a frame from an unknown source: framing, direction and every field, also of broken frames.
 
 Knows the shapes of the framings and the describer of PDUs; knows no connection. It raises nothing, for any bytes.
 
@@ -26,7 +26,7 @@ from ..pdu.message import Request
 
 
 class Framing(Enum):
-    """The framing that was recognised around a PDU."""
+    """Framings that can be recognised around a PDU, or none."""
 
     MBAP = "mbap"
     RTU = "rtu"
@@ -35,7 +35,7 @@ class Framing(Enum):
 
 
 class MessageDirection(Enum):
-    """The direction that was recognised for a message: request or reply."""
+    """Whether a message was recognised as request or reply."""
 
     REQUEST = "request"
     REPLY = "reply"
@@ -44,7 +44,7 @@ class MessageDirection(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Dissection:
-    """A dissected frame: its framing, direction and fields, and what is wrong with it.
+    """An explained frame: its framing, direction and fields, and what is wrong with it.
 
     Attributes:
         framing: framing around the PDU.
@@ -65,7 +65,7 @@ class Dissection:
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    """A frame split into its framing and its PDU."""
+    """A frame split into its framing (addresses, checksum) and its PDU."""
 
     framing: Framing
     pdu: bytes
@@ -79,7 +79,7 @@ class _Frame:
 
     @property
     def title(self) -> str:
-        """Framing and addressing of the frame as text."""
+        """Framing and addresses of the frame as text."""
         words = {Framing.MBAP: "MBAP", Framing.RTU: "RTU", Framing.ASCII: "ASCII", Framing.PDU: "PDU"}[self.framing]
         if self.transaction is not None:
             words += f", transaction {self.transaction}"
@@ -88,7 +88,7 @@ class _Frame:
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """The last dissected request, until its reply is dissected."""
+    """The request explained last, until its reply is explained."""
 
     request: Request
     code: int
@@ -101,7 +101,7 @@ _HEX: Final = frozenset(b"0123456789ABCDEFabcdef")
 
 
 class Dissector:
-    """Dissects frames one after the other, and remembers the last request to match its reply.
+    """Explains frames one after the other, and remembers the last request to recognise its reply.
 
     Args:
         functions: the table of functions.
@@ -122,11 +122,11 @@ class Dissector:
         self._asked: _Asked | None = None
 
     def dissect(self, data: bytes) -> list[Dissection]:
-        """The dissected frames in ``data``: one, or several MBAP frames in a row."""
+        """Return the explained frames in ``data``: one, or several MBAP frames in a row."""
         return list(self.dissections(data))
 
     def dissections(self, data: bytes) -> Iterator[Dissection]:
-        """Yield the dissected frames in ``data`` one by one, so that a long stream takes the memory of one frame."""
+        """Yield the explained frames in ``data`` one by one, so that a long stream takes the memory of one."""
         at, is_stream = 0, self._is_stream(data)
         while True:
             end = _end_of_mbap(data, at) if is_stream else len(data)
@@ -138,7 +138,7 @@ class Dissector:
     # Framing.
 
     def _is_stream(self, data: bytes) -> bool:
-        """Whether the data are MBAP frames in a row."""
+        """Whether the bytes are several MBAP frames in a row."""
         if self._framing is not None:
             return self._framing is Framing.MBAP
         end = _end_of_mbap(data, 0)
@@ -167,7 +167,7 @@ class Dissector:
         )
 
     def _is_right(self, pdu: bytes) -> bool:
-        """Whether a PDU is valid for a known function, in either direction."""
+        """Whether a PDU is a valid request or reply of a known function."""
         both = (describe_request(pdu, self._functions), describe_reply(pdu, self._functions))
         return self._knows(pdu) and any(not one.problems for one in both)
 
@@ -197,9 +197,7 @@ class Dissector:
         )
 
     def _directed(self, frame: _Frame) -> tuple[MessageDirection, Description, bool, tuple[str, ...]]:
-        """Direction and description of a frame, whether it answers the last request, and mismatches with that
-        request.
-        """
+        """Return direction and fields of a frame, whether it answers the last request, and what does not match."""
         asked = self._asked
         due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.code
         as_request = describe_request(frame.pdu, self._functions)
@@ -229,7 +227,7 @@ def _likelier(as_request: Description, as_reply: Description, pdu: bytes, *, due
 
 
 def _mismatch(asked: _Asked, frame: _Frame) -> str:
-    """Why a frame cannot be the reply to the last request; empty if it can."""
+    """Say why a frame cannot be the reply to the last request; empty if it can."""
     if asked.transaction != frame.transaction and None not in (asked.transaction, frame.transaction):
         return f"transaction {frame.transaction} where {asked.transaction} was asked"
     if asked.unit != frame.unit and None not in (asked.unit, frame.unit):
@@ -248,12 +246,12 @@ def _mismatch(asked: _Asked, frame: _Frame) -> str:
 
 
 def _is_mbap(data: bytes) -> bool:
-    """Whether data are an MBAP frame, by their protocol and length fields."""
+    """Whether bytes are an MBAP frame, by its protocol and length fields."""
     return len(data) > HEADER_SIZE and data[2:4] == b"\x00\x00" and data[4] << 8 | data[5] == len(data) - 6
 
 
 def _end_of_mbap(data: bytes, at: int) -> int:
-    """The end of the MBAP frame at ``at`` if another one follows it; else the end of the data."""
+    """Return the end of the MBAP frame at ``at`` if another one follows it; else the end of the data."""
     if _looks_like_mbap(data[at : at + HEADER_SIZE + 1]):
         end = at + 6 + (data[at + 4] << 8 | data[at + 5])
         if _looks_like_mbap(data[end : end + HEADER_SIZE + 1]):

@@ -1,4 +1,4 @@
-"""HTTP service for the status and the metrics of a program, in threads beside the program's own event loop.
+"""HTTP service for the status and metrics of a program, in threads beside the program's event loop.
 
 Knows the limits of one connection and of all; knows nothing of the resources, which its owner answers. The standard
 library's `ThreadingHTTPServer` parses requests. It has no limits, so they are here:
@@ -40,7 +40,7 @@ _SINGLE: Final = ("host", "content-length", "authorization")
 
 
 class HttpError(Exception):
-    """Error that is answered with an HTTP status and a sentence."""
+    """Error that the HTTP service answers with a status code and a sentence."""
 
     def __init__(self, status: int, sentence: str) -> None:
         super().__init__(sentence)
@@ -49,7 +49,7 @@ class HttpError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class HttpRequest:
-    """A received HTTP request.
+    """A request that the HTTP service has received.
 
     Attributes:
         method: ``GET``, ``POST``, …
@@ -66,7 +66,7 @@ class HttpRequest:
 
 @dataclass(frozen=True, slots=True)
 class HttpResponse:
-    """An HTTP response to send.
+    """A response that the HTTP service sends.
 
     Attributes:
         body: its bytes, of the type ``content_type``.
@@ -80,7 +80,7 @@ class HttpResponse:
 
 @dataclass(frozen=True, slots=True)
 class HttpLimits:
-    """Limits of the connections to the HTTP service: their number and their times.
+    """Limits of connections to the HTTP service: how many there may be, and how long each may take.
 
     Attributes:
         request_seconds: from the accepted connection to the last byte of the request.
@@ -141,9 +141,7 @@ class HttpService(ThreadingHTTPServer):
         self.server_close()
 
     def heard(self, accepted: socket.socket) -> None:
-        """Note that a connection's whole request was received: it gets more time, and is no longer closed for
-        others.
-        """
+        """Note that a whole HTTP request has come: its connection gets more time and is not closed for others."""
         self._unheard.pop(accepted, None)
         self._deadlines[accepted] += self._limits.seconds - self._limits.request_seconds
 
@@ -173,7 +171,7 @@ class HttpService(ThreadingHTTPServer):
         return True
 
     def service_actions(self) -> None:
-        """Close the connections whose time is over."""
+        """Close the HTTP connections whose time is over."""
         now = time.monotonic()
         for accepted, deadline in list(self._deadlines.items()):
             if now >= deadline:
@@ -193,16 +191,14 @@ class HttpService(ThreadingHTTPServer):
             _log.exception("a request failed; further failures within a minute are not logged")
 
     def _cut(self, accepted: socket.socket) -> None:
-        """End an HTTP connection: its thread, if it waits for the peer, wakes up and closes it."""
+        """End an HTTP connection from outside: its thread wakes up if it waits for the peer, and closes it."""
         self._unheard.pop(accepted, None)
         with contextlib.suppress(OSError):
             accepted.shutdown(socket.SHUT_RDWR)
 
 
 def _drained(accepted: socket.socket, last: bytes = b"") -> None:
-    """Send the last bytes and read what was received, without waiting: unread bytes would reset the connection at its
-    close.
-    """
+    """Send the last bytes of a response and read what was received, so that closing does not reset the connection."""
     with contextlib.suppress(OSError):
         accepted.setblocking(False)
         accepted.send(last)
@@ -210,7 +206,7 @@ def _drained(accepted: socket.socket, last: bytes = b"") -> None:
 
 
 class _Connection(BaseHTTPRequestHandler):
-    """Handler of one HTTP connection: its request and the response."""
+    """Handler of one HTTP connection: reads its request and writes the response."""
 
     protocol_version = "HTTP/1.1"
     wbufsize = -1  # head and body leave together
@@ -223,7 +219,7 @@ class _Connection(BaseHTTPRequestHandler):
             _drained(self.connection)
 
     def finish(self) -> None:
-        """Flush the written response."""
+        """Send the part of the response that is still buffered."""
         with contextlib.suppress(OSError):
             super().finish()
 
@@ -241,7 +237,7 @@ class _Connection(BaseHTTPRequestHandler):
             return HttpResponse(b"the request failed; the log says why\n", status=HTTPStatus.INTERNAL_SERVER_ERROR)
 
     def _request(self) -> HttpRequest:
-        """Read the request. Raises `HttpError` if it is malformed or too large, `EOFError` if it is incomplete."""
+        """Read the HTTP request. Raises `HttpError` if it is malformed or too large, `EOFError` if it is incomplete."""
         received, head = self.rfile, _Head(self.rfile)
         self.raw_requestline = head.readline()
         self.rfile = cast("Any", head)  # Any: of which the standard library reads lines, and does no more
@@ -287,14 +283,14 @@ class _Connection(BaseHTTPRequestHandler):
 
 
 class _Head:
-    """Reader of the lines of a request's head, together at most `HEAD_LIMIT` bytes."""
+    """Reads the first lines of an HTTP request (its head), together at most `HEAD_LIMIT` bytes."""
 
     def __init__(self, received: Any) -> None:  # Any: any buffered reader
         self._received = received
         self._left = HEAD_LIMIT
 
     def readline(self, limit: int = -1) -> bytes:
-        """The next line of the head. Raises `HttpError` if the head is too long, `EOFError` if it ends too soon."""
+        """Return the next line of a request's head. Raises `HttpError` if it is too long, `EOFError` at its end."""
         line: bytes = self._received.readline(self._left + 1)
         self._left -= len(line)
         if self._left < 0:
@@ -305,7 +301,7 @@ class _Head:
 
 
 def bind_tcp(host: str, port: int) -> socket.socket:
-    """Create a bound TCP socket. Raises `LinkDown` if the address cannot be used."""
+    """Return a bound TCP socket for an HTTP service. Raises `LinkDown` if the address cannot be used."""
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         bound = socket.socket(family, socket.SOCK_STREAM)
@@ -322,6 +318,6 @@ def bind_tcp(host: str, port: int) -> socket.socket:
 
 
 def bound_name(bound: socket.socket) -> str:
-    """The address of a bound TCP socket as text: ``127.0.0.1:9502``."""
+    """Return the address of a bound TCP socket as text: ``127.0.0.1:9502``."""
     host, port = bound.getsockname()[:2]
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -1,4 +1,4 @@
-"""Trace of RTU and ASCII lines: log lines, and packets in a capture file; levels as in `busway.observe.trace`.
+"""Trace of RTU and ASCII traffic: log lines, and packets in a capture file; levels as in `busway.observe.trace`.
 
 Knows frames and messages; knows no port: a driver passes in what it received and sent. It follows the line as an
 observer does, so frames of other masters are shown too.
@@ -31,16 +31,16 @@ _SOONEST: Final = 0.001
 
 
 class ConnectionTrace(Protocol):
-    """Interface of the trace of one connection."""
+    """Interface of what logs the traffic of one connection."""
 
     def received(self, data: bytes) -> None:
-        """Log received bytes."""
+        """Log bytes that the connection received."""
 
     def sent(self, data: bytes) -> None:
-        """Log sent bytes."""
+        """Log bytes that the connection sent."""
 
     def note(self, text: str) -> None:
-        """Log an event that the frames do not show."""
+        """Log an event of the connection that its frames do not show."""
 
 
 class SilenceTimer(Protocol):
@@ -50,11 +50,11 @@ class SilenceTimer(Protocol):
         """Start the timer."""
 
     def cancel(self) -> None:
-        """Cancel the timer before it fires."""
+        """Cancel the timer, so that it does not fire."""
 
 
 def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = None) -> ConnectionTrace:
-    """Create the trace of a connection whose framing is ``mbap``, ``rtu`` or ``ascii``.
+    """Create the log of a connection whose framing is ``mbap``, ``rtu`` or ``ascii``.
 
     ``carrier`` is its socket or transport, from which a capture file has its addresses.
     """
@@ -70,7 +70,7 @@ def _timer(delay: float, call: Callable[[], None]) -> SilenceTimer:
 
 
 class LineTrace:
-    """Trace of one serial line. Its methods may be called from several threads."""
+    """Logs the traffic of one serial line. Its methods may be called from several threads."""
 
     __slots__ = (
         "__weakref__",
@@ -95,7 +95,7 @@ class LineTrace:
         clock: Callable[[], float] = time.monotonic,
         make_timer: Callable[[float, Callable[[], None]], SilenceTimer] = _timer,
     ) -> None:
-        """Create the trace of a line on which nothing was seen yet.
+        """Create the log of a line on which nothing was seen yet.
 
         Args:
             framing: ``rtu`` or ``ascii``.
@@ -118,14 +118,14 @@ class LineTrace:
         self._timer: SilenceTimer | None = None
 
     def received(self, data: bytes) -> None:
-        """Log the received bytes that form decided frames."""
+        """Log those received bytes that complete a frame."""
         with self._lock:
             now = self._heard("<", data)
             self._take("<", self._receiver.receive(data, now), now)
             self._wait(now)
 
     def sent(self, data: bytes) -> None:
-        """Log sent bytes: one or several whole frames."""
+        """Log bytes that this station sent: one or several whole frames."""
         with self._lock:
             self.settle()
             now = self._heard(">", data)
@@ -133,12 +133,12 @@ class LineTrace:
             self._take(">", found, now)
 
     def note(self, text: str) -> None:
-        """Log an event that the frames do not show."""
+        """Log an event of the line that its frames do not show."""
         if TRACE.level >= TraceLevel.MESSAGE:
             _log.debug("%s %s", self._name, text)
 
     def tick(self) -> None:
-        """Log the frames that silence has ended by now."""
+        """Log the frames that the silence of the line has ended by now."""
         with self._lock:
             self._timer = None
             now = self._clock()
@@ -146,7 +146,7 @@ class LineTrace:
             self._wait(now)
 
     def settle(self) -> None:
-        """Decide all received bytes now, as a long silence would."""
+        """Log all received bytes now, as frames or as damaged, as after a long silence."""
         with self._lock:
             if self._timer is not None:
                 self._timer.cancel()
@@ -161,7 +161,7 @@ class LineTrace:
         return self._clock()
 
     def _wait(self, now: float) -> None:
-        """Set the timer for when silence will decide the received bytes."""
+        """Set the timer for the moment when silence decides whether received bytes are a frame."""
         due = self._receiver.deadline()
         if due is None:
             TRACE.undecided.discard(self)

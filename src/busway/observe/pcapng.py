@@ -29,14 +29,14 @@ _LONGEST_TEXT: Final = 4000
 
 
 class LinkType(IntEnum):
-    """Link layer of the packets of an interface."""
+    """What kind of packets an interface of a capture file has."""
 
     RAW_IP = 101
     UPPER_PDU = 252
 
 
 class Flow(IntEnum):
-    """Direction of a packet, as seen from this program."""
+    """Direction of a captured packet, as seen from this program: received or sent."""
 
     UNKNOWN = 0
     INCOMING = 1
@@ -44,7 +44,7 @@ class Flow(IntEnum):
 
 
 class PcapngWriter:
-    """Writes one capture file into a binary stream that the caller owns. Errors of the stream are `OSError`."""
+    """Writes a capture file in pcapng format into a binary stream of the caller. Errors of the stream are `OSError`."""
 
     __slots__ = ("_interfaces", "_stream", "packets")
 
@@ -56,7 +56,7 @@ class PcapngWriter:
         self._write(_SECTION, struct.pack("<IHHq", _BYTE_ORDER, 1, 0, _UNKNOWN_LENGTH), options)
 
     def add_interface(self, link_type: LinkType, name: str, description: str = "") -> int:
-        """Add an interface to the file; the returned number is for `add_packet`."""
+        """Add an interface to the capture file; returns its number for `add_packet`."""
         options = _text(_NAME, name) + _text(_DESCRIPTION, description)
         options += _option(_TIME_RESOLUTION, bytes((_MICROSECONDS,)))
         self._write(_INTERFACE, struct.pack("<HHI", link_type, 0, 0), options)
@@ -66,7 +66,7 @@ class PcapngWriter:
     def add_packet(
         self, interface: int, data: bytes, time: float, *, flow: Flow = Flow.UNKNOWN, comment: str = ""
     ) -> None:
-        """Write a packet that was seen at ``time`` (seconds since 1970)."""
+        """Write a packet that was seen at ``time`` (seconds since 1970) to the capture file."""
         microseconds = max(round(time * 1e6), 0)
         head = struct.pack("<IIIII", interface, microseconds >> 32, microseconds & 0xFFFF_FFFF, len(data), len(data))
         options = _text(_COMMENT, comment)

@@ -40,17 +40,17 @@ _LAST_READS: Final = 64
 
 
 class Ear(Protocol):
-    """Interface of a source of received bytes, such as `BlockingSerialPort` and `SocketEar`."""
+    """Interface of a source of bytes to listen to: a serial port, or a device server that passes on its line."""
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Received bytes within ``timeout`` seconds, and how many of them are damaged. Raises `LinkDown`."""
+        """Return bytes received within ``timeout`` seconds, and how many of them are damaged. Raises `LinkDown`."""
 
     def close(self) -> None:
         """Stop listening. May be called twice."""
 
 
 class SocketEar:
-    """A TCP connection to a device server that passes on the bytes of its line."""
+    """Listens by a TCP connection to a device server that passes on the bytes of its serial line."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
         """Connect to the device server. Raises `LinkDown`."""
@@ -63,7 +63,7 @@ class SocketEar:
             raise link_down(error, endpoint=self._name) from error
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Received bytes within ``timeout`` seconds; none is ever marked as damaged. Raises `LinkDown`."""
+        """Return bytes received within ``timeout`` seconds; none is marked as damaged. Raises `LinkDown`."""
         try:
             self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
             data = self._socket.recv(_READ_SIZE)
@@ -81,7 +81,7 @@ class SocketEar:
 
 
 class DatagramEar:
-    """A local UDP port that receives the datagrams of a device server, from any address."""
+    """Listens on a local UDP port for the datagrams of a device server, from any address."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
         """Bind the local UDP port. Raises `LinkDown`."""
@@ -107,7 +107,7 @@ class DatagramEar:
         return int(self._socket.getsockname()[1])
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """The next datagram within ``timeout`` seconds; none is ever marked as damaged. Raises `LinkDown`."""
+        """Return the next datagram within ``timeout`` seconds; none is marked as damaged. Raises `LinkDown`."""
         try:
             self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
             return self._socket.recv(MAX_DATAGRAM), 0
@@ -128,7 +128,7 @@ class DatagramEar:
 
 @dataclass(frozen=True, slots=True)
 class LineToHear:
-    """A line to listen to as its URL describes it, not opened yet. Created by `line_to_hear`.
+    """A serial line to listen to, as its URL describes it; not opened yet. Created by `line_to_hear`.
 
     Attributes:
         endpoint: where it is.
@@ -150,9 +150,7 @@ class LineToHear:
         return SerialTiming.of_network() if self.port is None else self.port.timing
 
     def open(self) -> Ear:
-        """Open the port or connection to listen to. Raises `LinkDown`, and `ConfigError` if this process uses
-        the port.
-        """
+        """Open the line to listen to. Raises `LinkDown`, and `ConfigError` if this process uses the port."""
         if self.port is None:
             ear = DatagramEar if self.endpoint.carrier == "udp" else SocketEar
             return ear(self.endpoint, self.sockets)
@@ -160,7 +158,7 @@ class LineToHear:
 
 
 class _ClaimedPort:
-    """An open serial port that no other user in this process can open meanwhile."""
+    """An open serial port for listening that no other user in this process can open meanwhile."""
 
     def __init__(self, path: str, settings: SerialSettings) -> None:
         self._claim = Claim(path, "a listener to the line")
@@ -203,7 +201,7 @@ def line_to_hear(url: str | Endpoint) -> LineToHear:
 
 
 class Listening:
-    """Listens to one line; a context manager that closes it.
+    """Listens to one serial line and pairs requests and replies; a context manager that closes it.
 
     Attributes:
         pairing: what is made of the frames, with the statistics.
@@ -259,7 +257,7 @@ class Listening:
         self.close()
 
     def hear(self, until: float) -> list[Heard]:
-        """The next events on the line; empty if nothing complete was heard before ``until`` (clock seconds).
+        """Return the next events on the line; none if nothing complete was heard before ``until`` (clock seconds).
 
         It comes back after a fifth of a second at the latest, also while a port is waited for.
 
@@ -279,7 +277,7 @@ class Listening:
         return self._understand(data, damaged, now)
 
     def finish(self) -> list[Heard]:
-        """The last events: from received bytes that were not processed yet, and from undecided ones.
+        """Return the last events: from received bytes not processed yet, and from unfinished frames.
 
         Raises:
             LinkDown: the port vanished and is not waited for, or the connection ended.
@@ -303,7 +301,7 @@ class Listening:
         self._ear.close()
 
     def _lose(self, error: LinkDown) -> list[Heard]:
-        """Handle the loss of the port: the unfinished frame is reported as it is."""
+        """Handle the loss of the port: an unfinished frame is reported as it is."""
         if self._vanished is None:
             raise error
         self.lost = error
@@ -314,7 +312,7 @@ class Listening:
         return self._flushed()
 
     def _try_again(self, now: float, until: float) -> bool:
-        """Wait for the next attempt, a fifth of a second at most, and open the port if its time has come."""
+        """Wait for the next attempt to open the port, a fifth of a second at most, and open it if its time has come."""
         pause = min(self._try_at, until, now + _LONGEST_WAIT) - now
         if pause > 0:
             time.sleep(pause)

@@ -1,4 +1,4 @@
-"""Trace: traffic as log lines, at three levels that can be switched at run time, and into a capture file.
+"""Trace: logs the traffic of connections, at three levels that can be switched at run time, and into a capture file.
 
 Knows frames and messages; knows no connection: a driver passes in what it received and sent.
 
@@ -24,7 +24,7 @@ _log = logging.getLogger("busway.trace")
 
 
 class TraceLevel(IntEnum):
-    """Levels of detail of the trace."""
+    """How much of the traffic the log shows."""
 
     CAPTURE = -1
     """Nothing, but what passes goes into a capture file."""
@@ -35,41 +35,41 @@ class TraceLevel(IntEnum):
 
 
 class ConnectionRecorder(Protocol):
-    """Interface that records the bytes of one connection."""
+    """Interface of what records the bytes of one connection, such as in a capture file."""
 
     def received(self, data: bytes) -> None:
-        """Record received bytes."""
+        """Record bytes that the connection received."""
 
     def sent(self, data: bytes) -> None:
-        """Record sent bytes."""
+        """Record bytes that the connection sent."""
 
 
 class LineRecorder(Protocol):
-    """Interface that records the frames of one serial line, or of a connection with serial framing."""
+    """Interface of what records the frames of one serial line, or of a connection with serial framing."""
 
     def heard(self, found: "Received", *, at: float | None = None, is_outgoing: bool = False) -> None:
-        """Record a frame or damaged chunk that began at ``at`` (seconds since 1970)."""
+        """Record a frame, or damaged bytes, that began at ``at`` (seconds since 1970)."""
 
 
 class Recorder(Protocol):
-    """Interface of a destination for traffic: a capture file (`busway.observe.capture.Capture`), or another store."""
+    """Interface of what records traffic: a capture file (`busway.observe.capture.Capture`), or another store."""
 
     def connection(self, ends: SocketAddresses) -> ConnectionRecorder:
-        """Start to record a connection between these addresses."""
+        """Return a recorder for a connection between these addresses."""
 
     def line(self, name: str) -> LineRecorder:
-        """Start to record a line with this name."""
+        """Return a recorder for a serial line with this name."""
 
 
 class Undecided(Protocol):
-    """Interface of a line trace with received bytes that no silence has decided yet."""
+    """Interface of a line's log that holds received bytes which may become a frame."""
 
     def settle(self) -> None:
-        """Decide the received bytes now."""
+        """Log the received bytes now, as frames or as damaged."""
 
 
 class Trace:
-    """Switches the trace of all connections on and off. There is one in the process: `TRACE`.
+    """Switch for the traffic log of all connections of the process. There is one: `TRACE`.
 
     Attributes:
         level: detail; what drivers test.
@@ -85,7 +85,7 @@ class Trace:
         self.undecided: set[Undecided] = set()
 
     def set(self, level: TraceLevel) -> None:
-        """Log traffic at this level from now on; the logger ``busway.trace`` must let DEBUG pass."""
+        """Log the traffic at this level from now on; the logger ``busway.trace`` must let DEBUG pass."""
         if level is TraceLevel.OFF and self.capture is not None:
             level = TraceLevel.CAPTURE
         self.level = level
@@ -99,7 +99,7 @@ class Trace:
         self.set(TraceLevel.OFF if self.level is TraceLevel.CAPTURE else self.level)
 
     def settle(self) -> None:
-        """Decide received bytes on lines now, for captures and log."""
+        """Log received bytes that lines have not decided yet, at the end of a capture or of the log."""
         for line in tuple(self.undecided):
             line.settle()
 
@@ -108,7 +108,7 @@ TRACE = Trace()
 
 
 class StreamTrace:
-    """Trace of one MBAP connection, whose addresses `socket_addresses_of` finds by ``carrier``."""
+    """Logs the traffic of one MBAP connection, whose addresses `socket_addresses_of` finds by ``carrier``."""
 
     __slots__ = ("_capture", "_functions", "_incoming", "_is_server", "_name", "_outgoing")
 
@@ -123,7 +123,7 @@ class StreamTrace:
         self._outgoing = MbapReceiver()
 
     def received(self, data: bytes) -> None:
-        """Log received bytes."""
+        """Log bytes that the connection received."""
         if self._capture is not None:
             self._capture.received(data)
         if TRACE.level < TraceLevel.MESSAGE:
@@ -134,7 +134,7 @@ class StreamTrace:
             self._show("<", frame, is_request=self._is_server)
 
     def sent(self, data: bytes) -> None:
-        """Log sent bytes."""
+        """Log bytes that the connection sent."""
         if self._capture is not None:
             self._capture.sent(data)
         if TRACE.level < TraceLevel.MESSAGE:
@@ -145,7 +145,7 @@ class StreamTrace:
             self._show(">", frame, is_request=not self._is_server)
 
     def note(self, text: str) -> None:
-        """Log an event that the frames do not show."""
+        """Log an event of the connection that its frames do not show."""
         if TRACE.level >= TraceLevel.MESSAGE:
             _log.debug("%s %s", self._name, text)
 

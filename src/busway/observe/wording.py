@@ -1,4 +1,4 @@
-"""Describes a PDU in one line of text, for lists of frames.
+"""Texts for lists of frames: a PDU in one line of words.
 
 Knows the describer of PDUs; knows no frame and no connection.
 """
@@ -12,14 +12,14 @@ from ..pdu.message import Message
 def described(
     pdu: bytes, direction: Direction, *, request: Message | None = None, functions: FunctionTable = STANDARD
 ) -> Description:
-    """The description of a PDU; ``request``, if known, tells what a reply answers."""
+    """Describe a PDU in words; ``request``, if known, is what a reply answers."""
     if direction is Direction.REPLY:
         return describe_reply(pdu, functions, request=request)
     return describe_request(pdu, functions)
 
 
 def in_words(description: Description) -> str:
-    """Function, direction and all fields of a PDU in one line; errors come last, behind an exclamation mark."""
+    """Return function, direction and all fields of a PDU in one line; faults come last, behind an exclamation mark."""
     fields = [f"{part.name} {part.text or part.data.hex(' ')}".rstrip() for part in description.parts[1:]]
     sentence = description.title
     if fields:

@@ -32,11 +32,11 @@ class CertificateFiles:
     issued: Issued
 
     def options(self) -> dict[str, str]:
-        """Keywords or URL options that name the files of the certificate."""
+        """Return the keywords or URL options that name the certificate's files."""
         return {"certificate": str(self.certificate), "key": str(self.key), "authority": str(self.authority)}
 
     def query(self) -> str:
-        """The options that name the files as the query of a URL, after ``?``."""
+        """Return the options that name the certificate's files as the query of a URL, after ``?``."""
         return "&".join(f"{name}={value}" for name, value in self.options().items())
 
 
@@ -146,7 +146,7 @@ class CertificateStore:
 
 
 def _identifier(dotted: str) -> bytes:
-    """Encode an object identifier in DER."""
+    """Return an object identifier in DER."""
     first, second, *rest = (int(part) for part in dotted.split("."))
     content = bytes([first * 40 + second])
     for number in rest:
@@ -158,7 +158,7 @@ def _identifier(dotted: str) -> bytes:
 
 
 def _tagged(tag: int, content: bytes) -> bytes:
-    """Encode a tagged value in DER."""
+    """Return a value with its tag and length in DER."""
     size = len(content)
     if size < 0x80:
         return bytes([tag, size]) + content

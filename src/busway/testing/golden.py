@@ -1,4 +1,4 @@
-"""Golden frames: requests and replies whose bytes are known from the specification.
+"""Golden frames: requests and replies whose right bytes are known from the specification.
 
 The exchanges follow the examples of MODBUS Application Protocol V1.1b3, chapter 6, with its misprints set right.
 """
@@ -84,7 +84,7 @@ GOLDEN_EXCEPTIONS: Final = (
 
 
 def golden_adu(pdu: bytes, *, transaction: int = 1, unit: int = 1) -> bytes:
-    """A PDU with an MBAP header, built without the code under test.
+    """Return a PDU with an MBAP header, built without the code under test.
 
     Args:
         pdu: 1…253 bytes.

@@ -60,9 +60,7 @@ LARGEST_BACKLOG = 4096
 
 @dataclass(slots=True)
 class _Pty:
-    """The near end of a pseudo-terminal, with the far end kept open: otherwise the near end fails while no program has
-    it open.
-    """
+    """One pseudo-terminal of a simulated line: the end that the line uses; the other stays open for programs."""
 
     near: int
     far: int
@@ -85,7 +83,7 @@ class _Pty:
 
 @dataclass(slots=True)
 class _Order:
-    """A function to run in the line's thread, and its result."""
+    """A function that the line's thread shall run, and its result."""
 
     action: Callable[[], object]
     done: threading.Event = field(default_factory=threading.Event)
@@ -94,7 +92,7 @@ class _Order:
 
 @dataclass(slots=True)
 class _Listener:
-    """A caller that waits for the line to be quiet."""
+    """A thread that waits until the line has been quiet for a time."""
 
     silence: float
     heard: threading.Event = field(default_factory=threading.Event)
@@ -163,7 +161,7 @@ class PacedLine:
 
     @property
     def settings(self) -> SerialSettings:
-        """Baud rate and character format of the line, which give a character its duration."""
+        """Baud rate and character format of the line, which say how long a character takes."""
         return self._line.settings
 
     @property
@@ -187,17 +185,17 @@ class PacedLine:
 
     @property
     def tap(self) -> list[LineByte]:
-        """Every character seen on the line, with its time (``time.monotonic``) and port; the last 200 000 of them."""
+        """Return every character seen on the line with its time (``time.monotonic``) and port; the last 200 000."""
         copied: list[LineByte] = []
         self._do(lambda: copied.extend(self._line.tap))
         return copied
 
     def transmissions(self, silence: float | None = None) -> list[Transmission]:
-        """The bytes seen on the line, split at silences (seconds; 1.5 characters) or where the sender changed."""
+        """Return the bytes seen on the line, split at silences (seconds; 1.5 characters) or changes of sender."""
         return gathered(self.tap, self.character_time, silence)
 
     def forget(self) -> None:
-        """Clear the recorded characters and the counters."""
+        """Clear the recorded characters and the counters of the line."""
 
         def clear() -> None:
             self._line.tap.clear()
@@ -207,11 +205,11 @@ class PacedLine:
         self._do(clear)
 
     def cut(self, *ports: int) -> None:
-        """Interrupt the line to these ports, or to all."""
+        """Interrupt the line to these ports, or to all, like a cut cable."""
         self._do(lambda: self._line.cut(*ports))
 
     def mend(self, *ports: int) -> None:
-        """Restore the line to these ports, or to all."""
+        """Restore the line to these ports, or to all, after `cut`."""
         self._do(lambda: self._line.mend(*ports))
 
     def inject(self, data: bytes) -> None:
@@ -292,7 +290,7 @@ class PacedLine:
                 self._tell_listeners(now)
 
     def _wake_at(self) -> float | None:
-        """When characters have to be passed on, or a silence has to be reported."""
+        """Return when the line's thread must pass characters on, or report a silence."""
         next_byte, next_pause = self._line.deadline(), self._line.pause_at()
         if next_byte is not None and next_pause is not None:
             return min(next_pause, max(next_byte, self._handed_over_at + self._granularity)) - self._transit
@@ -309,7 +307,7 @@ class PacedLine:
         return wait_ready(watched, [], timeout)
 
     def _take(self, port: int, pty: _Pty, written_at: float) -> None:
-        """Put bytes that a program wrote to a port on the line."""
+        """Put bytes on the line that a program has written to a port."""
         try:
             data = os.read(pty.near, LARGEST_BACKLOG)
         except BlockingIOError:
@@ -318,7 +316,7 @@ class PacedLine:
         self._last_sound = written_at
 
     def _hand_over(self, passed: list[LineByte], at: float) -> None:
-        """Pass characters on to the programs at the ports, not before ``at``."""
+        """Give characters to the programs at the ports, not before the time ``at``."""
         if not passed:
             return
         self._handed_over_at = self._last_sound = at
@@ -375,7 +373,7 @@ class PacedLine:
 
 
 def _transit_time() -> float:
-    """Seconds from a write at one end of a pty until a program that sleeps at the other has been woken."""
+    """Return the seconds from a write at one end of a pseudo-terminal until a program at the other wakes up."""
     pty = _Pty.opened()
     taken = []
     asleep = threading.Semaphore(0)

@@ -23,7 +23,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """How segments travel from one end to the other: delay, loss, and how they are split or merged.
+    """How written bytes travel between the two ends in memory: delay, loss, and how they are split or merged.
 
     Args:
         drop: probability, 0…1, that a segment is lost.
@@ -41,7 +41,7 @@ class Passage:
 
 
 class MemoryTransport(asyncio.Transport):
-    """One end of a connection in memory, as an asyncio transport. Attributes: ``written``, every segment so far."""
+    """One end of a connection in memory, as an asyncio transport. ``written`` has everything it has sent."""
 
     def __init__(self, passage: Passage, extra: Mapping[str, Any]) -> None:  # Any: as asyncio has it
         super().__init__(dict(extra))
@@ -58,7 +58,7 @@ class MemoryTransport(asyncio.Transport):
     # What a protocol asks.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send a segment to the other end."""
+        """Send bytes to the other end, as one segment."""
         if self._closing or not data:
             return
         assert self._pair is not None
@@ -73,14 +73,14 @@ class MemoryTransport(asyncio.Transport):
         self._pair.something_left()
 
     def close(self) -> None:
-        """Close this end after what was written has arrived."""
+        """Close this end of the connection after what was written has arrived."""
         if not self._closing:
             self._closing = True
             assert self._pair is not None
             self._pair.something_left()
 
     def abort(self) -> None:
-        """Close this end at once; segments in transit are dropped."""
+        """Close this end of the connection at once; segments on their way are dropped."""
         self.in_transit.clear()
         self.close()
 
@@ -89,44 +89,44 @@ class MemoryTransport(asyncio.Transport):
         return self._closing
 
     def pause_reading(self) -> None:
-        """Stop delivering segments to this end."""
+        """Stop delivering bytes to this end of the connection."""
         self._reading = False
 
     def resume_reading(self) -> None:
-        """Deliver segments to this end again."""
+        """Deliver bytes to this end of the connection again."""
         self._reading = True
         if self._pair is not None:
             self._pair.something_left()
 
     def is_reading(self) -> bool:
-        """Whether segments may arrive at this end."""
+        """Whether bytes may be delivered to this end of the connection."""
         return self._reading and not self._closing
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Do nothing: bytes in transit are not limited."""
+        """Do nothing: bytes on their way are not limited."""
 
     def get_write_buffer_size(self) -> int:
-        """Number of bytes in transit from this end."""
+        """Return the number of bytes on their way to the other end."""
         return sum(len(data) for _, data in self.in_transit)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
-        """Set the protocol of this end."""
+        """Set the asyncio protocol that gets what arrives at this end."""
         self._protocol = protocol
 
     def get_protocol(self) -> asyncio.BaseProtocol:
-        """The protocol of this end."""
+        """Return the asyncio protocol that gets what arrives at this end."""
         assert self._protocol is not None
         return self._protocol
 
     # What the pair asks.
 
     def join(self, pair: "MemoryPair", protocol: asyncio.BaseProtocol) -> None:
-        """Make this transport an end of ``pair``."""
+        """Make this transport one end of the connection ``pair``."""
         self._pair = pair
         self._protocol = protocol
 
     def due(self, now: float) -> bytes:
-        """The next segment that arrives at the other end by ``now``; empty if there is none."""
+        """Return the next segment that reaches the other end by ``now``; empty if there is none."""
         if not self.in_transit or self.in_transit[0][0] > now:
             return b""
         data = self.in_transit.popleft()[1]
@@ -135,7 +135,7 @@ class MemoryTransport(asyncio.Transport):
         return data
 
     def take(self, data: bytes) -> None:
-        """Deliver received bytes to the protocol of this end."""
+        """Give arrived bytes to the protocol of this end."""
         protocol = self._protocol
         if isinstance(protocol, asyncio.BufferedProtocol):
             while data and not self._closing:
@@ -159,12 +159,12 @@ class MemoryTransport(asyncio.Transport):
 
     @property
     def has_ended(self) -> bool:
-        """Whether this end is closed and nothing of it is in transit."""
+        """Whether this end is closed and all that it sent has arrived."""
         return self._closing and not self.in_transit
 
 
 class MemoryPair:
-    """A connection in memory: two transports and their protocols.
+    """A connection in memory: two asyncio transports with their protocols.
 
     Args:
         first, second: the protocols at its ends.
@@ -203,7 +203,7 @@ class MemoryPair:
         self._protocols[0].connection_made(self.first)
 
     def something_left(self) -> None:
-        """Schedule a delivery, after a transport has sent or closed, if a scheduler was given."""
+        """Arrange a delivery after a transport has sent or closed, if a scheduler was given."""
         if self._schedule is not None and not self._scheduled:
             self._scheduled = True
             self._schedule(self._deliver_scheduled)
@@ -213,13 +213,13 @@ class MemoryPair:
         self.deliver()
 
     def deliver(self, seconds: float = 0.0) -> None:
-        """Let time pass and deliver what is due, until nothing is left."""
+        """Let time pass and deliver what arrives by then, until nothing is on its way."""
         self.now += seconds
         while self._step(self.first, self.second) or self._step(self.second, self.first):
             pass
 
     def _step(self, sender: MemoryTransport, receiver: MemoryTransport) -> bool:
-        """Deliver one segment, or the end of the connection. Returns whether there was one."""
+        """Deliver one segment or the end of the connection. Returns whether there was one."""
         if receiver.is_reading():
             data = sender.due(self.now)
             if data:

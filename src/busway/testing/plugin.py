@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Simulator(Protocol):
-    """Type of the fixture ``simulator``."""
+    """Type of the pytest fixture ``simulator``."""
 
     def __call__(
         self,
@@ -36,14 +36,14 @@ class Simulator(Protocol):
         speed: float = 1.0,
         clock: "Clock | None" = None,
     ) -> "SimulatedDevice":
-        """Serve a device until the test ends; arguments and errors as of `busway.testing.simulated_device`."""
+        """Serve a simulated device until the test ends; arguments as of `busway.testing.simulated_device`."""
 
 
 class MakePacedLine(Protocol):
-    """Type of the fixture ``paced_line``."""
+    """Type of the pytest fixture ``paced_line``."""
 
     def __call__(self, ports: int = 2, baud: int = 9600, parity: str = "even", **options: Any) -> "PacedLine":
-        """Create a line that lasts until the test ends; arguments as of `busway.testing.line.PacedLine`."""
+        """Create a real-time serial line for the test; arguments as of `busway.testing.line.PacedLine`."""
 
 
 @pytest.fixture

@@ -100,7 +100,7 @@ class FaultyServer:
         schedule: Schedule | None = None,
         **options: Any,  # Any: what the fault profile takes
     ) -> AppliedFault:
-        """Add a fault to the server.
+        """Add a fault to the server and return it.
 
         Args:
             fault_profile: its name, or a fault.
@@ -123,18 +123,18 @@ class FaultyServer:
 
     @property
     def clock(self) -> Clock:
-        """The clock that times delays. Available once the server is started."""
+        """The clock that times delayed replies. Available once the server is started."""
         assert self._clock is not None, "the server has not been started"
         return self._clock
 
     @property
     def connections(self) -> int:
-        """Number of open connections."""
+        """Number of client connections open now."""
         return len(self._tap)
 
     @property
     def accepted(self) -> int:
-        """Number of connections accepted so far."""
+        """Number of client connections accepted so far."""
         return self._tap.accepted
 
     async def start(self) -> None:
@@ -152,7 +152,7 @@ class FaultyServer:
         await self.until(lambda: not self.connections)
 
     def drop_connections(self) -> None:
-        """Close all connections; safe from any thread."""
+        """Close all client connections; safe from any thread."""
         assert self.loop is not None
         self.loop.call_soon_threadsafe(self._drop)
 
@@ -191,7 +191,7 @@ class FaultyServer:
         self._change()
 
     def _change(self) -> None:
-        """Wake the threads and tasks in `wait_until` and `until`."""
+        """Wake all that wait in `wait_until` and `until`, because something in the server has changed."""
         self._changed_here.set()
         with self._changed:
             self._changed.notify_all()
@@ -255,7 +255,7 @@ class _ServerThread:
 
 
 def _faults_of(fault_profiles: tuple[str | Fault, ...], options: Mapping[str, Any]) -> list[Fault]:
-    """Create the named faults; each option goes to the fault profiles that have it."""
+    """Create the named faults of devices; each option goes to the fault profiles that have it."""
     named = [one if isinstance(one, Fault) else FAULT_PROFILES.named(one) for one in fault_profiles]
     known = {option for one in named if not isinstance(one, Fault) for option in one.options}
     for option in options:

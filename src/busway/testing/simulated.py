@@ -51,7 +51,7 @@ def simulated_device(
     speed: float = 1.0,
     clock: "Clock | None" = None,
 ) -> "Iterator[SimulatedDevice]":
-    """Context manager that serves a simulated device.
+    """Context manager that serves a simulated device from values or a file, in a thread of its own.
 
     Args:
         content: what it holds. A mapping of addresses (``"4x1"``, ``"holding:0"``, ``"0x1"``) to values: ``bool`` for
@@ -111,14 +111,14 @@ class SimulatedDevice:
 
     @property
     def host(self) -> str:
-        """Host of the first listener, for programs that take no URL."""
+        """Host of the device's first listener, for programs that take no URL."""
         from ..options.endpoints import parse_endpoint
 
         return parse_endpoint(self.endpoint).host
 
     @property
     def port(self) -> int:
-        """Port of the first listener. Raises `ConfigError` for a serial port, which has none."""
+        """Port of the device's first listener. Raises `ConfigError` for a serial port, which has none."""
         from ..options.endpoints import parse_endpoint
 
         port = parse_endpoint(self.endpoint).port
@@ -161,7 +161,7 @@ class SimulatedDevice:
         times: int | None = None,
         **parameters: Any,  # Any: what the fault profile takes
     ) -> "Iterator[AppliedFault]":
-        """Apply a fault while the block runs: ``with device.fault("late", delay=2.0) as fault: …``.
+        """Make the device misbehave while the block runs: ``with device.fault("late", delay=2.0) as fault: …``.
 
         Args:
             fault_profile: its name (`busway.testing.FAULT_PROFILES`).
@@ -198,7 +198,7 @@ class SimulatedDevice:
             board.remove(name)
 
     def wait_for_write(self, address: str, *, timeout: float = 10.0) -> Any:  # what its type says
-        """Wait until a client writes an item after this call. Returns its new value.
+        """Wait until a client writes an item after this call. Returns the item's new value.
 
         Args:
             address: the item, or the name of a point.
@@ -228,7 +228,7 @@ class SimulatedDevice:
             self._changed.notify_all()
 
     def _key(self, key: str) -> str | None:
-        """Resolve a key to the point ``UNIT/NAME``; None if it is an item without a name."""
+        """Return the point ``UNIT/NAME`` that a key means; None if it is an item without a name."""
         points = self.simulation.points
         if key in points:
             return key
@@ -239,7 +239,7 @@ class SimulatedDevice:
         return found[0] if found else None
 
     def _standing_at(self, key: str) -> list[str]:
-        """The names of the points at an address in any notation."""
+        """Return the names of the points at an address in any notation."""
         try:
             place = parse_address(key)
         except InvalidRequest:
@@ -297,7 +297,7 @@ class _Thread:
 
 
 def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
-    """The simulation that a test's content declares: a file, a text, or values by address."""
+    """Return the simulation that a test declares by a file, a text, or values by address."""
     from ..apps.simulator.includes import load_declaration, parse_declaration
 
     if isinstance(content, Mapping):
@@ -314,7 +314,7 @@ def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
 
 
 def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
-    """The text of a device file with one unit. Without a number, the unit answers for all units."""
+    """Return the text of a device file with one unit. Without a number, the unit answers for all units."""
     from ..apps.simulator.device_text import device_text
     from ..config.files.simulation import SimulatedUnitSection
 
@@ -325,7 +325,7 @@ def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
 
 
 def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
-    """The points for values by address. Raises `ConfigError` that names the address."""
+    """Return the points for values by address. Raises `ConfigError` that names a wrong address."""
     from ..config.files.problems import FileError
     from ..config.files.schema import Source
     from ..config.files.simulation import SimulatedUnitSection
@@ -343,7 +343,7 @@ def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
 
 
 def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
-    """The keys of the points that a value at an address makes."""
+    """Return the keys of a device file for the points that a value at an address makes."""
     place = parse_address(address)
     if place.table is None:
         raise ConfigError("does not say which table; write 4x1 or holding:0", key=address)
@@ -359,7 +359,7 @@ def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
 
 
 def _kind(address: str, value: Any) -> dict[str, Any]:
-    """The type keys of a simulated point, derived from its value."""
+    """Return the keys of a device file that give a point its type, from its value."""
     if isinstance(value, tuple) and 2 <= len(value) <= 3:
         return dict(zip(("value", "type", "order"), value, strict=False))
     if isinstance(value, bool):
@@ -376,7 +376,7 @@ def _kind(address: str, value: Any) -> dict[str, Any]:
 
 
 def _items(addresses: str | Collection[str] | None) -> dict[Table, list[tuple[int, int]]] | None:
-    """Addresses as item ranges by table; None for all."""
+    """Return addresses as item ranges by table; None for all."""
     if addresses is None:
         return None
     found: dict[Table, list[tuple[int, int]]] = {}

@@ -1,4 +1,4 @@
-"""A simulated serial bus without real time: ports, characters with durations, and faults of the wires.
+"""A simulated serial bus without real time: ports, characters with durations, collisions and cut wires.
 
 Knows character times and which port hears which; knows no clock, no thread and no device: every call is given the
 time, so that hours on a line pass in seconds and every run is the same. `PacedLine` puts real ports around it.
@@ -26,7 +26,7 @@ TAP_SIZE = 200_000
 
 @dataclass(slots=True)
 class LineByte:
-    """One character that was seen on the line.
+    """One character that was seen on the simulated line, with its time and port.
 
     Attributes:
         time: when its last bit passed, in seconds.
@@ -45,7 +45,7 @@ class LineByte:
 
 @dataclass(frozen=True, slots=True)
 class Transmission:
-    """Characters of one port without a silence between them.
+    """Characters that one port of the simulated line sent without a silence between them.
 
     Attributes:
         port: their sender, or `NOISE`.
@@ -86,7 +86,7 @@ class VirtualLine:
         seed: int = 0,
         tap_size: int = TAP_SIZE,
     ) -> None:
-        """Create a silent line.
+        """Create a line on which nothing is sent yet.
 
         Args:
             ports: how many, at least 1.
@@ -118,15 +118,15 @@ class VirtualLine:
         self._tolerance = self.character_time * 1e-6
 
     def deadline(self) -> float | None:
-        """When the next character will have been sent; None while no port sends."""
+        """Return when the next character will have been sent; None while no port sends."""
         return min((port.head_end for port in self._talkers if port.talking), default=None)
 
     def pause_at(self) -> float | None:
-        """When the first of the sending ports will have sent everything; None while no port sends."""
+        """Return when the first of the sending ports will have sent everything; None while no port sends."""
         return min((port.free_at for port in self._talkers if port.talking), default=None)
 
     def quiet_at(self) -> float | None:
-        """When all written characters will have been sent; None while no port sends."""
+        """Return when all written characters will have been sent; None while no port sends."""
         return max((port.free_at for port in self._talkers if port.talking), default=None)
 
     def advance(self, until: float) -> list[LineByte]:
@@ -209,7 +209,7 @@ class VirtualLine:
 
 
 class VirtualPort:
-    """One port of a `VirtualLine`.
+    """One port of a `VirtualLine`, with which a station writes and reads.
 
     Attributes:
         number: its number on the line.
@@ -244,7 +244,7 @@ class VirtualPort:
         self.passed_at: float = float("-inf")
 
     def write(self, data: bytes, now: float) -> float:
-        """Send characters from ``now`` on, or as soon as the earlier ones are sent.
+        """Put characters on the line from ``now`` on, or as soon as earlier ones of this port are sent.
 
         Returns:
             When the last of them will have passed.
@@ -261,7 +261,7 @@ class VirtualPort:
         return self.free_at
 
     def read(self) -> Received:
-        """The bytes received by this port since the last call, and how many of them are damaged.
+        """Return the bytes received by this port since the last call, and how many of them are damaged.
 
         Damage shows only where there is a parity bit, as on a real port; the data has it in any case.
         """
@@ -272,19 +272,19 @@ class VirtualPort:
 
     @property
     def backlog(self) -> int:
-        """Number of written characters that are not sent yet."""
+        """Number of characters written to this port that are not sent yet."""
         return len(self._outgoing)
 
     # What the line asks.
 
     @property
     def head_begin(self) -> float:
-        """When the next character of this port begins. Only while it is sending."""
+        """When the next character of this port begins on the line. Only while it is sending."""
         return self._outgoing[0][0]
 
     @property
     def head_end(self) -> float:
-        """When the next character of this port ends. Only while it is sending."""
+        """When the next character of this port ends on the line. Only while it is sending."""
         return self._outgoing[0][0] + self._line.character_time
 
     def take(self) -> tuple[float, float, int]:
@@ -295,14 +295,14 @@ class VirtualPort:
         return begin, end, value
 
     def hear(self, value: int, damaged: bool) -> None:
-        """Receive a character."""
+        """Keep a character that has come over the line, until it is read."""
         self._data.append(value)
         if damaged and self._line.settings.parity is not Parity.NONE:
             self._errors += 1
 
 
 def gathered(tap: Iterable[LineByte], character_time: float, silence: float | None = None) -> list[Transmission]:
-    """Recorded characters of a line split into transmissions; see `VirtualLine.transmissions`."""
+    """Return recorded characters of a line, split into transmissions; see `VirtualLine.transmissions`."""
     limit = 1.5 * character_time if silence is None else silence
     found: list[Transmission] = []
     data = bytearray()

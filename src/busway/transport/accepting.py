@@ -1,4 +1,4 @@
-"""Acceptors accept connections from a listening socket: through an `EpollSet`, or by the event loop's own server.
+"""Acceptors take new connections from a listening socket: through an `EpollSet`, or by the event loop's own server.
 
 Knows sockets that listen, and how their connections begin; knows no Modbus.
 
@@ -25,7 +25,7 @@ Protocols = Callable[[], asyncio.BaseProtocol]
 
 
 class Acceptor(Protocol):
-    """Accepts connections from one listening socket, which it owns."""
+    """Interface of what accepts connections from one listening socket, which it owns."""
 
     def accept_no_more(self) -> None:
         """Stop accepting connections; the socket stays bound."""
@@ -43,7 +43,7 @@ async def accept_from(
     backlog: int,
     failed: Callable[[OSError], None],
 ) -> Acceptor:
-    """Start listening: each new connection gets a transport and a protocol. Returns the acceptor.
+    """Start to accept connections: each gets a transport and a protocol. Returns the acceptor.
 
     Args:
         listening: bound and non-blocking; the acceptor's own when this has returned.
@@ -84,13 +84,13 @@ class EpollAcceptor:
         self._watch()
 
     def ready(self, events: int) -> None:
-        """Handle readiness of the listening socket: accept the clients that wait."""
+        """Accept the clients that wait at the listening socket."""
         for _ in range(ACCEPTED_PER_TURN):
             if not (self._is_watched and self._accept()):
                 return
 
     def _accept(self) -> bool:
-        """Accept one connection. Returns whether another client may wait."""
+        """Accept one client. Returns whether another may wait."""
         try:
             connection, peer = self._listening.accept()
         except (BlockingIOError, InterruptedError):
@@ -157,7 +157,7 @@ class LoopAcceptor:
         self._server = server
 
     def accept_no_more(self) -> None:
-        """Stop accepting connections. Those being accepted arrive within a few turns of the loop.
+        """Stop accepting connections. Those just accepted arrive within a few turns of the loop.
 
         asyncio forgets a connection whose acceptance has begun when its listener is closed: it would stay open, in
         without an owner, until the garbage collection finds it.

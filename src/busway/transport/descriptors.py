@@ -1,4 +1,4 @@
-"""Reserve of file descriptors: the last ones of the process are kept for Modbus connections.
+"""Reserve of file descriptors: the last ones that the process may open are kept for Modbus connections.
 
 Knows the system's limit; knows no socket. Page, status and metrics ask here before they keep a connection: the system
 gives the lowest free number, so a high one says that few are left.
@@ -12,7 +12,7 @@ RESERVED: Final = 128
 
 
 def is_reserved(descriptor: int) -> bool:
-    """Whether a new descriptor is one of the reserved last ones, so that a user other than Modbus must close it."""
+    """Whether a new descriptor is one of those kept for Modbus, so that any other user must close it."""
     if sys.platform == "win32":
         return False
     import resource

@@ -20,7 +20,7 @@ _IPV6_ADDRESSES: Final = Path("/proc/net/if_inet6")
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """One address of one network interface of this host.
+    """One address of one network interface of this host, with netmask and gateway.
 
     Attributes:
         name: as the system calls it.
@@ -36,7 +36,7 @@ class Interface:
 
 
 def interfaces_with(host: str) -> tuple[Interface, ...]:
-    """The interfaces with the numeric address ``host``; for ``0.0.0.0`` and ``::`` all of that family."""
+    """Return the network interfaces with the address ``host``; for ``0.0.0.0`` and ``::`` all of that family."""
     if sys.platform != "linux":
         return ()
     found = _ipv6_interfaces() if ":" in host else _ipv4_interfaces()
@@ -63,7 +63,7 @@ def _asked(asking: socket.socket, what: int, name: str) -> str:
 
 
 def _gateways() -> dict[str, str]:
-    """The default gateway of each network interface, by its name."""
+    """Return the default gateway of each network interface, by the interface's name."""
     found: dict[str, str] = {}
     for line in _lines(_ROUTES)[1:]:
         name, destination, gateway, flags = line.split()[:4]

@@ -1,4 +1,4 @@
-"""Creates bound sockets to listen on, one for each address, on a named interface if one is given.
+"""Creates bound sockets for listeners, one for each address, on a named network interface if one is given.
 
 Knows sockets; knows no Modbus and no event loop. Errors are left as the system raises them: the server says what it
 could not open.
@@ -25,7 +25,7 @@ _TRIES: Final = 16
 def bound_sockets(
     addresses: Iterable[tuple[Any, ...]], *, interface: str | None = None
 ) -> list[socket.socket]:  # Any: as getaddrinfo gives them
-    """Create a bound socket for each address.
+    """Create a bound socket for each address of a listener.
 
     Args:
         addresses: as ``getaddrinfo`` gives them, for one kind of socket and one port.

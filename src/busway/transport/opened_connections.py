@@ -10,10 +10,10 @@ _counts: list[Callable[[], int]] = []
 
 
 def counted_by(count: Callable[[], int]) -> None:
-    """Register a function that returns its number of open connections; it is called from any thread."""
+    """Register a function that returns how many client connections it has open; called from any thread."""
     _counts.append(count)
 
 
 def dialled_connections() -> int:
-    """Number of connections that this process has opened and not closed."""
+    """Return the number of client connections that this process has opened and not closed."""
     return sum(count() for count in _counts)

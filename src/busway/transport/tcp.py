@@ -1,4 +1,4 @@
-"""TCP sockets: sets their options, and explains their errors.
+"""Sets the options of TCP sockets, and explains their errors.
 
 Knows sockets; knows no Modbus. The only place where an `OSError` of a network connection becomes ours.
 """
@@ -16,7 +16,7 @@ from .serial.waiting import wait_ready
 
 
 def configure(connection: socket.socket, parameters: SocketParameters) -> None:
-    """Set the socket options of a connected socket; those that the system lacks are left out."""
+    """Set the options of a connected TCP socket; those that the system lacks are left out."""
     if connection.family not in (socket.AF_INET, socket.AF_INET6):
         return
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, parameters.no_delay)
@@ -34,7 +34,7 @@ def configure(connection: socket.socket, parameters: SocketParameters) -> None:
 
 
 def set_buffers(connection: socket.socket, parameters: SocketParameters) -> None:
-    """Set the buffer sizes of a socket; connections inherit those of their listening socket."""
+    """Set the buffer sizes of a TCP socket; connections inherit those of their listening socket."""
     if parameters.receive_buffer is not None:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, parameters.receive_buffer)
     if parameters.send_buffer is not None:
@@ -42,7 +42,7 @@ def set_buffers(connection: socket.socket, parameters: SocketParameters) -> None
 
 
 def discard_on_close(connection: Any) -> None:
-    """Make closing reset the connection, so that bytes which the peer has not accepted are dropped.
+    """Make closing reset the TCP connection, so that bytes the peer has not accepted are dropped.
 
     Args:
         connection: a socket, what a transport gives for one, or None.
@@ -53,7 +53,7 @@ def discard_on_close(connection: Any) -> None:
 
 
 def takes_bytes(connection: Any) -> bool:
-    """Whether the system accepts bytes for a peer now; ``connection`` as in `discard_on_close`."""
+    """Whether a TCP connection accepts bytes to send now; ``connection`` as in `discard_on_close`."""
     if connection is None:
         return False
     try:
@@ -63,7 +63,7 @@ def takes_bytes(connection: Any) -> bool:
 
 
 def peer_has_ended(connection: Any) -> bool:  # Any: a socket, or what a transport gives for one
-    """Whether the peer has closed the connection or its sending side, and nothing is left to read.
+    """Whether the peer has closed the TCP connection or its sending side, and nothing is left to read.
 
     Looks, and takes nothing. False where the system does not tell: it is Linux that does.
     """
@@ -106,7 +106,7 @@ _REASONS = {
 
 
 def network_reason(error: BaseException) -> str:
-    """A network error as text for an operator."""
+    """Return a network error as text for an operator."""
     if isinstance(error, socket.gaierror):
         return f"the host name cannot be resolved ({error.strerror})"
     if isinstance(error, TimeoutError) and not getattr(error, "errno", None):
@@ -118,7 +118,7 @@ def network_reason(error: BaseException) -> str:
 
 
 def link_down(error: BaseException, *, endpoint: str, sent: bool = False) -> LinkDown:
-    """Build the `LinkDown` for a network error, which becomes its cause."""
+    """Return the `LinkDown` for a network error, which becomes its cause."""
     down = LinkDown(f"no connection: {network_reason(error)}", sent=sent, endpoint=endpoint)
     down.__cause__ = error
     return down

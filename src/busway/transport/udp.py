@@ -1,4 +1,4 @@
-"""UDP sockets of clients: datagrams in and out, under asyncio and blocking.
+"""UDP sockets of clients, for asyncio and for blocking links.
 
 Knows sockets; knows no Modbus. The user of a socket says which datagrams are whole; others are dropped and counted.
 
@@ -48,7 +48,7 @@ class DatagramConnection(asyncio.DatagramProtocol):
             self.dropped += 1
 
     def error_received(self, exc: Exception) -> None:
-        """Ignore an error such as a refused port (rule 2)."""
+        """Ignore an error of the socket, such as a refused port (rule 2)."""
 
     # What a link calls.
 
@@ -73,7 +73,7 @@ class DatagramConnection(asyncio.DatagramProtocol):
         return 0 if transport is None else int(transport.get_write_buffer_size())
 
     def get_extra_info(self, name: str) -> Any:  # Any: as the transport has it
-        """Information about the transport, such as its socket."""
+        """Return a detail of the UDP transport, such as its socket."""
         return None if self._transport is None else self._transport.get_extra_info(name)
 
     def is_closing(self) -> bool:
@@ -138,11 +138,11 @@ class BlockingDatagramSocket:
             raise link_down(error, endpoint=endpoint) from error
 
     def fileno(self) -> int:
-        """The file descriptor of the socket, to wait for readiness."""
+        """Return the file descriptor of the UDP socket, for waiting until it is ready."""
         return self._socket.fileno()
 
     def recv_into(self, buffer: bytearray) -> int:
-        """Receive the next whole datagram. Raises `BlockingIOError` if there is none."""
+        """Receive the next datagram that is a whole frame. Raises `BlockingIOError` if there is none."""
         while True:
             try:
                 data = self._socket.recv(MAX_DATAGRAM)

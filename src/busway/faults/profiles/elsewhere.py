@@ -1,4 +1,4 @@
-"""Fault profiles that a server cannot simulate, such as those of ports and clients, and what simulates them instead.
+"""Fault profiles that no server can simulate, such as those of ports and clients, and what simulates them instead.
 
 Knows names and texts only; they complete the documentation's table of fault profiles.
 """
@@ -11,7 +11,7 @@ from ..clients import CLIENT_FAULT_PROFILES
 
 @dataclass(frozen=True, slots=True)
 class PlayedElsewhere:
-    """A fault profile that no server can simulate.
+    """A fault profile that no server can simulate, and what simulates it instead.
 
     Attributes:
         name, happens, seen_in, answer: as in `FaultProfile`.

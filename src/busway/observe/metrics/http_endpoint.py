@@ -30,14 +30,14 @@ ASK_SECONDS: Final = 2.0
 
 
 class MetricsSource(Protocol):
-    """Interface of a server or gateway whose metrics are offered."""
+    """Interface of a server or gateway that metrics are made from."""
 
     def status(self) -> Any:
-        """The current status: a dataclass like `busway.server.server.ServerStatus`."""
+        """Return the current status: a dataclass like `busway.server.server.ServerStatus`."""
 
     @property
     def functions(self) -> FunctionTable:
-        """The table of functions that the server decodes."""
+        """The table of function codes, with their messages, that the server decodes."""
 
     def observe(self, observer: RequestObserver) -> None:
         """Register an observer of the server's requests; only before it is started."""
@@ -45,7 +45,7 @@ class MetricsSource(Protocol):
 
 @runtime_checkable
 class KnowsPriorityHosts(Protocol):
-    """Interface of a metrics source that knows priority hosts."""
+    """Interface of a server that can say which hosts are priority hosts, for a label of the metrics."""
 
     def is_priority(self, listener: str, host: str) -> bool:
         """Whether a host is a priority host of the listener with this URL."""
@@ -96,7 +96,7 @@ class MetricsEndpoint:
         classify: Classify | None = None,
         links: Callable[[], Iterable[Any]] | None = None,
     ) -> None:
-        """Bind the address and register the observer; arguments as of `start_metrics`."""
+        """Bind the address and register the observer that counts; arguments as of `start_metrics`."""
         host, port = host_and_port(where, "metrics")
         need_prometheus()
         from .metric_families import ClientCollector, ServerCollector, registry_of
@@ -120,9 +120,7 @@ class MetricsEndpoint:
         self._service.start()
 
     def answer(self, request: HttpRequest) -> HttpResponse:
-        """The response to ``GET /metrics``, also for other HTTP services. Blocks; not for the event loop of the
-        source.
-        """
+        """Return the response to ``GET /metrics``, for other HTTP services too. Blocks: not for the source's loop."""
         if request.path not in ("/", "/metrics"):
             raise HttpError(HTTPStatus.NOT_FOUND, "there is nothing but /metrics")
         if request.method != "GET":
@@ -130,12 +128,12 @@ class MetricsEndpoint:
         return render(self._registry, request.headers.get("accept", ""))
 
     async def close(self) -> None:
-        """Stop the HTTP service; returns when socket and threads have gone. A second call does nothing."""
+        """Stop the HTTP service; returns when socket and threads are closed. A second call does nothing."""
         # In a thread: a scrape may just be waiting for this event loop.
         await asyncio.to_thread(self._service.stop)
 
     def _ask(self) -> Any:  # a status, as the source gives it
-        """The status of the source, from its event loop; None if that does not answer in time."""
+        """Return the status of the server, from its event loop; None if that does not answer in time."""
 
         async def status() -> Any:
             return self._source.status()
@@ -170,7 +168,7 @@ def need_prometheus() -> None:
 
 
 def render(registry: "CollectorRegistry", accept: str) -> HttpResponse:
-    """All metrics of a registry, in the format that an ``Accept`` header prefers."""
+    """Return all metrics of a registry as text, in the format that an ``Accept`` header prefers."""
     from prometheus_client.exposition import choose_encoder
 
     try:

@@ -99,7 +99,7 @@ class ServerCollector(Collector):
         self._tally = tally
 
     def collect(self) -> Iterator[Family]:
-        """The metric families of the server or gateway with their current values."""
+        """Return the current metrics of the server or gateway as metric families."""
         yield InfoMetricFamily("busway", "The version that runs.", value={"version": __version__})
         status = self._ask()
         yield GaugeMetricFamily("busway_up", "Whether the server's event loop answered in time.", value=bool(status))
@@ -119,7 +119,7 @@ class ServerCollector(Collector):
 
 
 def _refusals(status: Any) -> Counter[str]:
-    """Number of refused requests by rule name: of a server, or of all listeners of a gateway."""
+    """Return the number of refused requests by rule name: of a server, or of all listeners of a gateway."""
     servers = [one.server for one in getattr(status, "gateway_listeners", ())] or [status]
     found: Counter[str] = Counter()
     for one in servers:
@@ -138,7 +138,7 @@ class ClientCollector(Collector):
         self._ask = ask
 
     def collect(self) -> Iterator[Family]:
-        """The metric families of the client connections with their current values."""
+        """Return the current metrics of the client connections as metric families."""
         links = list(self._ask())
         states: Counter[tuple[str, str]] = Counter((one.endpoint, one.state) for one in links)
         held = GaugeMetricFamily("busway_links", "Links to devices, by their state.", labels=("endpoint", "state"))
@@ -152,7 +152,7 @@ class ClientCollector(Collector):
 
 
 def _summed(family: Family, links: Iterable[Any], field: str) -> Family:
-    """A metric family with one counter of all links summed by endpoint, since several may lead to one device."""
+    """Return a metric family with one counter of all links, summed by endpoint: several may lead to one device."""
     sums: Counter[str] = Counter()
     for one in links:
         sums[one.endpoint] += getattr(one, field)
@@ -162,7 +162,7 @@ def _summed(family: Family, links: Iterable[Any], field: str) -> Family:
 
 
 def registry_of(*collectors: Collector) -> CollectorRegistry:
-    """A new Prometheus registry with these collectors."""
+    """Return a new Prometheus registry with these collectors."""
     registry = CollectorRegistry()
     for collector in collectors:
         registry.register(collector)
@@ -170,7 +170,7 @@ def registry_of(*collectors: Collector) -> CollectorRegistry:
 
 
 def server_families(status: Any) -> Iterator[Family]:
-    """The metric families of the server as a whole and of its counters."""
+    """Return the metric families of the server as a whole and of its counters."""
     yield GaugeMetricFamily("busway_running", "Whether it answers requests.", value=bool(status.running))
     yield GaugeMetricFamily("busway_uptime_seconds", "Seconds since the start.", value=status.uptime)
     for field, meaning in _CONNECTION_GAUGES:
@@ -187,7 +187,7 @@ def server_families(status: Any) -> Iterator[Family]:
 
 
 def class_families(counters: Any) -> Iterator[Family]:
-    """The metric families of the counters kept for priority hosts and for others."""
+    """Return the metric families of the counters kept for priority hosts and for others."""
     families: dict[str, Family] = {}
     for field in fields(counters):
         for name, count in _numbers(getattr(counters, field.name)):
@@ -200,7 +200,7 @@ def class_families(counters: Any) -> Iterator[Family]:
 
 
 def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
-    """The metric families of connections, counted by listener and pool."""
+    """Return the metric families with the numbers of connections by listener and pool."""
     held: Counter[tuple[str, str]] = Counter()
     waiting: Counter[str] = Counter()
     for one in connections:
@@ -217,7 +217,7 @@ def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
 
 
 def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """The metric families of listeners: status indicators, mode, and diagnostic counters of function 08."""
+    """Return the metric families of listeners: status indicators, mode, diagnostic counters of function 08."""
     indicators = StateSetMetricFamily(
         "busway_listener_indicator", "What the status indicators show.", labels=("listener", "indicator")
     )
@@ -248,7 +248,7 @@ def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
 
 
 def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """The metric families of certificates and handshakes of ``tls://`` listeners, if there are any."""
+    """Return the metric families of certificates and handshakes of ``tls://`` listeners, if there are any."""
     secured = [one for one in listeners if getattr(one, "security", None) is not None]
     if not secured:
         return
@@ -270,12 +270,12 @@ def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
 
 
 def gateway_listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """The metric families of a gateway's listeners: requests that reached no upstream."""
+    """Return the metric families of a gateway's listeners: requests that reached no upstream."""
     yield from _counters_of("gateway_listener", "listener", listeners, "Requests at the listener")
 
 
 def upstream_families(upstreams: Iterable[Any]) -> Iterator[Family]:
-    """The metric families of a gateway's upstreams: outcomes of requests, and states of connections."""
+    """Return the metric families of a gateway's upstreams: outcomes of requests, states of connections."""
     upstreams = list(upstreams)
     if not upstreams:
         return
@@ -306,7 +306,7 @@ def upstream_families(upstreams: Iterable[Any]) -> Iterator[Family]:
 
 
 def _counters_of(prefix: str, label: str, parts: Iterable[Any], meaning: str) -> Iterator[Family]:
-    """A metric family for each counter of named parts, with a label for the part."""
+    """Return a metric family for each counter that several parts have, with a label that names the part."""
     families: dict[str, Family] = {}
     for one in parts:
         for name, count in _numbers(one.counters):
@@ -320,7 +320,7 @@ def _counters_of(prefix: str, label: str, parts: Iterable[Any], meaning: str) ->
 
 
 def request_families(tally: RequestTally) -> Iterator[Family]:
-    """The metric families of answered requests, their durations, and unanswered requests."""
+    """Return the metric families of answered requests, their durations, and unanswered requests."""
     answered = CounterMetricFamily(
         "busway_requests", "Answered requests.", labels=("peer_class", "unit", "function", "exception")
     )
@@ -347,7 +347,7 @@ def _by_label(name: str, meaning: str, label: str, counts: Mapping[str, int]) ->
 
 
 def _numbers(counters: Any) -> Iterator[tuple[str, int]]:
-    """The integer fields of a dataclass, by name."""
+    """Return the integer fields of a dataclass by name."""
     if is_dataclass(counters):
         for field in fields(counters):
             value = getattr(counters, field.name)
@@ -356,5 +356,5 @@ def _numbers(counters: Any) -> Iterator[tuple[str, int]]:
 
 
 def plain_word(value: object) -> str:
-    """The text of a value as a label: for an enum member its value."""
+    """Return a value as the text of a label; for an enum member its value."""
     return str(value.value if isinstance(value, Enum) else value)

@@ -1,4 +1,4 @@
-"""The observer that counts answered requests and their durations for the metrics.
+"""The observer of a server's requests that counts them, with their durations, for the metrics.
 
 Knows outcomes; knows nothing of the content of requests, nor of how counts are shown.
 
@@ -23,7 +23,7 @@ _LINES: Final = ("rtu://", "ascii://")
 
 
 class ClassifyByPriority:
-    """Classifies clients for the metrics: `PeerClass.PRIORITY` for priority hosts, otherwise as `classify_by_listener`.
+    """Puts clients into classes for the metrics: `PeerClass.PRIORITY` for priority hosts, else by listener.
 
     Args:
         is_priority: whether the host of a peer's address has priority at a listener; asked once for each peer.
@@ -34,7 +34,7 @@ class ClassifyByPriority:
         self._memo: dict[tuple[str, str], PeerClass] = {}
 
     def __call__(self, client: ClientIdentity) -> PeerClass:
-        """The class of a client for the metrics."""
+        """Return the class in which the metrics count a client."""
         key = client.listener, client.peer.rpartition(":")[0].strip("[]")
         found = self._memo.get(key)
         if found is None:
@@ -46,7 +46,7 @@ class ClassifyByPriority:
 
 
 def classify_by_listener(client: ClientIdentity) -> PeerClass:
-    """The class of a client: `PeerClass.LINE` on serial lines, otherwise `PeerClass.OTHER`."""
+    """Return the class of a client for the metrics: `PeerClass.LINE` on serial lines, else `PeerClass.OTHER`."""
     return PeerClass.LINE if client.listener.startswith(_LINES) else PeerClass.OTHER
 
 
@@ -64,7 +64,7 @@ class MetricsObserver:
         self._counted: dict[tuple[PeerClass, bytes], tuple[Series, Durations]] = {}  # by unit and function
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Count requests that the fast path answered."""
+        """Count requests that the fast path has answered."""
         if not replies:
             return
         peer_class = self._classify(client)
@@ -77,7 +77,7 @@ class MetricsObserver:
                 self._count(peer_class, reply, 1, each)
 
     def _count(self, peer_class: PeerClass, reply: bytes, count: int, each: float) -> None:
-        """Count several replies with the same unit, function and exception code."""
+        """Count several replies that have unit, function and exception code in common."""
         key = peer_class, reply[6:8]
         known = self._counted.get(key)
         if known is None:

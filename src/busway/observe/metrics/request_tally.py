@@ -1,4 +1,4 @@
-"""Counts of answered requests by class of client, unit, function and exception code, and their durations.
+"""Counts of answered requests and their durations, by class of client, unit, function and exception code.
 
 Knows numbers; knows no handler, no clock and nothing of how they are shown.
 
@@ -26,7 +26,7 @@ _KNOWN_EXCEPTIONS: Final = frozenset(int(code) for code in ExceptionCode)
 
 
 class PeerClass(Enum):
-    """Classes of clients, as a label of metrics."""
+    """Classes of clients that the metrics count apart, as values of a label."""
 
     PRIORITY = "priority"
     """An address of the pool of priority connections."""
@@ -37,7 +37,7 @@ class PeerClass(Enum):
 
 
 class Unanswered(Enum):
-    """Reasons why a request got no reply, as a label of metrics."""
+    """Reasons why a request got no reply, as values of a label of the metrics."""
 
     BROADCAST = "broadcast"
     """On a serial line; counted for each unit that it reached."""
@@ -48,7 +48,7 @@ class Unanswered(Enum):
 
 
 class Series:
-    """The count of requests with the same labels.
+    """The number of requests that have all labels of a metric in common.
 
     Attributes:
         count: number of answered requests.
@@ -65,7 +65,7 @@ class Series:
 
 
 class Durations:
-    """Histogram of the durations of requests of one function.
+    """Histogram of how long requests of one function took.
 
     Attributes:
         counts: answers per bucket, not cumulative; the last one holds those above every bound.
@@ -86,7 +86,7 @@ class Durations:
 
 
 class RequestTally:
-    """The request counts of one server or gateway.
+    """How many requests a server or gateway has answered, by labels, and how long they took.
 
     Args:
         functions: codes of the functions that get a label of their own.
@@ -103,7 +103,7 @@ class RequestTally:
     # What is counted.
 
     def series(self, peer_class: PeerClass, unit: int, function: int, exception: int | None = None) -> Series:
-        """The series with these labels; a caller that counts many requests may keep it."""
+        """Return the counter for these labels; a caller that counts many requests may keep it."""
         unit_label = str(unit) if self._units else ""
         labels = (peer_class.value, unit_label, self._function(function), _exception(exception))
         found = self._series.get(labels)
@@ -115,7 +115,7 @@ class RequestTally:
         return found
 
     def durations(self, function: int) -> Durations:
-        """The histogram of durations of a function, created at its first use."""
+        """Return the histogram of durations of a function, created at its first use."""
         label = self._function(function)
         found = self._durations.get(label)
         if found is None:
@@ -129,19 +129,19 @@ class RequestTally:
     # What is read, from any thread.
 
     def all_series(self) -> list[Series]:
-        """All series so far; they are live, so their counts go on."""
+        """Return the counters of all labels so far; they are live and go on counting."""
         return list(self._series.copy().values())
 
     def all_durations(self) -> list[Durations]:
-        """All histograms of durations so far; they are live, so their counts go on."""
+        """Return all histograms of durations so far; they are live and go on counting."""
         return list(self._durations.copy().values())
 
     def unanswered_counts(self) -> dict[Unanswered, int]:
-        """Numbers of requests without an answer, by reason."""
+        """Return the numbers of requests without a reply, by reason."""
         return {why: self._unanswered[why] for why in Unanswered}
 
     def total(self) -> int:
-        """Number of requests answered so far."""
+        """Return the number of requests answered so far."""
         return sum(series.count for series in self.all_series())
 
     def _function(self, code: int) -> str:
@@ -149,7 +149,7 @@ class RequestTally:
 
 
 def _exception(code: int | None) -> str:
-    """The label for an exception code: two hexadecimal digits, as in documents."""
+    """Return an exception code as text for a label: two hexadecimal digits, as in documents."""
     if code is None:
         return NO_EXCEPTION
     return f"{code:02X}" if code in _KNOWN_EXCEPTIONS else OTHER

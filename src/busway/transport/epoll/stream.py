@@ -25,7 +25,7 @@ _USUAL_HIGH: Final = 64 * 1024
 
 
 class EpollStream(asyncio.Transport):
-    """The asyncio transport of one stream socket. Created with its socket; `begin` tells the protocol.
+    """The asyncio transport of one stream socket in an epoll set; works after `begin`.
 
     Args:
         epoll_set: where it waits.
@@ -76,7 +76,7 @@ class EpollStream(asyncio.Transport):
         self._lost = False  # `connection_lost` was called, or is about to be
 
     def begin(self) -> None:
-        """Call the protocol's `connection_made`, and start reading.
+        """Call the protocol's `connection_made`, and start reading the socket.
 
         Raises:
             OSError: the system cannot watch another descriptor; the protocol is told so by `connection_lost`, too.
@@ -143,7 +143,7 @@ class EpollStream(asyncio.Transport):
     # Sending.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send bytes after the waiting ones. After the connection has ended they are dropped.
+        """Send bytes after those that wait already. After the end of the connection they are dropped.
 
         Raises:
             TypeError: these are no bytes.
@@ -163,7 +163,7 @@ class EpollStream(asyncio.Transport):
             self._keep(memoryview(data).cast("B")[sent:])
 
     def _write_behind(self, data: bytes | bytearray | memoryview) -> None:
-        """Write when a direct write is impossible: bytes are waiting, or the connection is closing."""
+        """Queue bytes to send, because others wait before them; or drop them, because the connection is closing."""
         if not isinstance(data, bytes | bytearray | memoryview):
             raise TypeError(f"data argument must be a bytes-like object, not {type(data).__name__!r}")
         if self._finished:
@@ -212,7 +212,7 @@ class EpollStream(asyncio.Transport):
         self._watch()
 
     def write_eof(self) -> None:
-        """Close the sending direction after the waiting bytes are sent; the other direction stays open."""
+        """Close the sending direction after the waiting bytes are sent; receiving goes on."""
         if self._closing or self._finished:
             return
         self._finished = True
@@ -257,7 +257,7 @@ class EpollStream(asyncio.Transport):
             self._call("pause_writing")
 
     def _call(self, name: str) -> None:
-        """Call an optional method of the protocol; an exception is reported and does not end the connection."""
+        """Call a method that the protocol may have; its exception is reported and does not end the connection."""
         try:
             getattr(self._protocol, name)()
         except (SystemExit, KeyboardInterrupt):
@@ -287,16 +287,16 @@ class EpollStream(asyncio.Transport):
                 self._force_close(error)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
-        """Replace the protocol that gets the events."""
+        """Replace the asyncio protocol that gets the events of this transport."""
         self._protocol = protocol
 
     def get_protocol(self) -> asyncio.BaseProtocol:
-        """The protocol that gets the events."""
+        """Return the asyncio protocol that gets the events of this transport."""
         protocol: asyncio.BaseProtocol = self._protocol
         return protocol
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:  # as `asyncio.BaseTransport` says it
-        """Details of the connection: ``peername``, ``sockname`` or ``socket``."""
+        """Return a detail of the connection: ``peername``, ``sockname`` or ``socket``."""
         if name == "peername":
             return self._peer
         if self._socket is not None:
@@ -308,7 +308,7 @@ class EpollStream(asyncio.Transport):
         return default
 
     def _watch(self) -> None:
-        """Watch for what the state wants: readable unless paused or ending, writable while bytes are unsent.
+        """Watch the socket: for reading unless paused or ending, for writing while bytes are unsent.
 
         Raises `OSError` only if the socket was not watched before.
         """
@@ -350,7 +350,7 @@ class EpollStream(asyncio.Transport):
         self._force_close(None)
 
     def _fail(self, error: BaseException, what: str) -> None:
-        """Close because of an error; network errors are passed to the protocol, others reported to the loop too."""
+        """Close the connection because of an error; network errors go to the protocol, others to the loop too."""
         if not isinstance(error, OSError):
             self._report(error, f"Fatal error: {what}")
         self._force_close(error)
@@ -372,7 +372,7 @@ class EpollStream(asyncio.Transport):
         self._epoll_set.loop.call_soon(self._lose, error)
 
     def _lose(self, error: BaseException | None) -> None:
-        """Call `connection_lost` and close the socket, in a later turn of the loop (rule 3 of `EpollSet`)."""
+        """Call the protocol's `connection_lost` and close the socket, in a later turn (rule 3 of `EpollSet`)."""
         connection, protocol = self._socket, self._protocol
         assert connection is not None  # once
         try:

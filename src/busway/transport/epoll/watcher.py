@@ -36,7 +36,7 @@ class Watcher(Protocol):
     """Interface of an object that is called when its descriptor is ready."""
 
     def ready(self, events: int, /) -> None:
-        """Handle ``events`` of the descriptor: `READABLE`, `WRITABLE`, or other bits if the connection has ended.
+        """Handle ``events`` of a descriptor: `READABLE`, `WRITABLE`, or other bits if the connection has ended.
 
         Must raise nothing but what ends the program.
         """
@@ -58,7 +58,7 @@ class EpollSet:
         return len(self._watched)
 
     def watch(self, descriptor: int, events: int, member: Watcher) -> None:
-        """Call ``member`` while ``descriptor`` is ready for one of ``events``; it was not watched before.
+        """Call ``member`` whenever ``descriptor`` is ready for one of ``events``; it was not watched before.
 
         Raises:
             OSError: the system cannot watch another one; nothing has changed.
@@ -74,7 +74,7 @@ class EpollSet:
         self._watched[descriptor] = member
 
     def watch_for(self, descriptor: int, events: int) -> None:
-        """Change the events of a watched descriptor; at least one."""
+        """Change the events for which a descriptor is watched; at least one."""
         assert self._epoll is not None  # since it is watched
         self._epoll.modify(descriptor, events)
 
@@ -102,7 +102,7 @@ class EpollSet:
             self._epoll = None
 
     def _look(self) -> None:
-        """Call the watchers of all ready descriptors."""
+        """Call the watcher of each descriptor that is ready."""
         if self._epoll is None:
             return  # the last one has gone in this very turn
         watched = self._watched
@@ -113,7 +113,7 @@ class EpollSet:
 
 
 def epoll_set_for(loop: asyncio.AbstractEventLoop) -> EpollSet | None:
-    """The epoll set of ``loop``; None if the loop cannot watch one, so that its own transports are used."""
+    """Return the epoll set of ``loop``; None if the loop cannot watch one, so that its own transports are used."""
     return EpollSet(loop) if can_watch(loop) else None
 
 

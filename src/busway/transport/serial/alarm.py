@@ -38,7 +38,7 @@ class Alarm:
     """
 
     def __init__(self, ring: Callable[[], None]) -> None:
-        """Create an alarm that is not set. ``ring`` is called in the event loop each time it goes off."""
+        """Create a timer that is not set. It calls ``ring`` in the event loop each time it is due."""
         self._loop = asyncio.get_running_loop()
         self._ring = ring
         self._handle: asyncio.TimerHandle | None = None
@@ -50,7 +50,7 @@ class Alarm:
             self._loop.add_reader(self._descriptor, self._expired, self._descriptor)
 
     def set(self, when: float) -> None:
-        """Ring at ``when`` (``time.monotonic``, seconds) or as soon as possible; an earlier setting is forgotten."""
+        """Have the function called at ``when`` (``time.monotonic``) or soon after; an earlier setting is forgotten."""
         if self._descriptor is not None:
             self._when = when
             # All zero would mean never.
@@ -60,7 +60,7 @@ class Alarm:
         self._handle = self._loop.call_later(max(when - time.monotonic(), 0.0), self._late)
 
     def cancel(self) -> None:
-        """Cancel the alarm; it can be set again."""
+        """Unset the timer; it can be set again."""
         if self._descriptor is not None:
             _set_timer(self._descriptor, _NEVER)
         elif self._handle is not None:
@@ -68,7 +68,7 @@ class Alarm:
             self._handle = None
 
     def close(self) -> None:
-        """Close the alarm; it never rings again. May be called twice."""
+        """Close the timer for good; nothing is called any more. May be called twice."""
         self.cancel()
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:
@@ -102,7 +102,7 @@ _Times = ctypes.c_long * 4  # seconds and nanoseconds of the interval, and of th
 
 
 def _new_timer() -> int | None:
-    """Create the descriptor of a system timer that is not set; None if the system has none."""
+    """Return the descriptor of a new system timer; None if the system has none."""
     if _libc is None or not hasattr(_libc, "timerfd_create"):
         return None
     descriptor: int = _libc.timerfd_create(_CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)

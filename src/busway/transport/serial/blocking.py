@@ -96,14 +96,14 @@ class BlockingSerialPort:
         return self._device.emission.until
 
     def fileno(self) -> int:
-        """The file descriptor of the port. Raises `LinkDown` if the port is closed or has none on this system."""
+        """Return the file descriptor of the port. Raises `LinkDown` if it is closed or has none on this system."""
         self._opened()
         if self._descriptor is None:
             raise LinkDown(f"{self.path} has no descriptor to wait at on this system")
         return self._descriptor
 
     def still_sending(self) -> float | None:
-        """The earliest time at which the last written character can have left (``time.monotonic``).
+        """Return the earliest time at which the last written character can have left (``time.monotonic``).
 
         None where all have left. Raises `LinkDown`.
         """
@@ -115,7 +115,7 @@ class BlockingSerialPort:
         return self._device.emission.still_held(held, time.monotonic()) if held else None
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Wait for received bytes, up to ``timeout`` seconds.
+        """Return received bytes, after waiting for them for up to ``timeout`` seconds.
 
         Args:
             timeout: seconds; 0 takes what is there, None waits for ever.
@@ -148,7 +148,7 @@ class BlockingSerialPort:
         return received.data, received.errors
 
     def write(self, data: bytes) -> float:
-        """Write bytes to the port.
+        """Write bytes to the serial port.
 
         Returns when the port has them, which is before they have left the line; with RTS switched by hand it returns
         after they have, since RTS must be put back.
@@ -213,7 +213,7 @@ class BlockingSerialPort:
             raise port_lost(error, port=self.path, sent=True) from error
 
     def counters(self) -> LineCounters | None:
-        """The counters of the port's driver; None if it keeps none. Raises `LinkDown`."""
+        """Return the error counters of the port's driver; None if it keeps none. Raises `LinkDown`."""
         self._opened()
         try:
             return self._device.counters()

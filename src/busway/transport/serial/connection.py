@@ -1,4 +1,4 @@
-"""A serial port under asyncio: received bytes go to a callback.
+"""A serial port under asyncio: received bytes are passed to a function.
 
 Knows asyncio and `serialx`; knows no Modbus.
 
@@ -121,7 +121,7 @@ class SerialConnection:
         return self._device.emission.until
 
     def write(self, data: bytes) -> float:
-        """Write bytes to the port.
+        """Write bytes to the serial port.
 
         Returns:
             When the last character will have left (``time.monotonic``), by arithmetic; with RTS switched by hand the
@@ -141,7 +141,7 @@ class SerialConnection:
         return device.emission.written(len(data), now)
 
     def held(self) -> int:
-        """Number of written characters that have not left the port, as far as the system tells. Raises `LinkDown`."""
+        """Return how many written characters have not left the port, as far as the system tells. Raises `LinkDown`."""
         transport, device = self._opened()
         waiting = transport.get_write_buffer_size()
         if self._sender is not None:
@@ -152,7 +152,7 @@ class SerialConnection:
             raise port_lost(error, port=self.path, sent=True) from error
 
     def still_sending(self) -> float | None:
-        """The earliest time at which the last written character can have left (``time.monotonic``).
+        """Return the earliest time at which the last written character can have left (``time.monotonic``).
 
         None where all have left. Raises `LinkDown`.
         """
@@ -177,7 +177,7 @@ class SerialConnection:
             await asyncio.sleep(max(device.emission.until - now, 0.0))
 
     def counters(self) -> LineCounters | None:
-        """The counters of the port's driver; None if it keeps none. Raises `LinkDown`."""
+        """Return the error counters of the port's driver; None if it keeps none. Raises `LinkDown`."""
         _, device = self._opened()
         try:
             return device.counters()
@@ -185,7 +185,7 @@ class SerialConnection:
             raise port_lost(error, port=self.path) from error
 
     def close(self) -> None:
-        """Close the port; unsent bytes are dropped. May be called twice."""
+        """Close the serial port; unsent bytes are dropped. May be called twice."""
         self._told = True
         if self._sender is not None:
             self._sender.stop()
@@ -235,7 +235,7 @@ class SerialConnection:
             self._lost(port_lost(error, port=self.path))
 
     def _gone(self, error: OSError) -> None:
-        """Handle the driver's report that the port has vanished."""
+        """Handle the report of the port's driver that the port has vanished."""
         if self._told:
             return
         self.close()
@@ -243,7 +243,7 @@ class SerialConnection:
 
 
 class _Events(asyncio.Protocol):
-    """The asyncio protocol of a port: passes received bytes and its end to a `SerialConnection`."""
+    """The asyncio protocol of a serial port: passes received bytes, and the port's end, to a `SerialConnection`."""
 
     def __init__(self, connection: SerialConnection) -> None:
         self._connection = connection
@@ -259,7 +259,7 @@ class _Events(asyncio.Protocol):
 
 
 class _SenderByRts:
-    """Sends frames with RTS raised around each: a delay, the bytes and their time on the line, a delay."""
+    """Sends frames on an RS-485 port with RTS raised around each, and with a delay before and after."""
 
     def __init__(
         self,
@@ -280,7 +280,7 @@ class _SenderByRts:
 
     @property
     def waiting(self) -> int:
-        """Number of bytes that wait for the delay before sending."""
+        """Number of bytes that wait for the end of the delay before sending."""
         return len(self._outbox)
 
     def write(self, data: bytes, path: str) -> float:
@@ -305,7 +305,7 @@ class _SenderByRts:
         return self._device.emission.written(len(data), now + delay)
 
     def _send(self) -> None:
-        """Write the waiting bytes after the delay before sending."""
+        """Write the waiting bytes to the port, when the delay before sending is over."""
         data = bytes(self._outbox)
         self._outbox.clear()
         try:

@@ -1,4 +1,4 @@
-"""Counters of a port's driver since the system started (``struct serial_icounter_struct``).
+"""Error counters that a port's driver keeps since the system started (``struct serial_icounter_struct``).
 
 Knows the numbers; what they mean for a conversation is for others.
 """
@@ -15,7 +15,7 @@ _LAYOUT = struct.Struct("11i9i")
 
 @dataclass(frozen=True, slots=True)
 class LineCounters:
-    """Counts of characters, errors and breaks of one port.
+    """What a port's driver has counted: characters, errors and breaks.
 
     Attributes:
         received, sent: characters.
@@ -34,7 +34,7 @@ class LineCounters:
     breaks: int = 0
 
     def since(self, earlier: "LineCounters") -> "LineCounters":
-        """The difference between these counters and ``earlier`` ones."""
+        """Return what was counted between ``earlier`` counters and these."""
         return LineCounters(
             received=self.received - earlier.received,
             sent=self.sent - earlier.sent,
@@ -47,7 +47,7 @@ class LineCounters:
 
 
 def read_counters(descriptor: int, ioctl: Ioctl = system_ioctl) -> LineCounters | None:
-    """The counters of an open port; None if its driver keeps none (many USB adapters, pseudo-terminals)."""
+    """Return the counters of an open port; None if its driver keeps none (many USB adapters, pseudo-terminals)."""
     buffer = bytearray(_LAYOUT.size)
     if not asked(ioctl, descriptor, TIOCGICOUNT, buffer):
         return None

@@ -1,4 +1,4 @@
-"""An open serial port without its bytes: settings, damage marks, counters, RS-485 direction, release.
+"""An open serial port apart from reading and writing: settings, damage marks, counters, RS-485 direction, release.
 
 Knows what must be done to every port, whichever way it is used; `connection` and `blocking` move the bytes. Where
 ports have no descriptors (Windows) `serialx` does all there is, and the rest reports that it is not offered.
@@ -22,7 +22,7 @@ _PARITY_LETTERS = {Parity.NONE: "N", Parity.EVEN: "E", Parity.ODD: "O"}
 
 
 def opening_arguments(settings: SerialSettings, *, pseudo_terminal: bool) -> dict[str, Any]:
-    """The arguments of `serialx` for a port with these settings.
+    """Return the arguments with which `serialx` opens a port with these settings.
 
     The values are of whatever types its keywords take. A pseudo-terminal refuses parity and 7 data bits: there they
     only say how long a character takes.
@@ -47,12 +47,12 @@ def opening_arguments(settings: SerialSettings, *, pseudo_terminal: bool) -> dic
 
 
 def descriptor_of(opened: "BaseSerial") -> int | None:
-    """The file descriptor of an open port; None on systems whose ports have none."""
+    """Return the file descriptor of an open serial port; None on systems whose ports have none."""
     return opened.fileno() if os.name == "posix" else None
 
 
 class OpenDevice:
-    """State of an open serial port, apart from its bytes: settings, direction, counters.
+    """An open serial port apart from its bytes: settings, RS-485 direction, counters, damage marks.
 
     Attributes:
         direction: who switches the direction of the driver.
@@ -79,33 +79,33 @@ class OpenDevice:
             self._marks = MarkDecoder()
 
     def unmarked(self, data: bytes) -> Received:
-        """Remove the damage marks from received bytes, and count the damaged ones."""
+        """Return received bytes without the system's damage marks, and the number of damaged ones."""
         return self._marks.feed(data) if self._marks is not None else Received(data, 0)
 
     def held(self) -> int:
-        """Number of characters that the system says it still holds. Raises `OSError` if the port is gone."""
+        """Return how many characters the system says the port still has to send. Raises `OSError` if it is gone."""
         return 0 if self._descriptor is None else characters_held(self._descriptor, self._ioctl)
 
     def counters(self) -> LineCounters | None:
-        """The counters of the driver; None if it keeps none. Raises `OSError` when the port is gone."""
+        """Return the error counters of the driver; None if it keeps none. Raises `OSError` if the port is gone."""
         return None if self._descriptor is None else read_counters(self._descriptor, self._ioctl)
 
     def turn_to_sending(self) -> None:
-        """Set RTS to its level for sending. Raises `OSError` when the port is gone."""
+        """Switch the RS-485 driver to sending by RTS. Raises `OSError` if the port is gone."""
         if self._descriptor is not None:
             set_rts(self._descriptor, self._settings.rts_on_send, self._ioctl)
 
     def turn_to_receiving(self) -> None:
-        """Set RTS to its level for receiving. Raises `OSError` when the port is gone."""
+        """Switch the RS-485 driver to receiving by RTS. Raises `OSError` if the port is gone."""
         if self._descriptor is not None:
             set_rts(self._descriptor, self._settings.rts_after_send, self._ioctl)
 
     def release(self) -> None:
-        """Restore the settings of the port; call it before the descriptor is closed."""
+        """Restore the settings that the port had before; call it before the descriptor is closed."""
         if self._descriptor is not None and self._settings.exclusive:
             admit_others(self._descriptor, self._ioctl)
         self.forget()
 
     def forget(self) -> None:
-        """Forget the descriptor: it is closed, and its number may soon be another file's."""
+        """Forget the descriptor of the port: it is closed, and its number may soon be another file's."""
         self._descriptor = None

@@ -14,7 +14,7 @@ TRANSMITTER_EMPTY = 0x01
 
 
 class CharacterClock:
-    """Clock of the characters that leave one port.
+    """Computes when written characters leave one serial port.
 
     Attributes:
         until: when the last one has left, in the clock of ``now``.
@@ -32,14 +32,14 @@ class CharacterClock:
         return self.until
 
     def still_held(self, count: int, now: float) -> float:
-        """Note that the system still holds ``count`` characters. Returns when the last leaves at the earliest."""
+        """Note that the port still holds ``count`` characters. Returns when the last leaves at the earliest."""
         if count:
             self.until = max(self.until, now + count * self._character_time)
         return self.until
 
 
 def characters_held(descriptor: int, ioctl: Ioctl = system_ioctl) -> int:
-    """Number of written characters that have not left, as far as the driver tells.
+    """Return how many written characters have not left the port, as far as the driver tells.
 
     The buffer's count leaves out the character that is being sent; where the driver tells whether its transmitter is
     empty, that one counts too.

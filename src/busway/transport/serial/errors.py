@@ -26,7 +26,7 @@ _IMPOSSIBLE = frozenset({errno.EINVAL, errno.ENOTTY, errno.EISDIR, errno.EOPNOTS
 
 
 def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDown | ConfigError:
-    """The error for a failure to open a port, caused by the system's error. No byte was sent.
+    """Return the error for a port that could not be opened, from the system's error. No byte was sent.
 
     Args:
         error: what was raised.
@@ -49,7 +49,7 @@ def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDo
 
 
 def port_lost(error: BaseException | None, *, port: str, sent: bool = False) -> LinkDown:
-    """The error for a port that vanished while it was open.
+    """Return the error for a port that vanished while it was open.
 
     Args:
         error: what was raised; None where a read merely ended.

@@ -22,9 +22,7 @@ def system_ioctl(descriptor: int, request: int, buffer: bytearray) -> None:
 
 
 def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> bool:
-    """Make an ioctl call. Returns False if the driver does not offer it; other failures, such as a lost port, are
-    raised.
-    """
+    """Make an ioctl call; returns False if the driver does not offer it. Raises other errors, as of a lost port."""
     try:
         ioctl(descriptor, request, buffer)
     except OSError as error:

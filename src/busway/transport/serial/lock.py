@@ -19,7 +19,7 @@ PROCESSES = Path("/proc")
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """Another program that holds a serial port.
+    """Another program that has a serial port open or locked.
 
     Attributes:
         process: its process number.
@@ -38,12 +38,12 @@ class Holder:
 
 
 def refuse_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
-    """Make the system refuse to open the port again, with or without a lock."""
+    """Make the system refuse that the serial port is opened again, by other programs or this one."""
     asked(ioctl, descriptor, TIOCEXCL, bytearray())
 
 
 def admit_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
-    """Undo `refuse_others`: the refusal would last as long as any other descriptor of the port is open."""
+    """Let the system open the serial port again, after `refuse_others`, which lasts as long as a descriptor is open."""
     try:
         asked(ioctl, descriptor, TIOCNXCL, bytearray())
     except OSError:
@@ -51,7 +51,7 @@ def admit_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
 
 
 def holder_of(path: str, processes: Path = PROCESSES) -> Holder | None:
-    """The program that has locked the port at ``path``, or else has it open. None if that cannot be seen."""
+    """Return the program that has locked the port at ``path``, or has it open. None if that cannot be seen."""
     if not processes.is_dir():
         return None
     try:
@@ -68,7 +68,7 @@ def holder_of(path: str, processes: Path = PROCESSES) -> Holder | None:
 
 
 def _who_locked(place: str, processes: Path) -> int | None:
-    """The process number in a line of /proc/locks such as ``1: FLOCK  ADVISORY  WRITE 4711 00:1a:3 0 EOF``."""
+    """Return the process number in a line of /proc/locks such as ``1: FLOCK  ADVISORY  WRITE 4711 00:1a:3 0 EOF``."""
     try:
         lines = (processes / "locks").read_text().splitlines()
     except OSError:
@@ -81,7 +81,7 @@ def _who_locked(place: str, processes: Path) -> int | None:
 
 
 def _who_opened(status: os.stat_result, processes: Path) -> Iterator[int]:
-    """Numbers of the other processes that have the device open, as far as they can be seen."""
+    """Return the numbers of other processes that have the serial port open, as far as they can be seen."""
     for directory in _listed(processes):
         if not directory.name.isdigit() or int(directory.name) == os.getpid():
             continue

@@ -1,4 +1,4 @@
-"""Characters that arrived damaged, marked by the system inside the stream of bytes (``PARMRK``).
+"""Removes the marks that the system puts before characters that arrived damaged (``PARMRK``).
 
 Knows the marks of termios: ``FF 00 x`` is a character x with a parity or framing error, ``FF 00 00`` also a break,
 ``FF FF`` one good FF. Knows no port: switching the marks on works on the attributes that termios gives.
@@ -31,7 +31,7 @@ class Received:
 
 
 class MarkDecoder:
-    """Decoder that removes the kernel's damage marks from received bytes and counts them."""
+    """Removes the system's damage marks from received bytes and counts them, also across reads."""
 
     __slots__ = ("_within",)
 
@@ -39,7 +39,7 @@ class MarkDecoder:
         self._within = _Within.DATA
 
     def feed(self, stream: bytes) -> Received:
-        """Decode the next bytes of the stream. The data may be empty if a mark has only begun."""
+        """Return the next received bytes without marks. They may be empty if a mark has only begun."""
         if self._within is _Within.DATA and MARK not in stream:
             return Received(stream, 0)
         data = bytearray()
@@ -69,7 +69,7 @@ class MarkDecoder:
 
 
 def switch_marks_on(descriptor: int) -> None:
-    """Ask the system to check each character and mark damaged ones. Raises `OSError`."""
+    """Ask the system to check received characters and mark damaged ones. Raises `OSError`."""
     import termios  # where ports have no descriptors there is no such module, and this is not reached
 
     try:

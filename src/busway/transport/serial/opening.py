@@ -1,4 +1,4 @@
-"""Options of opening a serial port, and the registry of ports that this process has open.
+"""Which serial ports this process has open, so that two users of one are refused; and how ports are opened again.
 
 Knows names of ports; opens none and knows no Modbus.
 
@@ -18,17 +18,17 @@ from .reopen import ReopenPolicy
 
 
 def reopen_policy(parameters: OpeningParameters) -> ReopenPolicy:
-    """The pauses between attempts to reopen a port, for ever."""
+    """Return the pauses between endless attempts to open a port again."""
     return ReopenPolicy(first=parameters.reopen_first, most=parameters.reopen_most)
 
 
 class Claim:
-    """The claim of one user in this process on a serial port. Keep it as long as the port is used."""
+    """The right of one user in this process to a serial port. Keep it as long as the port is used."""
 
     __slots__ = ("__weakref__", "port", "user")
 
     def __init__(self, port: str, user: str) -> None:
-        """Claim a serial port.
+        """Claim a serial port for one user in this process.
 
         Args:
             port: its name, as it is opened by.
@@ -50,7 +50,7 @@ class Claim:
             _claims[self.port] = self
 
     def release(self) -> None:
-        """Give up the claim on the port. May be called twice."""
+        """Let others in this process use the port. May be called twice."""
         with _lock:
             if _claims.get(self.port) is self:
                 del _claims[self.port]
@@ -61,5 +61,5 @@ _claims: "weakref.WeakValueDictionary[str, Claim]" = weakref.WeakValueDictionary
 
 
 def _key(port: str) -> str:
-    """One name for a serial device, whatever symbolic link leads to it."""
+    """Return one name for a serial device, whatever symbolic link leads to it."""
     return os.path.realpath(port) if port.startswith("/") and os.path.exists(port) else port

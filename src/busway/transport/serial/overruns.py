@@ -1,4 +1,4 @@
-"""Detects lost characters of a serial port by the counters of its driver.
+"""Detects characters that a serial port has lost, by the counters of its driver.
 
 Knows the driver's counters; what a loss means for a frame is for others. A port whose driver counts nothing has lost
 nothing that can be seen, and is not asked again.
@@ -11,7 +11,7 @@ from .counters import LineCounters
 
 
 class Overruns:
-    """Detects overruns of one open port by its counters."""
+    """Detects characters that one open port has lost, by its driver's counters."""
 
     __slots__ = ("_counters", "_lost")
 

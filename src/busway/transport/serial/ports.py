@@ -32,7 +32,7 @@ BSD_PTY_PATHS = ("/dev/pts/", "/dev/ttys00", "/dev/ttys01", "/dev/ttys02")
 
 @dataclass(frozen=True, slots=True)
 class FoundPort:
-    """A serial port that this machine has.
+    """A serial port of this machine: its path, and what is known of its USB adapter.
 
     Attributes:
         path: the name to open it by; one that stays with the device (``by-id``) where there is one.
@@ -51,7 +51,7 @@ class FoundPort:
 
     @property
     def identity(self) -> str | None:
-        """The USB identity of the port, in the form that opens it."""
+        """The USB identity of the port, in the form in which it can be given to open it."""
         if self.vendor is None or self.product is None:
             return None
         name = f"usb:{self.vendor:04x}:{self.product:04x}"
@@ -59,7 +59,7 @@ class FoundPort:
 
 
 def list_ports() -> list[FoundPort]:
-    """The serial ports of this machine, sorted by path. Opens none; pseudo-terminals are not among them.
+    """Return the serial ports of this machine, sorted by path. Opens none; leaves out pseudo-terminals.
 
     Raises:
         MissingExtra: `serialx` is not installed.
@@ -77,7 +77,7 @@ def list_ports() -> list[FoundPort]:
 
 
 def resolve_port(name: str, listing: Callable[[], Iterable[FoundPort]] = list_ports) -> str:
-    """The current device path of a port given by path, ``by-id`` name or USB identity.
+    """Return the current device path of a port given by path, ``by-id`` name or USB identity.
 
     Raises:
         LinkDown: no device with this USB identity is plugged in. It may be later.
@@ -112,7 +112,7 @@ def _by_identity(name: str, identity: re.Match[str], listing: Callable[[], Itera
 
 
 def is_pseudo_terminal(path: str) -> bool:
-    """Whether the port is a pseudo-terminal: it has no wire, so the system takes no parity and no 7 bits for it."""
+    """Whether a serial port is a pseudo-terminal, which has no wire and so neither parity nor 7-bit characters."""
     try:
         device = os.stat(path).st_rdev
     except OSError:

@@ -18,7 +18,7 @@ Port = TypeVar("Port")
 
 @dataclass(frozen=True, slots=True)
 class ReopenPolicy:
-    """Pauses between the attempts to open a port.
+    """Pauses between attempts to open a serial port that is missing.
 
     Attributes:
         first: seconds after the first failure, 0.01…60.
@@ -39,14 +39,14 @@ class ReopenPolicy:
             raise ConfigError(f"must be at least 1, not {self.attempts}", key="attempts")
 
     def pause(self, failures: int) -> float | None:
-        """Seconds to wait after so many failures in a row (from 1); None to give up."""
+        """Return the seconds to wait after so many failures in a row (from 1); None to give up."""
         if self.attempts is not None and failures >= self.attempts:
             return None
         return min(self.first * 2.0 ** min(failures - 1, 32), self.most)
 
 
 def _ignore(_error: LinkDown, _pause: float) -> None:
-    """Do nothing: the default for the callback about failed attempts."""
+    """Do nothing after a failed attempt to open a port: the default for that callback."""
 
 
 async def open_when_there(
@@ -56,7 +56,7 @@ async def open_when_there(
     waiting: Callable[[LinkDown, float], None] = _ignore,
     sleep: Callable[[float], Awaitable[object]] | None = None,
 ) -> Port:
-    """Open a port, waiting for a missing one as long as the policy says. Cancel it to stop waiting.
+    """Open a serial port, waiting for a missing one as long as the policy says. Cancel it to stop waiting.
 
     Args:
         opener: opens the port once, for example ``lambda: SerialConnection.open(…)``.

@@ -1,4 +1,4 @@
-"""Direction control of an RS-485 driver: by the port's driver, or by the RTS wire.
+"""Direction control of an RS-485 adapter: by the port's driver, or by the RTS signal.
 
 Knows the kernel's structure (``struct serial_rs485`` of ``linux/serial.h``) and the modem lines; knows no timing: who
 switches RTS keeps the delays.
@@ -28,7 +28,7 @@ _LAYOUT = struct.Struct("III20x")
 
 
 class DriverDirection(Enum):
-    """What switches the direction of an open RS-485 port."""
+    """What switches an open RS-485 port between sending and receiving."""
 
     NONE = "none"
     KERNEL = "kernel"
@@ -36,7 +36,7 @@ class DriverDirection(Enum):
 
 
 def settle_direction(descriptor: int, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> DriverDirection:
-    """Set up the direction control of an open port as its settings say. Returns what switches.
+    """Set up the direction control of an open RS-485 port as its settings say. Returns what switches it.
 
     Raises:
         ConfigError: the kernel's mode is asked for and this port does not have it.
@@ -84,5 +84,5 @@ def _kernel_mode(descriptor: int, settings: SerialSettings, ioctl: Ioctl) -> boo
 
 
 def set_rts(descriptor: int, level: bool, ioctl: Ioctl = system_ioctl) -> bool:
-    """Raise or lower RTS. Returns False if the port has no such wire (a pseudo-terminal)."""
+    """Raise or lower the port's RTS signal. Returns False if the port has none (a pseudo-terminal)."""
     return asked_integer(ioctl, descriptor, TIOCMBIS if level else TIOCMBIC, TIOCM_RTS) is not None

@@ -13,9 +13,7 @@ SELECT_LIMIT = 1024
 
 
 def wait_ready(reading: Sequence[int], writing: Sequence[int], timeout: float | None) -> list[int]:
-    """Wait for file descriptors; returns those ready to read or write, none after ``timeout`` seconds. None waits for
-    ever.
-    """
+    """Wait for file descriptors; returns those ready, none after ``timeout`` seconds. None waits for ever."""
     if max((*reading, *writing)) < SELECT_LIMIT:
         readable, writable, _ = select.select(reading, writing, [], timeout)
         return readable + writable

@@ -46,7 +46,7 @@ def server_context(parameters: TlsParameters) -> ssl.SSLContext:
 
 
 def web_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """The context of a page for browsers: clients may show a certificate where an authority is named, and need not.
+    """Return the ``ssl`` context of a page for browsers, which may show a client certificate but need not.
 
     Raises `ConfigError` that names the file and what is wrong with it.
     """
@@ -133,11 +133,11 @@ def _load_own(context: ssl.SSLContext, parameters: TlsParameters, certificate: s
 
 
 class _NoPasswordError(Exception):
-    """An encrypted key has no password; without this error OpenSSL would ask at the terminal."""
+    """Raised if an encrypted key has no password; otherwise OpenSSL would ask at the terminal."""
 
 
 class _Password:
-    """Reads the password of a private key when OpenSSL asks for it."""
+    """Gives OpenSSL the password of a private key when it asks."""
 
     def __init__(self, file: str | None) -> None:
         self._file = file
@@ -206,7 +206,7 @@ def _system_words(error: OSError | ValueError) -> str:
 
 
 class WatchedContext:
-    """The ``ssl`` context of a listener or connector; it is renewed when its files change.
+    """The ``ssl`` context of a listener or connector, made anew when its certificate files change.
 
     Args:
         parameters: which files.
@@ -237,7 +237,7 @@ class WatchedContext:
         self._context = make(parameters)
 
     def current(self) -> ssl.SSLContext:
-        """The context to use for a new connection; never raises."""
+        """Return the ``ssl`` context for a new connection; never raises."""
         now = self._clock()
         if now - self._looked >= _LOOK_SECONDS:
             self._looked = now
@@ -251,7 +251,7 @@ class WatchedContext:
         return self._context
 
     def reload(self) -> None:
-        """Read the files now. Raises `ConfigError`; then the context stays as it was."""
+        """Read the certificate files now. Raises `ConfigError`; then the context stays as it was."""
         self._looked = self._clock()
         self._renew(self._files())
 
@@ -262,7 +262,7 @@ class WatchedContext:
         _log.info("%s: certificates read anew", self.name)
 
     def _files(self) -> tuple[tuple[str, int, int], ...]:
-        """Modification time and size of each file, to notice changes; zero for a missing file."""
+        """Return modification time and size of each certificate file, to notice changes; zero for a missing file."""
         chosen = self.parameters
         own = (chosen.certificate, chosen.key, chosen.password_file, chosen.revocation_list)
         names = [one for one in own if one is not None]

@@ -1,4 +1,4 @@
-"""Reasons for which a secure connection failed or ended: as text for an operator, and as a kind for counters.
+"""Reasons why a TLS connection failed or ended: as text for an operator, and as a kind for counters.
 
 Knows the errors of ``ssl`` and the alerts of TLS (RFC 8446 §6); knows no connection.
 
@@ -40,7 +40,7 @@ class FailureKind(Enum):
 
 
 class TlsFailure(ConnectionError):
-    """A TLS connection failed; the text says why, and does not name the peer.
+    """Error: a TLS connection failed; the text says why, and does not name the peer.
 
     Attributes:
         kind: what it is counted as.
@@ -52,7 +52,7 @@ class TlsFailure(ConnectionError):
 
 
 def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
-    """The `TlsFailure` for an error of ``ssl``, which becomes its cause; ``server_side`` says which side this is."""
+    """Return the `TlsFailure` for an error of ``ssl``, which becomes its cause; ``server_side``: which side this is."""
     kind, sentence = _verdict(error, "client" if server_side else "server")
     failure = TlsFailure(kind, sentence)
     failure.__cause__ = error
@@ -60,7 +60,7 @@ def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
 
 
 def dated(failure: TlsFailure, certificate: Mapping[str, object], now: float) -> TlsFailure:
-    """Add the date of expiry to a validity failure, from the peer's certificate; ``now`` is seconds since 1970."""
+    """Return a failure with the expiry date of the peer's certificate added; ``now`` is seconds since 1970."""
     begins, ends = (ssl.cert_time_to_seconds(str(certificate[key])) for key in ("notBefore", "notAfter"))
     if now > ends:
         sentence = f"the server's certificate has expired on {date_of(ends)}"
@@ -73,7 +73,7 @@ def dated(failure: TlsFailure, certificate: Mapping[str, object], now: float) ->
 
 
 def date_of(moment: float) -> str:
-    """Format seconds since 1970 as ``2027-03-01 12:00 UTC``."""
+    """Return seconds since 1970 as text: ``2027-03-01 12:00 UTC``."""
     return time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(moment))
 
 

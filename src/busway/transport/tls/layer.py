@@ -1,4 +1,4 @@
-"""TLS under asyncio: a layer between the transport of a connection and the protocol that uses it.
+"""TLS for asyncio connections: a layer between the transport of a connection and the protocol that uses it.
 
 Knows transports and a `TlsStream`; knows no Modbus, and no certificate.
 
@@ -31,7 +31,7 @@ LINGER_SECONDS: Final = 1.0
 
 
 class TlsState(Enum):
-    """States of a TLS layer: handshake, up, refused, closed."""
+    """States of a TLS connection under asyncio: handshake, up, refused, closed."""
 
     HANDSHAKE = "handshake"
     UP = "up"
@@ -41,7 +41,7 @@ class TlsState(Enum):
 
 
 class TlsLayer(asyncio.BufferedProtocol):
-    """TLS over one asyncio connection: protocol of the transport below, transport of the protocol above.
+    """TLS over one asyncio connection: encrypts what the upper protocol writes, decrypts what is received.
 
     Args:
         loop: the event loop.
@@ -97,11 +97,11 @@ class TlsLayer(asyncio.BufferedProtocol):
         self._shake_hands()
 
     def get_buffer(self, sizehint: int) -> bytearray:
-        """The buffer that the event loop receives into."""
+        """Return the buffer into which the event loop receives encrypted bytes."""
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Process received TLS records, or parts of them."""
+        """Process received TLS records, or parts of them, up to what the upper protocol takes."""
         if self.state is TlsState.HANDSHAKE:
             self._stream.feed(self._records[:nbytes])
             self._shake_hands()
@@ -161,7 +161,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._deliver()
 
     def refuse(self, failure: TlsFailure) -> None:
-        """End a failed or unwanted handshake; the alert is still sent."""
+        """End a failed or unwanted handshake; the peer still gets the TLS alert."""
         if self.state is not TlsState.HANDSHAKE:
             return
         self.state = TlsState.REFUSED
@@ -209,7 +209,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         self._flush()
 
     def _tell_end(self) -> bool:
-        """Tell the protocol above that the peer has ended its stream; close unless replies are still to be sent."""
+        """Tell the upper protocol that the peer has ended its stream; close unless replies are still to be sent."""
         if not self._ended_told and self._above is not None:
             self._ended_told = True
             if not self._above.eof_received():
@@ -238,7 +238,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._below.write(records)
 
     def close(self) -> None:
-        """Announce the end of the TLS stream, and close after the written bytes are sent."""
+        """Tell the peer that the TLS stream ends, and close after the written bytes are sent."""
         if self.state is TlsState.UP and not self._below.is_closing():
             self._stream.finish()
             self._flush()
@@ -286,7 +286,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         return size
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:  # as `asyncio.BaseTransport` says it
-        """Details of the connection below, and ``ssl_object``."""
+        """Return a detail of the connection below, or ``ssl_object``."""
         if name == "ssl_object":
             return self._stream.ssl_object
         return self._below.get_extra_info(name, default) if self._below is not None else default

@@ -20,7 +20,7 @@ _LONG_LENGTH: Final = 0x80
 
 @dataclass(frozen=True, slots=True)
 class RoleReading:
-    """The result of reading a role from a certificate: the role, or why there is none.
+    """What was read from a certificate: the client's role, or why there is none.
 
     Attributes:
         role: the role; None without one.
@@ -40,7 +40,7 @@ def require_cryptography(purpose: str) -> None:
 
 
 def role_of_certificate(certificate: bytes) -> RoleReading:
-    """Read the role from a certificate in DER.
+    """Return the role in a certificate in DER, or why it has none.
 
     Raises:
         TlsFailure: the certificate has an extension twice, or cannot be read.
@@ -65,7 +65,7 @@ def role_of_certificate(certificate: bytes) -> RoleReading:
 
 
 def decode_role(value: bytes) -> RoleReading:
-    """Decode a role from the value of the certificate extension."""
+    """Return the role that the value of the certificate extension contains."""
     if len(value) < 2:
         return RoleReading(reason="the extension is empty")
     if value[0] != _UTF8_STRING:
@@ -88,7 +88,7 @@ def decode_role(value: bytes) -> RoleReading:
 
 
 def encode_role(role: str) -> bytes:
-    """Encode a role of 1…65535 bytes in UTF-8 as the value of the certificate extension. Raises `ConfigError`."""
+    """Return a role of 1…65535 bytes as the value of the certificate extension. Raises `ConfigError`."""
     text = role.encode("utf-8")
     if not 1 <= len(text) <= 0xFFFF:
         raise ConfigError("a role has 1…65535 bytes", key="role")

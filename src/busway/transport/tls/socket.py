@@ -1,4 +1,4 @@
-"""TLS over one blocking connection, with the interface of a non-blocking socket.
+"""TLS for blocking clients: a connection with the methods of a non-blocking socket.
 
 Knows a socket and a `TlsStream`; knows no Modbus.
 
@@ -25,7 +25,7 @@ assert _RECORDS_SIZE + 2 * 16_384 <= RECEIVE_SIZE
 
 
 class TlsSocket:
-    """A TLS connection of a blocking client, with the interface of a non-blocking socket.
+    """A TLS connection of a blocking client, used like a non-blocking socket.
 
     Args:
         connection: connected, blocking; from now on this object closes it.
@@ -75,15 +75,15 @@ class TlsSocket:
 
     @property
     def ssl_object(self) -> ssl.SSLObject:
-        """The ``ssl`` object of the TLS connection."""
+        """The ``ssl`` object of the TLS connection, with version, suite and certificate."""
         return self._stream.ssl_object
 
     def fileno(self) -> int:
-        """The file descriptor of the socket, to wait for readiness."""
+        """Return the file descriptor of the socket, for waiting until it is ready."""
         return self._socket.fileno()
 
     def get_extra_info(self, name: str) -> object:
-        """Details of the connection: ``socket`` or ``ssl_object``, as asyncio transports give them."""
+        """Return a detail of the connection, ``socket`` or ``ssl_object``, as asyncio transports do."""
         return {"socket": self._socket, "ssl_object": self._stream.ssl_object}.get(name)
 
     def recv_into(self, buffer: bytearray, /) -> int:
@@ -113,7 +113,7 @@ class TlsSocket:
         return plain
 
     def send(self, data: bytes, /) -> int:
-        """Encrypt and send bytes. Returns how many were accepted.
+        """Encrypt bytes and send them. Returns how many were accepted.
 
         Where `BlockingIOError` was raised, the next call begins with the same bytes.
 

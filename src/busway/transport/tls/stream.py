@@ -1,4 +1,4 @@
-"""The TLS protocol of one connection without IO: encrypted bytes in and out; shared by asyncio and blocking drivers.
+"""TLS of one connection without IO: encrypted bytes in and out; used by the asyncio and the blocking driver.
 
 Knows ``ssl``; knows no socket, no event loop and no Modbus.
 
@@ -14,7 +14,7 @@ from .failures import FailureKind, TlsFailure, failure_of
 
 
 class TlsStream:
-    """One side of a TLS connection, without IO.
+    """One side of a TLS connection, without IO: the driver passes received bytes in and sends what comes out.
 
     Attributes:
         ended: whether the peer said that it sends no more.
@@ -40,11 +40,11 @@ class TlsStream:
         return self._ssl
 
     def feed(self, data: bytes | bytearray | memoryview) -> None:
-        """Take encrypted bytes that came from the peer."""
+        """Take encrypted bytes that the connection has received from the peer."""
         self._incoming.write(data)
 
     def handshake(self) -> bool:
-        """Continue the handshake. Returns whether it is complete. Raises `TlsFailure`."""
+        """Continue the TLS handshake. Returns whether it is complete. Raises `TlsFailure`."""
         try:
             self._ssl.do_handshake()
         except ssl.SSLWantReadError:
@@ -56,7 +56,7 @@ class TlsStream:
         return True
 
     def read_into(self, room: memoryview) -> int:
-        """Decrypt received bytes into ``room`` as far as they fit. Returns their number. Raises `TlsFailure`."""
+        """Decrypt received bytes into the buffer ``room``. Returns their number. Raises `TlsFailure`."""
         if self._failure is not None:
             raise self._failure
         size = 0
@@ -83,7 +83,7 @@ class TlsStream:
 
     @property
     def may_hold_more(self) -> bool:
-        """Whether decrypted bytes may remain that did not fit into the room of the last read."""
+        """Whether decrypted bytes may remain that did not fit into the buffer of the last read."""
         return bool(self._ssl.pending() or self._incoming.pending or self._failure)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
@@ -96,7 +96,7 @@ class TlsStream:
             raise failure_of(error, server_side=self._server_side) from error
 
     def end_reason(self, error: Exception | None) -> Exception | None:
-        """Why a connection without a TLS failure ended; ``error`` is that of the network.
+        """Return why a connection without a TLS failure ended; ``error`` is that of the network.
 
         Many servers of TLS 1.3 refuse a certificate by closing, without the alert that says so, and after the client
         believes itself connected. Only that nothing was ever heard tells that from other ends.
@@ -109,13 +109,11 @@ class TlsStream:
         return failure
 
     def outgoing(self) -> bytes:
-        """The encrypted bytes to send to the peer now; may be empty."""
+        """Return the encrypted bytes to send to the peer now; may be empty."""
         return self._outgoing.read() if self._outgoing.pending else b""
 
     def finish(self) -> None:
-        """Announce to the peer that nothing more is sent (close_notify); without it the session could not be
-        resumed.
-        """
+        """Tell the peer that nothing more is sent (close_notify); without it the session could not be resumed."""
         try:
             self._ssl.unwrap()
         except (ssl.SSLError, ValueError):

@@ -41,7 +41,7 @@ class Issued:
     chain: "tuple[x509.Certificate, ...]" = ()
 
     def certificate_pem(self) -> bytes:
-        """The certificate in PEM, followed by its chain."""
+        """The certificate in PEM, followed by those of the authorities between it and the root."""
         from cryptography.hazmat.primitives.serialization import Encoding
 
         return b"".join(one.public_bytes(Encoding.PEM) for one in (self.certificate, *self.chain))
@@ -76,7 +76,7 @@ class Authority:
 
     @classmethod
     def create(cls, name: str = "busway test authority", *, days: float = 3650.0) -> "Authority":
-        """Make a self-signed authority, valid for ``days``. Raises `ConfigError` without ``cryptography``."""
+        """Return a new self-signed authority, valid for ``days``. Raises `ConfigError` without ``cryptography``."""
         require_cryptography("making certificates")
         return cls(_build(name, None, days=days, extensions=_authority_extensions(None)))
 
@@ -114,7 +114,7 @@ class Authority:
         more: Mapping[str, bytes] | None = None,
         states_purpose: bool = True,
     ) -> Issued:
-        """Issue a certificate for a client whose role extension has these raw bytes (at most one value), with ``more``.
+        """Issue a certificate for a client whose role extension has these raw bytes; ``more``: further extensions.
 
         ``states_purpose``: whether it says that it is for clients (extended key usage).
         """
@@ -168,7 +168,7 @@ def _build(
     starts_in: float = 0.0,
     extensions: "Sequence[x509.ExtensionType]",
 ) -> Issued:
-    """Sign a certificate; without an issuer by itself. Valid for ``days`` from now; negative: expired."""
+    """Sign a certificate with the issuer's key, or its own. Valid for ``days`` from now; negative: expired."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec
@@ -243,7 +243,7 @@ def _host_name(host: str) -> "x509.GeneralName":
 
 
 def write_private(path: Path, data: bytes) -> None:
-    """Replace a file by one that only its owner can read. Raises `ConfigError`."""
+    """Write or replace a file that only its owner can read. Raises `ConfigError`."""
     try:
         path.unlink(missing_ok=True)  # an old file would keep its mode, and its readers
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, KEY_MODE)

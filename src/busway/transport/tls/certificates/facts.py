@@ -1,4 +1,4 @@
-"""What a certificate says: subject, names, role and validity, for a status, a log line, and ``busway certs show``.
+"""What a certificate says (subject, names, role, validity), for a status, a log line, and ``busway certs show``.
 
 Knows certificates; knows no connection.
 """
@@ -21,7 +21,7 @@ DAY: Final = 86_400.0
 
 @dataclass(frozen=True, slots=True)
 class CertificateFacts:
-    """The contents of one certificate that people need: subject, names, role, validity.
+    """What people need to know of a certificate: subject, names, role, validity.
 
     Attributes:
         subject, issuer: names, as ``CN=plc-7,O=Acme``.
@@ -50,11 +50,11 @@ class CertificateFacts:
     fingerprint: str
 
     def days_left(self, now: float | None = None) -> float:
-        """Days until the certificate expires; negative after that. ``now`` is seconds since 1970, None the present."""
+        """Return days until the certificate expires; negative after. ``now``: seconds since 1970, None the present."""
         return (self.not_after - (time.time() if now is None else now)) / DAY
 
     def validity(self, now: float | None = None) -> str:
-        """A warning about expiry; empty while the certificate is valid for more than 30 days."""
+        """Return a warning about expiry; empty while the certificate is valid for more than 30 days."""
         moment = time.time() if now is None else now
         if moment < self.not_before:
             return f"is not valid before {date_of(self.not_before)}"
@@ -71,7 +71,7 @@ WARNING_DAYS: Final = 30.0
 
 
 def facts_of_file(name: str) -> list[CertificateFacts]:
-    """The facts of each certificate in a PEM file, in order. Raises `ConfigError` that names the file."""
+    """Return what each certificate in a PEM file says, in order. Raises `ConfigError` that names the file."""
     require_cryptography("reading certificates")
     from cryptography import x509
 
@@ -89,7 +89,7 @@ def facts_of_file(name: str) -> list[CertificateFacts]:
 
 
 def facts_of_der(data: bytes) -> CertificateFacts:
-    """The facts of a certificate in DER. Raises `ValueError` if it is none."""
+    """Return what a certificate in DER says. Raises `ValueError` if it is none."""
     from cryptography import x509
 
     return _facts(x509.load_der_x509_certificate(data))
