@@ -55,7 +55,7 @@ def main() -> None:
 
 
 def _refuse(error: ImportError) -> NoReturn:
-    """End the process with code 2 and the command that installs a missing package; re-raise other errors."""
+    """End the process with code 2 and name the command that installs a missing package; re-raise other errors."""
     from ..extras import missing_extra
 
     missing = missing_extra(error)

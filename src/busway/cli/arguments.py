@@ -42,7 +42,7 @@ _NUMBER = re.compile(r"\d{1,18}|0[xX][0-9a-fA-F]{1,16}")
 
 
 def whole_number(text: str, name: str, low: int, high: int) -> int:
-    """Parse the number of an option, decimal or ``0x…``; `ConfigError` names the option and the range."""
+    """Return the number that an option's text means, decimal or ``0x…``; `ConfigError` names option and range."""
     number = int(text, 16 if text[:2].lower() == "0x" else 10) if _NUMBER.fullmatch(text) else -1
     if not low <= number <= high:
         raise ConfigError(f"a whole number {low}…{high} is needed, not {text!r}", key=name)
@@ -61,7 +61,7 @@ def seconds(text: str, name: str, *, low: float = 0.001, high: float = 86_400) -
 
 
 def limits_of(kind: type[Any], option: str) -> tuple[float, float]:
-    """The smallest and the largest number that an option of a parameter class accepts."""
+    """Return the smallest and the largest number that an option of a parameter class accepts."""
     from ..options.declaration import Range, declared
 
     limits = declared(kind)[option].limits
@@ -70,7 +70,7 @@ def limits_of(kind: type[Any], option: str) -> tuple[float, float]:
 
 
 def refuse_unknown_option(value: str) -> None:
-    """Refuse a value that is a misspelt option; a minus sign begins a number or ``-inf``."""
+    """Refuse an argument that is a misspelt option; a minus sign may begin a number or ``-inf``."""
     if re.match(r"--?[a-zA-Z]", value) and value.lower() not in ("-inf", "-infinity", "-nan"):
         raise ConfigError(f"there is no such option; a text that begins so is written behind --: -- {value}", key=value)
 
@@ -101,7 +101,7 @@ def opened_unit(
 
 
 def show_traffic(verbose: int) -> None:
-    """Show messages (1), frames (2) or bytes (3 and more) on stderr from now on."""
+    """Log messages (1), frames (2) or bytes (3 and more) of all connections on stderr from now on."""
     if not verbose:
         return
     import logging

@@ -1,4 +1,4 @@
-"""``busway certs``: makes certificates to try Modbus/TCP Security with, and shows the contents of certificates.
+"""``busway certs``: makes certificates to try Modbus/TCP Security with, and shows what certificates say.
 
 1. Nothing is overwritten without ``--force``, and before anything is written it is known that all of it can be.
 2. File names go to stdout, one per line; what to try next goes to stderr.
@@ -86,7 +86,7 @@ def _make(
 
 
 def _file_name(role: str) -> str:
-    """The file name ``client-ROLE``, with characters that files and certificates cannot have replaced."""
+    """Return the file name ``client-ROLE``, without characters that files and certificates cannot have."""
     return f"client-{re.sub(r'[^A-Za-z0-9._-]+', '-', role).lower()[:50]}"
 
 

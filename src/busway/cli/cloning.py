@@ -58,7 +58,7 @@ class CloneOptions:
 
 
 def refuse_without_clone(options: CloneOptions) -> None:
-    """Refuse options that would have no effect without ``--clone``. Raises `ConfigError` that names the first."""
+    """Raise `ConfigError` for the first option that would have no effect without ``--clone``."""
     given = {"--out": options.out, "--watch": options.watch, "--range": options.ranges, "--thorough": options.thorough}
     for option, value in {**given, "--force": options.force}.items():
         if value:
@@ -66,7 +66,7 @@ def refuse_without_clone(options: CloneOptions) -> None:
 
 
 def clone_device(options: CloneOptions) -> int:
-    """Record the device, and write the simulation file."""
+    """Record a live device, and write the simulation file that imitates it."""
     from ..apps.simulator.device_text import device_text
 
     duration = None if options.watch is None else seconds(options.watch, "--watch")
@@ -104,7 +104,7 @@ def _recorded(unit: "BlockingUnit", options: CloneOptions, duration: float | Non
 
 
 def _moments(duration: float) -> Iterator[float]:
-    """Yield the seconds since the start, as time passes, until ``duration``."""
+    """Yield the seconds since the start of a recording, as time passes, until ``duration``."""
     began = time.monotonic()
     due = 0.0
     while due < duration:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 async def open_page(stack: AsyncExitStack, collector: "Collector") -> None:
-    """Show the page, and say where; without it, say why and go on: polling matters more."""
+    """Serve the collector's page and print its address; if that fails, print why and let polling go on."""
     at = collector.configuration.file.collector.page
     if at == "off":
         return
@@ -23,7 +23,7 @@ async def open_page(stack: AsyncExitStack, collector: "Collector") -> None:
 
 
 async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
-    """Show the page of the demonstration, on a free port where the usual one is taken; without it, say why."""
+    """Serve the page of the demonstration, on a free port if the usual one is taken; if that fails, print why."""
     at = collector.configuration.file.collector.page
     try:
         try:
@@ -37,7 +37,7 @@ async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
 
 
 async def _open_page_at(at: str, stack: AsyncExitStack, collector: "Collector") -> None:
-    """Show the page at host and port until ``stack`` ends. Raises `MissingExtra`, `LinkDown`, `ConfigError`."""
+    """Serve the collector's page at host and port until ``stack`` ends. Raises `LinkDown`, `ConfigError`."""
     try:
         from ..apps.web.collector_page import CollectorPage
     except ImportError as error:

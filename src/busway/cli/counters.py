@@ -60,7 +60,7 @@ _OTHER_EVENTS = {0x00: "communication restarted", 0x04: "listen-only mode entere
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """One value that a device reported, with its name.
+    """One value that a device has reported about itself, with its name.
 
     Attributes:
         function: ``08/0B``, ``11``.
@@ -106,7 +106,7 @@ def counters(
 
 
 def _questions() -> list[tuple[str, str, Callable[["BlockingUnit"], list[Fact]]]]:
-    """The functions to ask a device: code, name, and a function that asks and returns the values."""
+    """Return what to ask a device: for each function its code, its name, and a function that asks."""
     questions: list[tuple[str, str, Callable[[BlockingUnit], list[Fact]]]] = []
     for code, meaning in COUNTERS:
         function, name = f"08/{code:02X}", code.name.lower().removeprefix("return_")
@@ -152,7 +152,7 @@ def _status_text(status: int) -> str:
 
 
 def event_text(event: int) -> str:
-    """The meaning of an event byte of function 12 (§6.10)."""
+    """Return the meaning of an event byte of function 12 in words (§6.10)."""
     if event in _OTHER_EVENTS:
         return _OTHER_EVENTS[event]
     if event & _RECEIVE_EVENT:
@@ -185,7 +185,7 @@ def _show(facts: list[Fact], *, as_json: bool) -> None:
 
 
 def _number(fact: Fact) -> str:
-    """A reported value as text: bits in hexadecimal or binary, counts in decimal."""
+    """Return a value that a device has reported as text: bits in hexadecimal or binary, counts in decimal."""
     if fact.name in ("status", "diagnostic_register"):
         return f"0x{fact.value:04X}"
     return f"0b{fact.value:08b}" if fact.name == "exception_status" else str(fact.value)

@@ -78,14 +78,14 @@ def _one_of(text: str, name: str, allowed: list[str]) -> str:
 
 
 def _joined(texts: list[str]) -> list[str]:
-    """The frames to decode; arguments that are single bytes or 16-bit groups are joined to one frame."""
+    """Return the frames to decode; arguments that are single bytes or 16-bit groups are joined to one frame."""
     if len(texts) > 1 and all(len(_SEPARATORS.sub("", text)) in (2, 4) and text[0] != ":" for text in texts):
         return [" ".join(texts)]
     return texts
 
 
 def _bytes_of(text: str) -> bytes:
-    """The bytes of a frame given as text; those of an ASCII frame are its characters."""
+    """Return the bytes of a frame given as text; those of an ASCII frame are its characters."""
     if _ASCII_FRAME.fullmatch(text) and not text[1:].isspace():
         return text.replace("\\r", "\r").replace("\\n", "\n").encode("ascii", errors="replace")
     digits = _SEPARATORS.sub("", text)

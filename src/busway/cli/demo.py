@@ -72,7 +72,7 @@ class Polled:
 
     @property
     def transactions(self) -> int:
-        """Number of transactions, successful or not."""
+        """Number of requests of the polling client, successful or not."""
         return len(self.latencies) + self.errors
 
 
@@ -133,7 +133,7 @@ async def started_plant(stack: AsyncExitStack, port: int) -> "tuple[Plant, str]"
 
 
 def _line(stack: AsyncExitStack) -> tuple[str, str]:
-    """URLs of both ends of a serial line; the near one is empty if the server of the far end opens it."""
+    """Return the URLs of both ends of a serial line; the near one is empty if the far end's server opens it."""
     try:
         from ..testing.line import PacedLine
     except ImportError:  # a system without terminals
@@ -144,7 +144,7 @@ def _line(stack: AsyncExitStack) -> tuple[str, str]:
 
 
 def _devices(plant: "Plant", url: str) -> "Server":
-    """The server of the plant's devices on their line, one slow and one that fails and recovers; not started yet."""
+    """Return the server of the plant's devices on their line, not started yet; one is slow, one fails and recovers."""
     from ..apps.simulator.plant import METER, THERMOMETER
     from ..faults.fault import Schedule
     from ..faults.switchboard import FaultSwitchboard
@@ -160,7 +160,7 @@ def _devices(plant: "Plant", url: str) -> "Server":
 
 
 async def _started(line: str, port: int) -> "Gateway":
-    """Start the gateway on the wanted port, or on a free one."""
+    """Start the demonstration's gateway on the wanted port, or on a free one."""
     from ..apps.gateway.gateway import Gateway
     from ..apps.gateway.settings import simple_plan
 
@@ -178,7 +178,7 @@ async def _started(line: str, port: int) -> "Gateway":
 
 
 async def _move(plant: "Plant") -> None:
-    """Advance the plant in real time, for ever."""
+    """Advance the plant of the demonstration in real time, for ever."""
     before = time.monotonic()
     while True:
         await asyncio.sleep(TICK_SECONDS)
@@ -190,7 +190,7 @@ async def _move(plant: "Plant") -> None:
 async def _poll(
     link: "AsyncLink", plant: "Plant", polled: Polled, stop: asyncio.Event, limit: float | None, url: str
 ) -> None:
-    """Read every point again and again, each device in its own task, and show the values until the time is over."""
+    """Read every point of the plant again and again, each device in a task, and show values until the time is over."""
     tags = {unit: list(points.sections.values()) for unit, points in plant.points.items()}
     view: View = LiveView() if sys.stdout.isatty() else LineView()
     began = time.monotonic()
@@ -211,7 +211,7 @@ async def _poll(
 
 
 async def _poll_unit(unit: "AsyncUnit", sections: Sequence["PointSection"], polled: Polled) -> None:
-    """Read the points of one device again and again."""
+    """Read the points of one device of the plant again and again."""
     while True:
         due = time.monotonic() + POLL_SECONDS
         for section in sections:
@@ -232,7 +232,7 @@ async def _read(unit: "AsyncUnit", section: "PointSection", polled: Polled) -> N
 
 
 class View(Protocol):
-    """Interface of a display of the values that were read."""
+    """Interface of a display of the values that the demonstration has read."""
 
     def show(self, url: str, tags: "Tags", polled: Polled, elapsed: float) -> None:
         """Show the current values."""
@@ -307,7 +307,7 @@ def _shown(value: Any) -> str:
 
 
 def percentile(sorted_values: Sequence[float], percent: float) -> float:
-    """The percentile of sorted values (nearest rank); 0 without values."""
+    """Return the percentile of sorted values (nearest rank); 0 without values."""
     if not sorted_values:
         return 0.0
     return sorted_values[max(math.ceil(len(sorted_values) * percent / 100), 1) - 1]

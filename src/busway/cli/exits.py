@@ -46,5 +46,5 @@ _CODES: tuple[tuple[type[ModbusError], ExitCode], ...] = (
 
 
 def exit_code_of(error: ModbusError) -> ExitCode:
-    """The exit code of an error; what is not listed (`NoReply`, `WriteOutcomeUnknown`, `Overloaded`) end as 3."""
+    """Return the exit code for an error; `NoReply`, `WriteOutcomeUnknown`, `Overloaded` and unlisted ones give 3."""
     return next((code for kind, code in _CODES if isinstance(error, kind)), ExitCode.NO_REPLY)

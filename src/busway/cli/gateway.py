@@ -134,9 +134,7 @@ def _is_url(word: str) -> bool:
 
 
 def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> "Callable[[], GatewayConfiguration]":
-    """A function that reads the gateway's configuration, now and at each reload. Raises `ConfigError` for wrong
-    arguments.
-    """
+    """Return a function that reads the gateway's configuration, at the start and at each reload."""
     from ..apps.gateway.configuration import load_gateway, simple_gateway
     from ..options.client import CLIENT_DEADLINE
     from ..options.gateway import GatewayListenerParameters
@@ -160,7 +158,7 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
 
 
 def _check(words: list[str]) -> None:
-    """Print what a gateway file means; warnings and errors go to stderr."""
+    """Print what a gateway file means, without starting it; warnings and errors go to stderr."""
     from ..apps.gateway.configuration import load_gateway
     from ..apps.gateway.overview import ROUTING_HEADINGS, gateway_rows, routing_rows
 
@@ -196,7 +194,7 @@ def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: 
 
 
 def _separate(words: list[str]) -> list[str]:
-    """The command-line words with options and values separated: ``--audit=log`` becomes ``--audit log``."""
+    """Return command-line words with options and values separated: ``--audit=log`` becomes ``--audit log``."""
     pairs = [(word, *word.partition("=")) for word in words]
     return [each for word, name, _, path in pairs for each in ((name, path) if name in _PATHS and path else (word,))]
 
@@ -229,12 +227,12 @@ def _running(service: "Service") -> "Gateway":
 
 
 def _standing(gateway: "Gateway") -> str:
-    """The status text for the service manager: listeners and upstreams of the gateway."""
+    """Return the status of the gateway as text for the service manager: its listeners and upstreams."""
     return f"{', '.join(gateway.endpoints)} to {', '.join(upstream.name for upstream in gateway.plan.upstreams)}"
 
 
 async def _drain(gateway: "Gateway", seconds: float, at_once: asyncio.Event, manager: "Manager") -> None:
-    """Wait until open requests are answered; a second signal stops at once."""
+    """Wait until all open requests of the gateway are answered; a second signal stops at once."""
     waiting = gateway.open_requests
     manager.stopping(f"{waiting} requests to answer")
     if waiting:

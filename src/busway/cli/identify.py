@@ -99,7 +99,7 @@ def _show(facts: list[Fact], *, as_json: bool, as_csv: bool) -> None:
 
 
 def _with_raw(value: bytes) -> str:
-    """An identification value as text, with its bytes if the text does not show all of them."""
+    """Return an identification value as text, with its bytes if the text does not show all of them."""
     text = _text(value)
     return text if text.encode() == value and text.isprintable() else f"{text}  [{value.hex(' ')}]"
 

@@ -1,4 +1,4 @@
-"""Output of values on stdout: a table on a terminal, aligned lines elsewhere, JSON lines or CSV on demand.
+"""How commands print values on stdout: a table on a terminal, aligned lines elsewhere, JSON lines or CSV on demand.
 
 Knows rows and how they look; knows no device.
 
@@ -23,7 +23,7 @@ from ..values import Address, ValueType, format_address, printable
 
 @dataclass(frozen=True, slots=True)
 class TableRow:
-    """One value to print, with its address and raw bytes.
+    """One value to print, with its address and its bytes.
 
     Attributes:
         address: where it stands.
@@ -43,7 +43,7 @@ class TableRow:
 
     @property
     def outcome(self) -> str:
-        """The result of writing the value; empty for one that was read."""
+        """What to print about writing the value; empty for one that was read."""
         if not self.written:
             return ""
         if self.verified is None:
@@ -52,12 +52,12 @@ class TableRow:
 
     @property
     def raw_text(self) -> str:
-        """The raw content: registers in hexadecimal, four digits each; a bit as 0 or 1."""
+        """The value's registers in hexadecimal, four digits each; a bit as 0 or 1."""
         return self.raw.hex(" ", 2) if len(self.raw) > 1 else str(self.raw[0])
 
 
 def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any], raw: bytes) -> list[TableRow]:
-    """The output rows of consecutive values from ``place`` on; ``form`` is None for coils and discrete inputs."""
+    """Return the rows to print for values at consecutive addresses; ``form`` is None for coils and discrete inputs."""
     step = 1 if form is None else form.registers
     size = 1 if form is None else 2 * step
     rows = []
@@ -70,7 +70,7 @@ def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any
 
 
 def fewest_digits(value: float, size: int) -> float:
-    """The shortest decimal number that has the same ``size`` bytes: 0.1 for what is 0.10000000149 in 32 bits."""
+    """Return the shortest decimal that has the same ``size`` bytes: 0.1 for what is 0.10000000149 in 32 bits."""
     letter = {2: ">e", 4: ">f"}.get(size)
     if letter is None or not math.isfinite(value):
         return value
@@ -86,7 +86,7 @@ def fewest_digits(value: float, size: int) -> float:
 
 
 def shown_value(value: Any) -> str:
-    """A value as text for people."""
+    """Return a value as text to be printed for people."""
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, tuple):  # sixteen bits, the least significant first
@@ -97,14 +97,14 @@ def shown_value(value: Any) -> str:
 
 
 def json_value(value: Any) -> Any:
-    """A value as JSON can represent it: infinities and NaN become texts."""
+    """Return a value as JSON can represent it: infinities and NaN become texts."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return list(value) if isinstance(value, tuple) else value
 
 
 class Writer(Protocol):
-    """Interface of an output of rows; ``time`` is when they were read, empty if it is not shown."""
+    """Interface of what prints rows of values; ``time`` is when they were read, empty if it is not shown."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         """Print these rows."""
@@ -114,7 +114,7 @@ class Writer(Protocol):
 
 
 def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writer:
-    """The writer for these options and this stdout. Raises `ConfigError` for options that do not go together."""
+    """Return what prints rows for these options and this stdout. Raises `ConfigError` if options contradict."""
     if as_json and as_csv:
         raise ConfigError("does not go with --json", key="--csv")
     if as_json:
@@ -127,7 +127,7 @@ def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writ
 
 
 class LineWriter:
-    """Output as columns: address, value, raw; with the time in front if there is one."""
+    """Prints values as columns: address, value, bytes; with the time in front if there is one."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         cells = [
@@ -141,7 +141,7 @@ class LineWriter:
 
 
 class JsonWriter:
-    """Output as one JSON object per value and line."""
+    """Prints values as one JSON object per line."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         for row in rows:
@@ -167,7 +167,7 @@ class JsonWriter:
 
 
 class CsvWriter:
-    """Output as CSV: a header line, then one line per value."""
+    """Prints values as CSV: a header line, then one line per value."""
 
     def __init__(self) -> None:
         self._has_header = False
@@ -189,7 +189,7 @@ class CsvWriter:
 
 
 class TableWriter:
-    """Output as a table with headings."""
+    """Prints values as a table with headings."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         from rich.console import Console
@@ -201,7 +201,7 @@ class TableWriter:
 
 
 class LiveTableWriter:
-    """Output as one table that is redrawn in place."""
+    """Prints values as one table that is redrawn in place."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -227,11 +227,11 @@ class LivePage:
 
     @staticmethod
     def fits() -> bool:
-        """Whether live output is possible: stdout is a terminal."""
+        """Whether redrawing in place is possible: stdout is a terminal."""
         return sys.stdout.isatty()
 
     def show(self, lines: Sequence[Sequence[str]], time: str) -> None:
-        """Replace the lines on the terminal by these."""
+        """Replace the lines on the terminal by these lines."""
         from rich.table import Table as RichTable
         from rich.text import Text
 
@@ -241,7 +241,7 @@ class LivePage:
         self._live.update(grid, refresh=True)
 
     def close(self) -> None:
-        """End live output; the last lines stay."""
+        """End redrawing; the last lines stay on the terminal."""
         self._live.stop()
 
 
@@ -289,9 +289,7 @@ def print_json(fields: dict[str, Any]) -> None:
 
 
 def json_text(document: Any, *, indent: int | None = None) -> str:
-    """A document as JSON text for any stdout and terminal: characters that cannot be shown or encoded become
-    ``\u2026``.
-    """
+    """Return JSON text for any stdout and terminal: characters that cannot be shown or encoded become ``…``."""
     import json
 
     encoding = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "")

@@ -86,7 +86,7 @@ def policy(
 
 
 def _access_rules(file: str) -> "AccessRules":
-    """The rules of a policy file or of a configuration file. Raises `ConfigError`."""
+    """Return the access rules of a policy file or of a configuration file. Raises `ConfigError`."""
     text = read_text(file)
     from ..config.files.gateway import is_gateway
     from ..config.files.policy import parse_policy_file
@@ -109,7 +109,7 @@ def _access_rules(file: str) -> "AccessRules":
 
 
 def _checked_host(text: str) -> str:
-    """Check a numeric address, as a server sees that of a client."""
+    """Return a numeric address in the form in which a server sees that of a client. Raises `ConfigError`."""
     from ..options.networks import Networks, host_of_peer
 
     host = host_of_peer(text)
@@ -180,7 +180,7 @@ _REQUESTS = {"read": _read_request, "write": _write_request, "mask": _mask_reque
 
 
 def _answer(rules: "AccessRules", question: "Question", host: str, text: str, *, as_json: bool) -> bool:
-    """Print the decision about a request. Returns whether it is allowed."""
+    """Print what the policy decides about a request. Returns whether it is allowed."""
     if not rules.addresses(host):
         why = rules.addresses.why(host)
         if as_json:
@@ -217,7 +217,7 @@ def _sentence(decision: "Decision", text: str) -> str:
 
 
 def _show_rules(rules: "AccessRules", *, as_json: bool) -> None:
-    """Print the address lists, the rules in their order, and the default."""
+    """Print the address lists of a policy, its rules in their order, and the default."""
     rows = [(rule.name, rule.action.value, _facts(rule)) for rule in rules.policy.rules]
     rows.append(("default", rules.policy.default.value, {}))
     access = rules.addresses
@@ -236,7 +236,7 @@ def _show_rules(rules: "AccessRules", *, as_json: bool) -> None:
 
 
 def _facts(rule: "Rule") -> dict[str, str]:
-    """The conditions of a rule, each in the notation of policy files."""
+    """Return the conditions of a rule, each in the notation of policy files."""
     found: dict[str, str] = {}
     if rule.peers is not None:
         found["peers"] = ", ".join(rule.peers)
@@ -273,7 +273,7 @@ def _items(prefix: str, first: int, end: int) -> str:
 
 
 def _numbers(numbers: frozenset[int]) -> str:
-    """Numbers as text with ranges: ``1-5, 7``."""
+    """Return numbers as text with ranges: ``1-5, 7``."""
     from ..access.notation import merged
 
     ranges = merged((number, number + 1) for number in numbers)

@@ -55,21 +55,21 @@ _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
 class Verbatim:
-    """Parameter type of an argument whose text is passed to the command unchanged.
+    """Type of command-line arguments whose text is passed on unchanged.
 
     Typer would load pydantic (0.1 s) to turn text into text.
     """
 
     @staticmethod
     def coerce(value: Any, param: Any, ctx: Any) -> Any:
-        """The unchanged text, or an empty tuple if an argument of several texts was not given."""
+        """Return the unchanged text, or an empty tuple if an argument of several texts was not given."""
         if value is None and (param.multiple or param.nargs == -1):
             return ()
         return value
 
 
 class Command(TyperCommand):
-    """A command whose arguments are passed to it as texts."""
+    """A command of ``busway`` whose arguments are passed to it as unchanged texts."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _verbatim(super().get_params(ctx))
@@ -90,7 +90,7 @@ class Command(TyperCommand):
 
 
 class Program(TyperGroup):
-    """The group of all commands; each is loaded when it is used."""
+    """The group of all commands of ``busway``; each is loaded when it is used."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _verbatim(super().get_params(ctx))
@@ -135,7 +135,7 @@ class Program(TyperGroup):
         sys.exit(int(code))
 
     def _run(self, given: list[str], name: str, complete_var: str | None, extra: dict[str, Any]) -> int:
-        """Run the command, print its error as one sentence, and return the exit code."""
+        """Run one command, print its error as one sentence, and return the exit code."""
         code: int
         try:
             result = super().main(given, name, complete_var, standalone_mode=False, **extra)
@@ -157,7 +157,7 @@ class Program(TyperGroup):
 
 
 def _verbatim(params: list[Any]) -> list[Any]:
-    """Set the parameters of a command to pass their texts unchanged."""
+    """Make the parser pass the arguments of a command on as unchanged texts."""
     for param in params:
         param._runtime_param = Verbatim
     return params
@@ -210,7 +210,7 @@ def _lost_sentence(reason: str) -> str:
 
 
 def _usage_sentence(error: Any) -> str:
-    """The parser's error as one sentence that names the command."""
+    """Return the parser's error as one sentence that names the command."""
     context = getattr(error, "ctx", None)
     command = context.info_name if context is not None and context.parent is not None else ""
     words = " ".join(error.format_message().split())

@@ -159,13 +159,13 @@ def _cell(name: str, value: Any, *, whole: bool) -> str:
 
 
 def _iso(nanoseconds: int) -> str:
-    """A time as ISO 8601 in UTC, with nanoseconds."""
+    """Return a time as ISO 8601 text in UTC, with nanoseconds."""
     whole, rest = divmod(nanoseconds, 1_000_000_000)
     return f"{datetime.fromtimestamp(whole, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"
 
 
 def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> int:
-    """Write tables to a new Parquet file."""
+    """Write tables of samples to a new Parquet file."""
     from ..apps.collector.store.sealing import arrow
 
     path = Path(name)
@@ -190,7 +190,7 @@ def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> 
 
 
 def _plain(table: Any) -> Any:
-    """A table with all values as floats, so that all tables of a Parquet file have the same columns."""
+    """Return a table of samples with all values as floats, so that all tables of a Parquet file have equal columns."""
     for name in ("value", "minimum", "maximum"):
         if name in table.column_names:
             index = table.column_names.index(name)

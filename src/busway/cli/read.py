@@ -57,7 +57,7 @@ holding:0 and holding:0x10 count from 0.
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What to read from one address: place, type and count."""
+    """What to read from one address: place, value type and count."""
 
     place: Address
     form: ValueType[Any] | None
@@ -133,7 +133,7 @@ def _read_points(
 
 
 def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool) -> Wanted:
-    """Parse one address with its type and count; an invalid one is refused here."""
+    """Return what an argument asks to read: address, type and count; an invalid one is refused here."""
     if text.startswith("-"):
         raise ConfigError("there is no such option", key=text)
     place = parse_address(text)
@@ -193,7 +193,7 @@ def _read_again_and_again(
 
 
 def _rows(unit: "BlockingUnit", wanted: Wanted, *, split: bool) -> list[TableRow]:
-    """Read the values of an address, with their raw bytes."""
+    """Read the values at an address and return them as rows to print, with their bytes."""
     from ..client.operations import read_values
 
     form = None if wanted.place.bit is not None else wanted.form  # the bit of an address is its type

@@ -1,4 +1,4 @@
-"""``busway read --points FILE``: reads points of a device by name, in as few requests as its rules allow.
+"""``busway read --points FILE``: reads the points of a device by name, in as few requests as its rules allow.
 
 1. What is wrong with the file is said as a whole, and nothing is sent then.
 2. A read that fails is a record of each of its points, with the reason. A read of several points that the device
@@ -32,7 +32,7 @@ _REFUSED: Final = (ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DAT
 
 @dataclass(frozen=True, slots=True)
 class PointRecord:
-    """The result of reading one point: value, quality and raw bytes.
+    """One point that was read: its value, quality and bytes.
 
     Attributes:
         point: it.
@@ -46,7 +46,7 @@ class PointRecord:
 
     @property
     def value(self) -> Any:  # what its type says
-        """The value with the fewest digits that its registers distinguish."""
+        """The value of the point, with only as many digits as its registers distinguish."""
         value, point = self.reading.value, self.point
         if isinstance(value, float) and point.type.startswith("float") and not point.conversion.changes:
             return fewest_digits(value, 2 * point.width)
@@ -91,7 +91,7 @@ def load_points(name: str, unit: int | None) -> "tuple[int | None, UnitSection]"
 
 
 def chosen_points(section: "UnitSection", names: Sequence[str]) -> list[Point]:
-    """The points of a unit whose names match: all, or those of some names and patterns (``string.*``)."""
+    """Return the points of a unit whose names match: all, or those of some names and patterns (``string.*``)."""
     points = section.described()
     for name in names:
         if not any(fnmatchcase(point.name, name) for point in points):
@@ -101,7 +101,7 @@ def chosen_points(section: "UnitSection", names: Sequence[str]) -> list[Point]:
 
 
 class PointReader:
-    """Reads some points of a unit repeatedly.
+    """Reads certain points of a unit, repeatedly, in few requests.
 
     Args:
         unit: the device.
@@ -122,7 +122,7 @@ class PointReader:
         """Of the first failure of the last round."""
 
     def _with_inputs(self, points: Iterable[Point]) -> list[Point]:
-        """The points, and those that they are computed from or scaled by."""
+        """Return the wanted points, and those that they are computed from or scaled by."""
         found: dict[str, Point] = {}
         waiting = [point.name for point in points]
         while waiting:
@@ -136,7 +136,7 @@ class PointReader:
         return [point for point in self._all.values() if point.name in found]
 
     def read(self) -> list[PointRecord]:
-        """Read all wanted points once: a record for each that exists, in the order of the file."""
+        """Read all wanted points once; returns a record for each that exists, in the order of the file."""
         self.code = ExitCode.DONE
         counting = self._counting()
         records = self._read([point for point in self._stored if point.name in counting])
@@ -147,7 +147,7 @@ class PointReader:
         return [records[point.name] for point in self.points if point.name in records and _exists(point, records)]
 
     def _counting(self) -> set[str]:
-        """The points that give the number of members of groups, and those these are computed from."""
+        """Return the points that say how many members a group has, and those that these are computed from."""
         names = {name for point in self._stored for name, _ in point.exists}
         return {point.name for point in self._with_inputs([self._all[name] for name in names])}
 
@@ -186,7 +186,7 @@ class PointReader:
         replies: list[tuple[ReadDecoder, bytes]],
         found: dict[str, PointRecord],
     ) -> None:
-        """Send one read; if the device refuses it, read each of its points separately."""
+        """Send one read request; if the device refuses it, read each of its points separately."""
         from ..client.operations import READ
 
         table = points[0].table
@@ -212,7 +212,7 @@ class PointReader:
 
 
 def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
-    """Whether a member of a group exists, as far as the device has told."""
+    """Whether a member of a repeated group exists, as far as the device has told."""
     for name, place in point.exists:
         record = records.get(name)
         if record is not None and record.reading.value is not None and place > record.reading.value:
@@ -221,7 +221,7 @@ def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
 
 
 def _items(decoder: ReadDecoder, point: Point, data: bytes) -> bytes:
-    """The raw bytes of one point in a reply; for a bit one byte, 0 or 1."""
+    """Return the bytes of one point in a reply; for a bit one byte, 0 or 1."""
     first = point.start - decoder.start
     if point.table.holds_bits:
         return bytes([data[first // 8] >> (first & 7) & 1])
@@ -229,7 +229,7 @@ def _items(decoder: ReadDecoder, point: Point, data: bytes) -> bytes:
 
 
 def reason_of(error: ModbusError) -> int:
-    """The reason code of a reading that an error left without a value."""
+    """Return the reason code of a point that has no value because of an error."""
     if isinstance(error, ExceptionReply):
         return exception_reason(error.code)
     if isinstance(error, BadReply):
@@ -256,7 +256,7 @@ def read_points(reader: PointReader, *, unit: int | None, as_json: bool, as_csv:
 
 
 class _PointWriter:
-    """Prints the results of points: as JSON lines, CSV, or columns; redrawn in place on a terminal."""
+    """Prints points with their values: as JSON lines, CSV, or columns; redrawn in place on a terminal."""
 
     def __init__(self, unit: int | None, *, as_json: bool, as_csv: bool, repeats: bool) -> None:
         if as_json and as_csv:
@@ -272,7 +272,7 @@ class _PointWriter:
             self._page.close()
 
     def write(self, records: Sequence[PointRecord], now: str = "") -> None:
-        """Print the results of one round of reading."""
+        """Print the points of one round of reading."""
         if self._as_json:
             for record in records:
                 print_json(({"time": now} if now else {}) | ({} if self._unit is None else {"unit": self._unit})
@@ -288,7 +288,7 @@ class _PointWriter:
 
 
 def _fields(record: PointRecord) -> dict[str, Any]:
-    """The result of one point as the fields of a JSON object."""
+    """Return a point that was read as the fields of a JSON object."""
     point, reading = record.point, record.reading
     fields = {
         "point": point.name,
@@ -320,7 +320,7 @@ def _cells(record: PointRecord, raw: str) -> list[str]:
 
 
 def _shown(record: PointRecord) -> list[str]:
-    """The result of one point as cells: name, value with unit and label, quality unless good, address, raw bytes."""
+    """Return a point that was read as cells: name, value with unit, quality unless good, address, bytes."""
     point, reading = record.point, record.reading
     value = "—" if reading.value is None else shown_value(record.value)
     label = point.label(reading.value)

@@ -1,4 +1,4 @@
-"""Notifications to a service manager: ready, reloading, stopping, still alive (sd_notify(3)).
+"""Tells a service manager such as systemd that the program is ready, reloads, stops or is alive (sd_notify(3)).
 
 Knows the datagrams of systemd's protocol and the two variables that ask for them; knows nothing of what runs.
 
@@ -22,7 +22,7 @@ _MICROSECONDS: Final = 1_000_000
 
 
 class Manager:
-    """The service manager that started this program, if one did.
+    """The service manager, such as systemd, that started this program, if one did.
 
     Args:
         environment: instead of that of the process.
@@ -42,19 +42,19 @@ class Manager:
         return bool(self._address)
 
     def ready(self, status: str) -> None:
-        """Notify that the program runs, also after a reload."""
+        """Tell the service manager that the program runs, also after a reload."""
         self._send("READY=1", f"STATUS={status}")
 
     def reloading(self) -> None:
-        """Notify that the program reads its files again; `ready` ends that."""
+        """Tell the service manager that the program reads its files again; `ready` ends that."""
         self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self, status: str) -> None:
-        """Notify that the program is about to end."""
+        """Tell the service manager that the program is about to end."""
         self._send("STOPPING=1", f"STATUS={status}")
 
     def alive(self) -> None:
-        """Notify the watchdog that the event loop runs."""
+        """Tell the service manager's watchdog that the event loop runs."""
         self._send("WATCHDOG=1")
 
     def _send(self, *assignments: str) -> None:
@@ -68,7 +68,7 @@ class Manager:
 
 @asynccontextmanager
 async def watched(manager: Manager) -> AsyncIterator[None]:
-    """Context manager that notifies the watchdog regularly while the event loop runs, if one is configured."""
+    """Context manager that tells the watchdog regularly that the event loop runs, if a watchdog is configured."""
     if manager.watchdog is None:
         yield
         return
@@ -87,7 +87,7 @@ async def _keep_telling(manager: Manager, seconds: float) -> None:
 
 
 def _address(name: str) -> str:
-    """The address of the manager's socket: a path, or an abstract name behind ``@``; empty for anything else."""
+    """Return the address of the service manager's socket: a path, or an abstract name with ``@``; else empty."""
     if not hasattr(socket, "AF_UNIX"):
         return ""
     if name.startswith("@"):
@@ -96,7 +96,7 @@ def _address(name: str) -> str:
 
 
 def _watchdog(variables: Mapping[str, str]) -> float | None:
-    """Interval of the watchdog in seconds, if this process is the one being watched."""
+    """Return the watchdog's interval in seconds, if it watches this process."""
     microseconds, process = variables.get("WATCHDOG_USEC", ""), variables.get("WATCHDOG_PID", "")
     if not (microseconds.isascii() and microseconds.isdecimal()) or not int(microseconds):
         return None

@@ -1,4 +1,4 @@
-"""What `serve` and `gateway` share: options, announcements, and reloading at SIGHUP.
+"""What ``busway serve`` and ``gateway`` have in common: options, what they print, and reloading at SIGHUP.
 
 Knows options and the service that is built of them; knows neither servers nor gateways.
 
@@ -40,7 +40,7 @@ AUDIT = typer.Option(None, "--audit", metavar="FILE", help="Append denied reques
 
 
 def _place_of_metrics(text: str | None) -> str | None:
-    """Check the address of ``--metrics``. Raises `ConfigError`."""
+    """Check the address that ``--metrics`` gives. Raises `ConfigError`."""
     if text is not None:
         from ..options.text import host_and_port
 
@@ -67,7 +67,7 @@ READ_ONLY = "read-only"
 
 
 def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressList | None":
-    """The address list of ``--allow`` and ``--deny``; None without them. Raises `ConfigError` that names the option."""
+    """Return the address list of ``--allow`` and ``--deny``, None without. Raises `ConfigError` with the option."""
     from ..access.addresses import AddressList
     from ..options.networks import Networks
 
@@ -77,16 +77,14 @@ def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressLis
 
 
 def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: options of several types
-    """Options of listeners on the command line, which override those of a file. Raises `ConfigError` that names the
-    option.
-    """
+    """Return the listener options on the command line, which override a file. Raises `ConfigError` with the option."""
     from ..options.networks import Networks
 
     return {"priority": Networks(priority, key="--priority")} if priority else {}
 
 
 def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules | None]":
-    """A function that gives the access rules: those of ``--policy``, or else those of the configuration."""
+    """Return a function that gives the access rules: those of ``--policy``, or else those of the configuration."""
     from ..apps.server.overrides import declared_rules
 
     if policy is None:
@@ -110,7 +108,7 @@ def is_file(policy: str | None) -> bool:
 
 
 def announce(service: "Service") -> None:
-    """Print what is running: listeners, metrics, and read-only listeners."""
+    """Print what the program serves: listeners, metrics, and which listeners are read-only."""
     if service.read_only:
         say(f"read-only, for want of a policy: {', '.join(service.read_only)}; --allow-writes takes writes")
     if service.metrics:

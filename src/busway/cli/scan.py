@@ -70,7 +70,7 @@ def scan(
 
 
 def _units(text: str | None, endpoint: Endpoint) -> list[int]:
-    """Parse ``--units`` into ascending unit numbers. Unit 0 is broadcast on a serial line."""
+    """Return the unit numbers that ``--units`` names, ascending. Unit 0 is broadcast on a serial line."""
     if text is None:
         return units_to_ask(endpoint, None)
     low, high = (1, LAST_SERIAL_UNIT) if endpoint.framing != "mbap" else (0, 255)
@@ -86,7 +86,7 @@ def _units(text: str | None, endpoint: Endpoint) -> list[int]:
 
 
 def _settings(endpoint: Endpoint, baud: str | None, parity: str | None) -> Iterator[Endpoint]:
-    """The endpoint with each combination of rate and parity; checked before anything is sent."""
+    """Return the endpoint with each combination of rate and parity to try; checked before anything is sent."""
     from ..client.settings import link_settings
 
     for name, text in (("--baud", baud), ("--parity", parity)):
@@ -111,7 +111,7 @@ def _listed(text: str | None) -> list[str | None]:
 
 
 def _refuse_busy_line(endpoint: Endpoint, listen: float) -> None:
-    """Listen to a line; raise `ConfigError` if there is traffic. Nothing was sent."""
+    """Listen to a line before a scan; raise `ConfigError` if there is traffic. Nothing was sent."""
     refuse_busy_line(
         endpoint,
         listen,
@@ -124,12 +124,12 @@ def _refuse_busy_line(endpoint: Endpoint, listen: float) -> None:
 
 
 def _identity(found: FoundUnit) -> tuple[object, ...]:
-    """The identification of a unit, equal for two units that are one device."""
+    """Return what identifies a unit, equal for two units that are one device."""
     return found.answer, tuple(found.identification.items()), found.server_id
 
 
 def _who(found: FoundUnit) -> str:
-    """The identification of a found unit as text."""
+    """Return the identification of a found unit as text."""
     said = [_text(value) for value in found.identification.values()]
     if found.server_id:
         said.append(f"server id {found.server_id.hex(' ')}" + _printable(found.server_id))
@@ -156,7 +156,7 @@ class _Scan:
         return self._endpoint.url + (f", {self._port}" if self._port is not None else "")
 
     def run(self) -> int:
-        """Ask all units. Returns how many answered."""
+        """Ask all units of the endpoint. Returns how many answered."""
         most = len(self._units) * self._adaptive_timeout.longest
         say(f"asking {len(self._units)} units of {self._where}, {_duration(most)} at most")
         try:
@@ -233,7 +233,7 @@ class _Progress:
         self._on = sys.stderr.isatty()
 
     def show(self, unit: int, found: int) -> None:
-        """Show that the next unit is asked."""
+        """Show on the terminal which unit is asked next."""
         self._asked += 1
         if self._on:
             words = f"unit {unit}, {self._asked} of {self._count}, {found} found"
@@ -252,7 +252,7 @@ def _text(value: bytes) -> str:
 
 
 def _printable(data: bytes) -> str:
-    """The readable part of a server id, in brackets, if there is one."""
+    """Return the readable part of a server id in brackets, if there is one."""
     text = max(re.findall(r"[ -~]{3,}", data.decode("latin-1")), key=len, default="").strip()
     return f" ({text})" if text else ""
 

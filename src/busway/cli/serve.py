@@ -103,7 +103,7 @@ def serve(
 
 
 def _reader(file: str | None, changes: dict[str, Any]) -> "Callable[[], Configuration]":
-    """A function that reads the server's configuration, now and at each reload."""
+    """Return a function that reads the server's configuration at the start and at each reload."""
     from ..apps.server.configuration import load_configuration, parse_configuration
 
     if file is None:

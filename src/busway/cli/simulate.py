@@ -203,7 +203,7 @@ def _speed(text: str) -> float:
 
 
 def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], DeclaredServer]":
-    """A function that returns the loaded simulation first, and reads its source again at each reload."""
+    """Return a function that gives the loaded simulation first, and reads its source again at each reload."""
     from ..apps.simulator.simulation import Simulation
 
     first: list[DeclaredServer] = [simulation]

@@ -87,7 +87,7 @@ def sniff(
 
 
 class _Sniffing:
-    """One run of ``busway sniff``."""
+    """One run of ``busway sniff``: listens to a line and prints what it hears."""
 
     def __init__(
         self,
@@ -107,7 +107,7 @@ class _Sniffing:
         self._wall = time.time() - self._began  # added to the clock of the frames it gives the time of day
 
     def run(self, lasting: float | None, stop: "Event") -> int:
-        """Listen until the time is over or a signal comes; then print the statistics."""
+        """Listen to the line until the time is over or a signal comes; then print the statistics."""
         until = float("inf") if lasting is None else self._began + lasting
         try:
             while time.monotonic() < until and not stop.is_set():
@@ -159,7 +159,7 @@ class _Sniffing:
 
 
 def _describe(event: "Heard") -> "Description":
-    """The description of the frame of an event; that of a reply uses its request."""
+    """Return the description of a frame that was heard; a reply is described with the help of its request."""
     from ..framing.received import Direction
     from ..observe.pairing import Kind
     from ..observe.wording import described

@@ -1,4 +1,4 @@
-"""The sources of ``busway simulate``: a file, a ready-made device, or a register map.
+"""Where the devices of ``busway simulate`` come from: a file, a ready-made device, or a register map.
 
 Knows the options and what they read; serves nothing.
 """

@@ -52,7 +52,7 @@ def status(
 
 
 def _ask(where: str | None) -> list[dict[str, Any]]:
-    """The status of running programs: a named one, or all. Raises `LinkDown` if there is none."""
+    """Return the status of running programs: of a named one, or of all. Raises `LinkDown` if there is none."""
     from ..apps.control.addresses import control_directories
     from ..apps.control.client import ask, find_one, find_running
 
@@ -68,7 +68,7 @@ def _ask(where: str | None) -> list[dict[str, Any]]:
 
 
 def _tellers(running: "list[Running]") -> Iterator[dict[str, Any]]:
-    """The status of each running program; one that does not answer is reported on stderr and skipped."""
+    """Return the status of each running program; one that does not answer is named on stderr and left out."""
     from ..apps.control.client import ask
 
     for one in running:
@@ -94,7 +94,7 @@ def _show(told: list[dict[str, Any]], *, as_json: bool) -> None:
 
 
 def _watch(where: str | None, period: float, *, as_json: bool) -> None:
-    """Show the status repeatedly; failures after the first success are reported, and watching continues."""
+    """Show the status of running programs again and again; failures after the first success are only printed."""
     with stop_flag() as stop:
         told = _ask(where)
         if as_json or not sys.stdout.isatty():

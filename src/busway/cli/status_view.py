@@ -1,4 +1,4 @@
-"""Formats a status as sections of rows, with words, times and sizes for people.
+"""Formats the status of a program as sections of rows, with words, times and sizes for people.
 
 Knows the JSON of a control service; prints nothing. What it does not know by name it shows by its name.
 
@@ -62,7 +62,7 @@ _STYLES: Final[Mapping[str, Mapping[str, str]]] = {
 
 @dataclass(frozen=True, slots=True)
 class StatusSection:
-    """One section of a displayed status: a title and rows.
+    """One section of a printed status: a title and rows.
 
     Attributes:
         title: a line above it; empty if there is none.
@@ -80,14 +80,14 @@ class StatusSection:
         object.__setattr__(self, "rows", [[printable(cell) for cell in row] for row in self.rows])
 
     def style_of(self, column: int, cell: str) -> str:
-        """The colour of a cell on a terminal; empty for none."""
+        """Return the colour of a cell on a terminal; empty for none."""
         if not self.columns:
             return ""
         return _STYLES.get(self.columns[column], {}).get(cell, "")
 
 
 def sections_of(told: JsonObject) -> list[StatusSection]:
-    """All sections for the status of one program."""
+    """Return all sections to print for the status of one program."""
     state = told["status"]
     sections = [StatusSection(headline(told))]
     sections += server_sections(state)
@@ -103,7 +103,7 @@ def sections_of(told: JsonObject) -> list[StatusSection]:
 
 
 def server_sections(state: JsonObject) -> list[StatusSection]:
-    """The sections of a server: places, listeners, certificates, connections and counters."""
+    """Return the sections to print for a server: places, listeners, certificates, connections and counters."""
     sections = []
     places = places_line(state)
     if places:
@@ -128,7 +128,7 @@ def server_sections(state: JsonObject) -> list[StatusSection]:
 
 
 def upstream_sections(upstreams: Sequence[JsonObject]) -> list[StatusSection]:
-    """The sections of a gateway's upstreams: state, counters, why one is down, and suspended units."""
+    """Return the sections for a gateway's upstreams: state, counters, why one is down, suspended units."""
     if not upstreams:
         return []
     rows, down, suspended, doubtful = [], [], [], []
@@ -165,12 +165,12 @@ def upstream_sections(upstreams: Sequence[JsonObject]) -> list[StatusSection]:
 
 
 def _when(pause: float | None) -> str:
-    """The time of the next attempt as text."""
+    """Return the time of the next attempt to connect as text."""
     return f"in {duration(pause)}" if pause else "with the next request"
 
 
 def list_of_programs(told: Iterable[JsonObject]) -> StatusSection:
-    """The section for several programs, one row each."""
+    """Return the section for several running programs, one row each."""
     rows = [
         [
             str(one["pid"]),
@@ -186,7 +186,7 @@ def list_of_programs(told: Iterable[JsonObject]) -> StatusSection:
 
 
 def headline(told: JsonObject) -> str:
-    """One line about a program: its name, endpoints and running time."""
+    """Return one line about a program: its name, endpoints and running time."""
     state = told["status"]
     since = f"up {duration(state.get('uptime') or 0.0)}" if state.get("running") else "stopped"
     endpoints = ", ".join(state.get("endpoints") or ())
@@ -195,7 +195,7 @@ def headline(told: JsonObject) -> str:
 
 
 def places_line(state: JsonObject) -> str:
-    """One line with the number of open connections and their limit."""
+    """Return one line with the number of open connections and their limit."""
     if "supported_connections" not in state:
         return ""
     remote = state.get("remote_connections", len(_connections(state)))
@@ -204,14 +204,14 @@ def places_line(state: JsonObject) -> str:
 
 
 def interface_rows(listener: JsonObject) -> Iterator[list[str]]:
-    """Rows for the network interfaces by which other hosts reach a listener."""
+    """Return rows for the network interfaces by which other hosts reach a listener."""
     for one in listener.get("interfaces") or ():
         if not (one["address"].startswith("127.") or one["address"] == "::1"):
             yield [listener["endpoint"], one["name"], one["address"], one["netmask"], one["gateway"]]
 
 
 def certificate_lines(listener: JsonObject) -> Iterator[list[str]]:
-    """Lines about the certificate and the handshakes of a listener."""
+    """Return lines about the certificate and the TLS handshakes of a listener."""
     security = listener.get("security")
     if not security:
         return
@@ -229,7 +229,7 @@ def certificate_lines(listener: JsonObject) -> Iterator[list[str]]:
 
 
 def duration(time: float) -> str:
-    """A duration in seconds as text with at most two units: ``0.4 s``, ``42 s``, ``5 h 12 min``, ``3 d 4 h``."""
+    """Return seconds as text with at most two units: ``0.4 s``, ``42 s``, ``5 h 12 min``, ``3 d 4 h``."""
     if time < 10:
         return f"{time:.1f} s"
     if time < 120:
@@ -244,7 +244,7 @@ def duration(time: float) -> str:
 
 
 def size(number: float) -> str:
-    """A number of bytes as text: ``512 B``, ``12.3 kB``, ``4.5 MB``."""
+    """Return a number of bytes as text: ``512 B``, ``12.3 kB``, ``4.5 MB``."""
     for unit in ("B", "kB", "MB", "GB"):
         if number < 1000:
             return f"{number:.0f} B" if unit == "B" else f"{number:.1f} {unit}"
@@ -253,7 +253,7 @@ def size(number: float) -> str:
 
 
 def shown(name: str, value: Any) -> str:
-    """A status value as the text of a cell."""
+    """Return a value of a status as the text of a cell."""
     if value is None or value == "":
         return "-"
     if isinstance(value, bool):
@@ -266,7 +266,7 @@ def shown(name: str, value: Any) -> str:
 
 
 def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> StatusSection:
-    """A section made of rows with headings, the known columns first."""
+    """Return a section made of rows with headings, the known columns first."""
     names = list(dict.fromkeys([*known, *(name for row in rows for name in row)]))
     names = [
         name
@@ -279,14 +279,14 @@ def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> Stat
 
 
 def _flat(listener: JsonObject) -> JsonObject:
-    """A listener's status with its indicators and fault counters as columns."""
+    """Return a listener's status with its indicators and fault counters as columns."""
     counters = listener.get("counters") or {}
     wrong = {name: count for name, count in counters.items() if "error" in name or "overrun" in name}
     return {**listener, **(listener.get("indicators") or {}), **wrong}
 
 
 def _counted(counters: JsonObject, prefix: str = "") -> Iterator[list[str]]:
-    """Rows for the counters that are not zero, those of a host class with its name in front."""
+    """Return rows for the counters that are not zero, those of a class of hosts with its name in front."""
     for name, count in counters.items():
         label = f"{prefix}{name.replace('_', ' ')}"
         if isinstance(count, dict):
@@ -296,7 +296,7 @@ def _counted(counters: JsonObject, prefix: str = "") -> Iterator[list[str]]:
 
 
 def _connections(state: JsonObject) -> list[Any]:
-    """The connections of a server, or of all listeners of a gateway."""
+    """Return the connections in the status of a server, or of all listeners of a gateway."""
     servers = [listener.get("server") or {} for listener in state.get("gateway_listeners") or ()]
     of_listeners = (one for server in servers for one in server.get("connections") or ())
     return [*(state.get("connections") or ()), *of_listeners]

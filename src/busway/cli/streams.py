@@ -1,4 +1,4 @@
-"""Standard input, output and error of a command, made safe: closed, full, a closed pipe, or plain ASCII.
+"""Standard input, output and error of a command: what happens if one is closed, full, or plain ASCII.
 
 Knows streams; knows no command.
 
@@ -26,9 +26,7 @@ class ReaderGoneError(Exception):
 
 
 class Guarded:
-    """A text stream that raises one kind of error for each kind of failure (rules 1 and 2); otherwise the stream
-    itself.
-    """
+    """A text stream that raises one kind of error for each way in which writing to it can fail (rules 1 and 2)."""
 
     def __init__(self, stream: TextIO, *, is_needed: bool) -> None:
         self._stream = stream
@@ -36,17 +34,17 @@ class Guarded:
         self._failure: OSError | ValueError | None = None
 
     def write(self, text: str) -> int:
-        """Write a text to the guarded stream."""
+        """Write a text to the stream; raises the error for the way in which it failed."""
         self._do(self._stream.write, text)
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """Write lines to the guarded stream."""
+        """Write lines to the stream; raises the error for the way in which it failed."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """Flush the guarded stream."""
+        """Flush the stream; raises the error for the way in which it failed."""
         self._do(self._stream.flush)
 
     def __getattr__(self, name: str) -> Any:  # whatever the stream has
@@ -69,7 +67,7 @@ class Guarded:
 
 @contextlib.contextmanager
 def guarded_streams() -> Iterator[None]:
-    """Context manager that guards the standard streams of this process."""
+    """Context manager that makes failures of this process's standard streams errors of their own kinds."""
     before = sys.stdin, sys.stdout, sys.stderr
     opened: list[TextIO] = []
     sys.stdin = _there(sys.stdin, "r", opened)
@@ -92,9 +90,7 @@ def guarded_streams() -> Iterator[None]:
 
 
 def discard(stream: TextIO) -> None:
-    """Redirect what a stream still buffers to the null device: at the end of the process, writing it would fail
-    again.
-    """
+    """Send what a stream still buffers to the null device: writing it at the end of the process would fail again."""
     with contextlib.suppress(OSError, ValueError, AttributeError):
         null = os.open(os.devnull, os.O_WRONLY)
         try:
@@ -104,7 +100,7 @@ def discard(stream: TextIO) -> None:
 
 
 def _there(stream: TextIO | None, mode: str, opened: list[TextIO]) -> TextIO:
-    """The given stream, or the null device if it is None; that is added to ``opened``."""
+    """Return the given stream, or the null device if it is None; that is added to ``opened``."""
     if stream is None:
         stream = cast(TextIO, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - it lasts
         opened.append(stream)

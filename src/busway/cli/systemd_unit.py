@@ -25,7 +25,7 @@ _RUNTIME_DIRECTORY: Final = "busway"
 
 @dataclass(frozen=True, slots=True)
 class ServiceUnit:
-    """The values for a systemd unit file: command, user and paths.
+    """What a systemd unit file says about a gateway: command, user and paths.
 
     Attributes:
         command: the program and its arguments, the first an absolute path.
@@ -42,7 +42,7 @@ class ServiceUnit:
     name: str = "gateway"
 
     def text(self) -> str:
-        """The text of the systemd unit file."""
+        """Return the text of the systemd unit file."""
         return "\n".join(
             (
                 "[Unit]",
@@ -139,12 +139,12 @@ _ALWAYS: Final = (
 
 
 def program() -> list[str]:
-    """The command line that starts this program: ``busway`` if it is installed, or the Python module."""
+    """Return the command line that starts this program: ``busway`` if it is installed, or the Python module."""
     command = Path(sys.executable).with_name("busway")
     return [str(command)] if command.exists() else [sys.executable, "-m", "busway"]
 
 
 def quoted(word: str) -> str:
-    """A word of a command line, quoted for systemd (systemd.service(5), "Command lines")."""
+    """Return a word of a command line, quoted for systemd (systemd.service(5), "Command lines")."""
     escaped = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{escaped}"' if not word or set(word) & set(" \t\"'\\;") else escaped

@@ -119,7 +119,7 @@ def write(
 
 
 def _read_back(read: Callable[[], _Found]) -> _Found | None:
-    """The result of a read after a write; None, with a message on stderr, if the device does not answer it."""
+    """Return the values read after a write; None, with a message on stderr, if the device does not answer."""
     try:
         return read()
     except ModbusError as error:
@@ -128,7 +128,7 @@ def _read_back(read: Callable[[], _Found]) -> _Found | None:
 
 
 def _held(unit: "BlockingUnit", place: Address, form: ValueType[Any] | None, raw: bytes) -> tuple[Sequence[Any], bytes]:
-    """Values and bytes that the device holds at the addresses where ``raw`` was written."""
+    """Return values and bytes that the device holds at the addresses where ``raw`` was written."""
     if form is None:
         found = unit.read(place, count=None if place.bit is not None else len(raw))
         states = found if isinstance(found, list) else [found]
@@ -138,7 +138,7 @@ def _held(unit: "BlockingUnit", place: Address, form: ValueType[Any] | None, raw
 
 
 def _compared(written: Sequence[TableRow], held: Sequence[TableRow]) -> list[TableRow]:
-    """The written rows, each with the value that the device holds now."""
+    """Return the written values as rows to print, each with the value that the device holds now."""
     compared = []
     for row, found in zip(written, held, strict=True):
         is_there = row.raw == found.raw
@@ -151,7 +151,7 @@ def _compared(written: Sequence[TableRow], held: Sequence[TableRow]) -> list[Tab
 
 
 def _masks(place: Address, mask: tuple[str, str], texts: list[str] | None) -> tuple[int, int]:
-    """The AND mask and the OR mask of a masked write. `ConfigError` if they or the address are invalid."""
+    """Return the AND mask and the OR mask of a masked write. `ConfigError` if they or the address are invalid."""
     if texts:
         raise ConfigError(f"takes the place of values, but there is {texts[0]!r}", key="--mask")
     if place.table is not Table.HOLDING_REGISTERS or place.bit is not None:
@@ -192,7 +192,7 @@ def _write_mask(
 def _parsed(
     place: Address, texts: list[str], kind: str | None, order: str
 ) -> tuple[ValueType[Any] | None, list[Any], bytes]:  # Any: what the type says
-    """The value type (None for bits), the parsed values, and their bytes."""
+    """Return the value type (None for bits), the values that the arguments give, and their bytes."""
     if place.table is None or not place.table.is_writable:
         raise InvalidRequest(f"{place}: {place.table.label if place.table else 'table'}s are read-only")
     if place.table.holds_bits or place.bit is not None:

@@ -1,4 +1,4 @@
-"""The certificates of a listener: options of its URL override its section, which overrides ``[security]``."""
+"""The certificates of a listener: options of its URL override those of its section, which override ``[security]``."""
 
 from ..options.server import ListenerParameters
 from ..options.tls import TlsParameters
@@ -7,12 +7,12 @@ from ..server.listener_settings import listener_settings
 
 
 def tls_of(listener: Listener) -> TlsParameters | None:
-    """The TLS options of a listener; None without TLS. Raises `ConfigError`."""
+    """Return the TLS options of a listener; None without TLS. Raises `ConfigError`."""
     return listener_settings(listener, limits=ListenerParameters()).tls
 
 
 def try_certificates(listener: Listener) -> None:
-    """Load the certificates of a listener. Raises `ConfigError` with the file if they cannot be used."""
+    """Load the certificates of a listener, to see whether they can be used. Raises `ConfigError` with the file."""
     tls = tls_of(listener)
     if tls is not None:
         from ..transport.tls.context import server_context

@@ -23,7 +23,7 @@ from .files.points import PointSection
 
 
 class PlacedItems:
-    """Address ranges of points, to find those that a write touches.
+    """Address ranges of a device's points, to find those that a write touches.
 
     Args:
         spans: for each, its first item and the item after its last one.
@@ -36,7 +36,7 @@ class PlacedItems:
         self._ends = list(accumulate((end for _, end in self._spans), max))
 
     def touched(self, first: int, end: int) -> list[int]:
-        """The indices of the ranges that share an item with ``first``…``end - 1``."""
+        """Return the indices of the points' ranges that share an item with ``first``…``end - 1``."""
         found = []
         at = bisect_left(self._ends, first + 1)
         while at < len(self._spans) and self._spans[at][0] < end:
@@ -47,7 +47,7 @@ class PlacedItems:
 
 
 def judge_writes(device: Device, points: Sequence[PointSection]) -> None:
-    """Let a device refuse writes that do not fit its points, from now on."""
+    """Make a device refuse writes that do not fit its points, from now on."""
     for table in Table:
         limited = [point for point in points if point.table is table and _is_limited(point)]
         if limited and table.is_writable:
@@ -59,7 +59,7 @@ def _is_limited(point: PointSection) -> bool:
 
 
 class _Limits:
-    """The points of one table that accept only some values."""
+    """The points of one table that accept only some values, and their check of writes."""
 
     def __init__(self, device: Device, points: Sequence[PointSection]) -> None:
         self._device = device
@@ -79,7 +79,7 @@ class _Limits:
                 raise Refusal(reason=f"{point.name}: {error.message}") from error
 
     def _after(self, point: PointSection, change: Change) -> Any:  # what the point's type says
-        """The registers of a point as they would be after a write."""
+        """Return the registers of a point as they would be after a write."""
         form, start = point.form, point.place.offset
         assert form is not None  # only numbers have ranges and names
         registers = list(change.new)

@@ -1,4 +1,4 @@
-"""Builds devices that a server can serve from the contents of device files.
+"""Builds the devices of a server from the contents of device files.
 
 Knows the schema and `Device`; reads no file.
 """
@@ -17,12 +17,12 @@ from .files.simulation import SimulatedUnitSection
 
 
 def build_units(file: DeviceFile) -> dict[int, Device]:
-    """Build the devices of a device file, by unit, each with its own memory."""
+    """Build the devices that a device file declares, by unit, each with its own memory."""
     return {number: build_device(section) for section in file.unit for number in section.unit}
 
 
 def build_device(section: UnitSection) -> Device:
-    """Build the device that a unit's section declares, with the initial values of its points."""
+    """Build the device of one unit of a device file, with the initial values of its points."""
     # Any: arguments of different types
     options: dict[str, Any] = {
         table.value: _cells(section.table(table), section.points_in(table), _hole(section, table)) for table in Table
@@ -58,12 +58,12 @@ def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: 
 
 
 def _hole(section: UnitSection, table: Table) -> int | None:
-    """The value of addresses between the points of a table; None if reading them is refused."""
+    """Return the value of addresses between the points of a table; None if reading them is refused."""
     return section.holes.value(table) if isinstance(section, SimulatedUnitSection) else None
 
 
 def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: int | None) -> Cells | None:
-    """The items of a table: as declared, or else those of its points and of the holes between them."""
+    """Return the items of a table: as declared, or else those of its points and of the gaps between them."""
     read_only = [
         [point.place.offset, point.size] for point in points if point.table.is_writable and not point.is_writable
     ]
@@ -80,7 +80,7 @@ def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: 
 
 
 def _ranges(offsets: Sequence[int]) -> list[list[int]]:
-    """Ascending offsets joined to ranges, each first and count."""
+    """Return ascending offsets joined to ranges, each as first and count."""
     found: list[list[int]] = []
     for offset in offsets:
         if found and offset == sum(found[-1]):

@@ -1,4 +1,4 @@
-"""The named links of a configuration: endpoint and options, checked as `busway.open` would.
+"""The links that a configuration names: endpoint and options, checked as `busway.open` would.
 
 Knows the order of precedence of options; the client knows what they mean.
 
@@ -44,7 +44,7 @@ def named_links(
     report: ConfigurationReport,
     defaults: Mapping[str, Any],
 ) -> dict[str, NamedLink]:
-    """The links of a file by name; problems of a link go to the report.
+    """Return the links of a file by name; problems of a link go to the report.
 
     Args:
         file: the file.
@@ -71,7 +71,7 @@ def _named_link(
     at: Path,
     report: ConfigurationReport,
 ) -> NamedLink | None:
-    """Build a link from its section; None, with a problem in the report, if it is invalid.
+    """Return the link that a section declares; None, with a problem in the report, if it is invalid.
 
     Args:
         section: its own options.

@@ -1,4 +1,4 @@
-"""Parameters of a device file: put into its texts before its schema checks them.
+"""Parameters of device files: names in the file's texts that an include replaces by values.
 
 Knows TOML data and the names of parameters; what stands in a file is known by its schema.
 
@@ -31,7 +31,7 @@ LONGEST_TEXT: Final = 10_000
 def declared_parameters(
     source: Source, given: Mapping[str, Parameter], asked: tuple[Source, Path] | None
 ) -> dict[str, Parameter]:
-    """The final parameters of a file: its defaults, overridden by what an include gives."""
+    """Return the parameters of a file with their values: its defaults, overridden by what an include gives."""
     defaults, required = source.data.get("parameters", {}), source.data.get("required", [])
     if not isinstance(defaults, dict) or not isinstance(required, list):
         return dict(given)  # the schema will say what is wrong
@@ -65,7 +65,7 @@ def _there_are(names: Sequence[str]) -> str:
 
 
 class FilledSource:
-    """The data of a file with its parameters filled in.
+    """The data of a file in which parameters are replaced by their values.
 
     Args:
         source: the file.
@@ -82,11 +82,11 @@ class FilledSource:
         self._parameters = dict(parameters)
 
     def with_more(self, more: Mapping[str, Parameter]) -> "FilledSource":
-        """A copy with further parameters."""
+        """Return a copy with further parameters."""
         return FilledSource(self.source, {**self._parameters, **more})
 
     def filled(self, node: Any, path: Path) -> Any:  # what TOML has
-        """A new copy of a part of the data, with parameters filled in."""
+        """Return a new copy of a part of the data, with parameters replaced by their values."""
         if isinstance(node, str):
             return self._text(node, path)
         if isinstance(node, list):
@@ -154,7 +154,7 @@ def _written(value: Parameter) -> str:
 
 
 def own_units(filled: FilledSource) -> dict[str, Any]:  # what TOML has
-    """The data of a file, where in a section for one unit the unit's number is a parameter too."""
+    """Return the data of a file, where in a section for one unit the unit's number is a parameter too."""
     data = filled.source.data
     rest: dict[str, Any] = filled.filled({key: value for key, value in data.items() if key != "unit"}, ())
     sections = data.get("unit")

@@ -12,7 +12,7 @@ TLS_FILES: Final = tuple(name for name, option in declared(TlsParameters).items(
 
 
 def rooted(options: Mapping[str, Any], name: str) -> dict[str, Any]:  # Any: options of several types
-    """Options with paths made absolute or relative to the working directory, instead of to the file's folder."""
+    """Return options whose paths are absolute or relative to the working directory, no longer to the file's folder."""
     return {
         key: within(name, value) if key in TLS_FILES and isinstance(value, str) else value
         for key, value in options.items()
@@ -20,5 +20,5 @@ def rooted(options: Mapping[str, Any], name: str) -> dict[str, Any]:  # Any: opt
 
 
 def within(name: str, path: str) -> str:
-    """A path that stands in the file ``name``, joined to the folder of that file."""
+    """Return a path written in the file ``name``, joined to the folder of that file."""
     return str(Path(name).parent / path)

@@ -1,4 +1,4 @@
-"""Checks of a configuration before it runs: rules that can never match, files that cannot be used.
+"""Checks of a configuration before it runs: access rules that can never match, files that cannot be used.
 
 Knows what goes together; opens files, and no connection.
 """
@@ -23,7 +23,7 @@ _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
 def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
-    """Warn of rules for roles where no client can have one."""
+    """Warn of access rules for roles where no client can have one."""
     if file.policy is None or any(parse_endpoint(url).carrier == "tls" for _, url in file.places()):
         return
     for index, rule in enumerate(file.policy.rule):
@@ -32,7 +32,7 @@ def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
 
 
 def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
-    """Warn of rules for listeners that are not in the file: a denial would never hold."""
+    """Warn of access rules for listeners that are not in the file: a denial would never hold."""
     known = [parse_endpoint(url) for _, url in file.places()]
     if file.policy is None or not known:
         return
@@ -44,7 +44,7 @@ def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
 
 
 def _may_be_named(listener: Endpoint, wanted: str) -> bool:
-    """Whether a rule may mean a listener: as it is configured, as it may be bound, or port 502 beside it."""
+    """Whether an access rule may mean a listener: as configured, as it may be bound, or port 502 beside it."""
     if wanted.endswith("://"):
         return listener.scheme == wanted.lower()[:-3]
     try:
@@ -62,7 +62,7 @@ def _may_be_named(listener: Endpoint, wanted: str) -> bool:
 
 
 def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], report: ConfigurationReport) -> None:
-    """Open what the file names, and report what cannot be used."""
+    """Open the files that a configuration names, and report what cannot be used."""
     wrong = len(report.problems)
     for place, path in _named_files(file):
         _readable(place, within(name, path), report)
@@ -77,7 +77,7 @@ def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], repo
 
 
 class _Keys:
-    """The keys in the file that name a listener's certificates: in its own section, or in ``[security]``."""
+    """Which keys in the file name a listener's certificates: those of its own section, or of ``[security]``."""
 
     def __init__(self, file: SystemFile, place: Place) -> None:
         self._own = file.listener[int(place[1])].options_of(TlsParameters) if place[0] == "listener" else {}
@@ -112,7 +112,7 @@ def _readable(place: Place, path: str, report: ConfigurationReport) -> None:
 
 
 def _usable(listener: Listener, place: Callable[[str | None], Place], report: ConfigurationReport) -> None:
-    """Report a readable certificate and key that do not belong together."""
+    """Report a certificate and key that can be read but do not belong together."""
     try:
         try_certificates(listener)
     except ConfigError as error:

@@ -10,7 +10,7 @@ MOST_BYTES: Final = 32 * 1024 * 1024
 
 
 def read_text(name: str) -> str:
-    """The text of a UTF-8 file that was named on the command line or by the program; it may be a pipe.
+    """Return the text of a UTF-8 file that the command line or the program names; it may be a pipe.
 
     Raises:
         ConfigError: it cannot be read, is larger than `MOST_BYTES`, or is no UTF-8; names the file.
@@ -27,7 +27,7 @@ def read_text(name: str) -> str:
 
 
 def read_named_text(name: str) -> str:
-    """The text of a UTF-8 file that another file names: it must be regular and not reached by another user's link.
+    """Return the text of a UTF-8 file that another file names: a regular file, not another user's link.
 
     Raises:
         ConfigError: as of `read_text`, or as `read_safely` refuses it; names the file.

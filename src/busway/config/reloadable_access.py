@@ -42,6 +42,6 @@ def reaches_network(url: str) -> bool:
 
 
 def read_only_for(listeners: Sequence[str]) -> Policy:
-    """A policy that allows everything, except at these listeners (URLs, or schemes), which are read-only."""
+    """Return a policy that allows everything, except that these listeners (URLs or schemes) are read-only."""
     rules = (Rule(name=UNASKED, action=Action.READ_ONLY, listeners=tuple(listeners)),) if listeners else ()
     return Policy(rules, Action.ALLOW)

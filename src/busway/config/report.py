@@ -1,4 +1,4 @@
-"""The configuration report: the problems of a file's values, each with the line of its key.
+"""The report of a configuration file's problems, each with the line of its key.
 
 Knows how an error of a component names its key; knows no component.
 """
@@ -31,7 +31,7 @@ class ConfigurationReport:
         self.warnings: list[ConfigError] = []
 
     def make(self, make: Callable[[], Made], place: Callable[[str | None], Path]) -> Made | None:
-        """Return what ``make`` returns; on `ConfigError` add a problem at ``place(key)`` and return None."""
+        """Return what ``make`` returns; for its `ConfigError` note a problem at ``place(key)`` and return None."""
         try:
             return make()
         except FileError as error:
@@ -49,14 +49,14 @@ class ConfigurationReport:
         self.warnings.append(self._source.problem(path, f"warning: {sentence}"))
 
     def end(self) -> tuple[ConfigError, ...]:
-        """Return the warnings. Raises `FileError` with all problems if there are any."""
+        """Return the warnings about the file. Raises `FileError` with all problems if there are any."""
         if self.problems:
             raise FileError(in_order(self.problems))
         return tuple(in_order(self.warnings))
 
 
 def nearest(key: str | None, own: Iterable[str], at: Path, general: Iterable[str], elsewhere: Path) -> Path:
-    """The path of a key: in the part itself, or in the section for all parts; the part where it is in neither."""
+    """Return the path of a key: in the part itself, or in the section for all parts; else that of the part."""
     if key is not None and key in own:
         return (*at, key)
     if key is not None and key in general:

@@ -143,7 +143,7 @@ class _Attempts:
 
     @contextlib.contextmanager
     def noting_failure(self, connection: socket.socket) -> Iterator[None]:
-        """Close the socket where the block fails, and note an `OSError` as the problem; all else passes."""
+        """Context manager that closes the socket if its block fails, and remembers an `OSError` as the reason."""
         with contextlib.ExitStack() as unless_connected:
             unless_connected.callback(connection.close)
             try:

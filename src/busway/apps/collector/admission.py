@@ -1,4 +1,4 @@
-"""The admission test: computes before the start whether a link can keep the poll periods of its devices.
+"""Admission test before the start: computes whether each link can keep the poll periods of its devices.
 
 Pure: knows plans and periods; knows no clock and no socket.
 
@@ -21,7 +21,7 @@ MOST_LOAD: Final = 0.85
 
 @dataclass(frozen=True, slots=True)
 class LinkLoad:
-    """The computed load of a link: how much of its time the polling of its devices takes.
+    """The computed load of a link: the part of its time that polling its devices takes.
 
     Attributes:
         link: its name.
@@ -37,12 +37,12 @@ class LinkLoad:
 
     @property
     def fits(self) -> bool:
-        """Whether every poll class of the link keeps its period."""
+        """Whether the link can poll every poll class of its devices within its period."""
         return not self.problems
 
 
 def admit(link: str, devices: Iterable[tuple[str, PlanBook, Mapping[str, float]]], timeout: float) -> LinkLoad:
-    """Run the admission test for a link.
+    """Compute whether a link can keep the poll periods of its devices.
 
     Args:
         link: its name.
@@ -105,6 +105,6 @@ def _too_fast(
 
 
 def _rounded(value: float) -> str:
-    """A number as text, rounded up to two digits."""
+    """Return a number as text, rounded up to two digits."""
     text = f"{value * 1.05:.2g}"
     return text if "e" not in text else f"{float(text):.0f}"

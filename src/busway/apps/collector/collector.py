@@ -1,4 +1,5 @@
-"""The collector: polls what its file says, keeps the samples, and hands them on.
+"""The collector: polls the devices of its file, stores their samples, and passes them on to sinks, alarms and
+readers.
 
 Knows files, links, the store and asyncio; what is asked next is decided by `schedule`, and asked by `poller`.
 
@@ -70,7 +71,7 @@ _log = logging.getLogger("busway.collector")
 
 @dataclass(frozen=True, slots=True)
 class CollectedDeviceStatus:
-    """The status of a polled device.
+    """The status of a polled device: whether it answers, and what its reads have brought.
 
     Attributes:
         name, link: its name and that of its link.
@@ -97,7 +98,7 @@ class CollectedDeviceStatus:
 
 @dataclass(slots=True)
 class _RunningLink:
-    """A link that is polled: what it was made from, and its task."""
+    """A link whose devices are being polled: its configuration and its task."""
 
     key: object
     link: AsyncLink
@@ -107,7 +108,7 @@ class _RunningLink:
 
 @dataclass(slots=True, eq=False)
 class _Reader:
-    """One reader of samples."""
+    """One program that follows samples, with the queue of those it has not read."""
 
     devices: frozenset[str] | None
     waiting: deque[SampleBatch] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
@@ -123,7 +124,7 @@ class _Reader:
 
 
 class Collector:
-    """A collector that runs; an asynchronous context manager, made by `collect`.
+    """A running collector of device values; an asynchronous context manager, made by `collect`.
 
     Attributes:
         configuration: what its file says.
@@ -166,7 +167,7 @@ class Collector:
         self._reloading = asyncio.Lock()
 
     async def __aenter__(self) -> Self:
-        """Open the store and begin to poll.
+        """Open the store and begin to poll the devices.
 
         Raises:
             ConfigError: another process writes the store (its pid is named), or it cannot be written.
@@ -197,11 +198,11 @@ class Collector:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop polling, and commit what waits."""
+        """Stop polling the devices, and commit samples that wait."""
         await self._stop()
 
     async def _stop(self) -> None:
-        """End what was started, the last first; each step is done whatever came of those before it."""
+        """End everything that was started, the last first; each step is done even if others fail."""
         async with AsyncExitStack() as steps:
             for reader in self._readers:
                 steps.callback(reader.arrived.set)
@@ -220,7 +221,7 @@ class Collector:
                 steps.push_async_callback(_ended, task)
 
     def _opened_store(self) -> StoreWriter:
-        """The store, which knows the points of the configuration, and what was learnt. Raises `ConfigError`."""
+        """Open the store, and tell it the points of the configuration. Raises `ConfigError`."""
         configuration = self.configuration
         options = configuration.file.collector
         retention = Retention(None if options.keep_days is None else 86_400 * options.keep_days, options.keep_bytes)
@@ -235,7 +236,7 @@ class Collector:
         return writer
 
     def _start_sinks(self, writer: StoreWriter, committer: Committer) -> None:
-        """Hand samples on. Raises `ConfigError` for a name of a sink that cannot be, `LinkDown` for a page."""
+        """Start to pass samples on to the sinks. Raises `ConfigError` for an impossible name, `LinkDown` for a page."""
         configuration = self.configuration
         if configuration.sinks:
             self._sinks = SinkThread(writer, configuration.sinks, _report_rules(configuration))
@@ -246,7 +247,7 @@ class Collector:
                 self._pages.append(made)
 
     def _start_commands(self) -> None:
-        """Open the audit log and the journal, and end what an earlier process has left open. Raises `ConfigError`."""
+        """Open audit log and command journal, and close what an earlier process left open. Raises `ConfigError`."""
         configuration = self.configuration
         section = configuration.file.audit
         path = configuration.common.audit or Path(configuration.store) / AUDIT_LOG
@@ -264,7 +265,7 @@ class Collector:
         self._end_maintenance_of_others()
 
     def _receive_commands(self) -> None:
-        """Take commands from the servers of sinks that may give some."""
+        """Start to receive commands from the servers of those sinks that may send some."""
         for name, made in self.configuration.inputs.items():
             receiver = CommandReceiver(name, made, self.commands, lambda: self.configuration)
             task = asyncio.create_task(receiver.run(), name=f"busway commands of {name}")
@@ -274,12 +275,12 @@ class Collector:
 
     @property
     def commands(self) -> CommandRunner:
-        """Takes values that are written to points."""
+        """The part of the collector that writes values to points on demand."""
         assert self._commands is not None, "the collector does not run"
         return self._commands
 
     async def _close_store(self) -> None:
-        """Commit what waits, give sinks a moment to take it, and close; each step whatever came of those before it."""
+        """Commit waiting samples, give sinks a moment to take them, and close; each step even if others fail."""
         assert self._committer is not None
         async with AsyncExitStack() as steps:
             steps.push_async_callback(asyncio.to_thread, self._committer.close)
@@ -292,7 +293,7 @@ class Collector:
     # What programs use.
 
     async def samples(self, devices: Iterable[str] | None = None) -> AsyncIterator[SampleBatch]:
-        """The samples from now on, batch by batch, each after it is in the store.
+        """Yield samples from now on, batch by batch, each after it is in the store.
 
         Args:
             devices: names of those that are wanted; None for all.
@@ -317,7 +318,7 @@ class Collector:
             self.readers_lost += reader.lost
 
     def maintenance(self, device: str, *, begins: bool, by: str = "program", why: str = "") -> None:
-        """Begin or end the maintenance of a device: it is not polled meanwhile, also after a restart.
+        """Begin or end the maintenance of a device: meanwhile it is not polled, also after a restart.
 
         Its last values are bad for the reason maintenance, and the store has one interval for the whole time.
 
@@ -342,7 +343,7 @@ class Collector:
             poller.pause(device, paused=False)
 
     def in_maintenance(self) -> Mapping[str, MaintenanceRow]:
-        """The devices that are in maintenance, by name: since when, by whom and why."""
+        """The devices in maintenance, by name: since when, by whom and why."""
         return {} if self._maintenance is None else self._maintenance.devices
 
     def watch(self, device: str, points: Iterable[str], *, period: float = 1.0, seconds: float = 10.0) -> None:
@@ -353,11 +354,11 @@ class Collector:
         self._poller_of(device).lease(device, list(points), period, seconds)
 
     def registers_of(self, device: str, points: Container[str]) -> dict[str, bytes]:
-        """The registers of points of a device as they were read last, by name of the point. Raises `ConfigError`."""
+        """Return the registers of a device's points as last read, by name of the point. Raises `ConfigError`."""
         return self._poller_of(device).devices[device].registers_of(points)
 
     def store_status(self) -> StoreStatus:
-        """How the store does."""
+        """Return the status of the store: commits, waiting and lost samples."""
         assert self._committer is not None
         return self._committer.status()
 
@@ -378,26 +379,28 @@ class Collector:
         self._committer.subscribe(told)
 
     def sink_statuses(self) -> Sequence[SinkStatus]:
-        """How each sink does."""
+        """Return the status of each sink."""
         return () if self._sinks is None else self._sinks.statuses()
 
     def input_statuses(self) -> Sequence[InputStatus]:
-        """How each server does from which commands come."""
+        """Return the status of each server that commands come from."""
         return [each.status() for each in self._receivers]
 
     @property
     def pages(self) -> list[str]:
-        """URLs of the pages for Prometheus."""
+        """Return the URLs at which Prometheus can scrape last values."""
         return [page.url for page in self._pages]
 
     def status(self) -> list[CollectedDeviceStatus]:
-        """How each device does."""
+        """Return the status of each polled device."""
         return [
             self._status_of(running.poller, name) for running in self._links.values() for name in running.poller.devices
         ]
 
     def loads(self) -> Mapping[str, tuple[float, float]]:
-        """By link, the part of its time that it was busy since the start, and that with probes of silent devices."""
+        """Return by link the part of its time that it was busy since the start, and that with probes of silent
+        devices.
+        """
         elapsed = max(asyncio.get_running_loop().time() - self._started, 1e-9)
         return {
             name: (running.poller.schedule.busy / elapsed, running.poller.schedule.probing / elapsed)
@@ -405,7 +408,7 @@ class Collector:
         }
 
     def latencies(self, parts: Sequence[float]) -> Mapping[str, list[float]]:
-        """By link, the seconds within which these parts (0…1) of its last transactions were answered."""
+        """Return by link the seconds within which these parts (0…1) of its last requests were answered."""
         return {name: running.poller.latencies(parts) for name, running in self._links.items()}
 
     def _poller_of(self, device: str) -> LinkPoller:
@@ -448,7 +451,7 @@ class Collector:
         key: str | None = None,
         origin: str = "program",
     ) -> CommandResult:
-        """Write a value to a point, at most once, and say what became of it.
+        """Write a value to a point, at most once, and return the result.
 
         Args:
             device, point: whose value.
@@ -471,13 +474,13 @@ class Collector:
 
     @property
     def revision(self) -> str:
-        """Names the text of the configuration that holds: 16 hexadecimal digits."""
+        """The revision of the configuration in force: 16 hexadecimal digits that change with its text."""
         return revision_of(self.configuration.text)
 
     async def reload(
         self, configuration: CollectorConfiguration, *, by: str = "this program", origin: str = "program"
     ) -> list[str]:
-        """Poll by another configuration, link by link (rule 2).
+        """Use another configuration from now on; links that are the same in both keep polling (rule 2).
 
         Args:
             configuration: the other one.
@@ -493,7 +496,7 @@ class Collector:
             return await self._reload(configuration, by, origin)
 
     async def read_again(self, *, by: str = "this program", origin: str = "signal") -> list[str]:
-        """Read the file again, and poll by it; the audit log is opened anew, for log rotation.
+        """Read the configuration file again and use it; opens the audit log anew, for log rotation.
 
         As `reload`; also raises `FileError` for all that is wrong with the file.
         """
@@ -507,7 +510,7 @@ class Collector:
     async def replace_configuration(
         self, text: str, *, by: str, origin: str = "api", revision: str | None = None
     ) -> list[str]:
-        """Replace the file of the configuration, and poll by it; or change nothing.
+        """Replace the text of the configuration file and use it; if it is wrong, nothing changes.
 
         Args:
             text: the whole file.
@@ -565,7 +568,9 @@ class Collector:
             )
 
     async def _apply(self, configuration: CollectorConfiguration) -> list[str]:
-        """Stop the links that change; give points their new names, behind all samples so far; then begin anew."""
+        """Use another configuration: stop the links that change, rename points behind all samples so far, start
+        links.
+        """
         assert self._committer is not None
         self.configuration = configuration
         self.alarms.configure(self._points())
@@ -587,7 +592,7 @@ class Collector:
         return done
 
     def _end_maintenance_of_others(self) -> None:
-        """End the maintenance of devices that are no longer in the file."""
+        """End the maintenance of devices that are no longer in the configuration."""
         for device in list(self.in_maintenance()):
             if device not in self.configuration.devices:
                 assert self._maintenance is not None
@@ -667,7 +672,7 @@ class Collector:
                 self._write_learnt()
 
     def _mend(self, shift: int) -> None:
-        """Move what has a time from before the wall clock was set; 0 for nothing."""
+        """Correct the times of samples and alarms from before the wall clock was set, by a shift; 0 does nothing."""
         if not shift:
             return
         assert self._committer is not None
@@ -692,7 +697,7 @@ class Collector:
                 _log.error("what was learnt cannot be written to %s: %s", self.configuration.learnt_path, error)
 
     def _take(self, batch: SampleBatch) -> None:
-        """Take the samples of a read: they are kept, with what they mean for alarms and how far accumulators are."""
+        """Take the samples of a read: queue them for the store, with the alarms and accumulators that follow."""
         assert self._committer is not None
         if batch.counters:
             self._counters.setdefault(batch.device, {}).update((each.point, each) for each in batch.counters)
@@ -713,7 +718,7 @@ class Collector:
 
 
 def collect(file: str | os.PathLike[str] | CollectorConfiguration) -> Collector:
-    """A collector for asyncio programs: ``async with busway.collect("plant.toml") as collector: …``.
+    """Return a collector for asyncio programs: ``async with busway.collect("plant.toml") as collector: …``.
 
     Args:
         file: a collector file, or what `load_collector` gave for one.
@@ -726,12 +731,12 @@ def collect(file: str | os.PathLike[str] | CollectorConfiguration) -> Collector:
 
 
 def read_learnt(path: Path) -> Knowledge:
-    """What was learnt; nothing where there is no file. Raises `ConfigError`."""
+    """Read what earlier runs have learnt about devices; nothing if there is no file. Raises `ConfigError`."""
     return read_knowledge(read_text(str(path)), str(path)) if path.exists() else Knowledge()
 
 
 def write_learnt(path: Path, knowledge: Knowledge) -> None:
-    """Keep what was learnt: the file is as before or as after, never between. Raises `OSError`."""
+    """Write what was learnt about devices to a file, which is replaced as a whole. Raises `OSError`."""
     beside = path.with_suffix(".new")
     with open(beside, "w", encoding="utf-8") as file:
         file.write(knowledge.text())
@@ -741,7 +746,7 @@ def write_learnt(path: Path, knowledge: Knowledge) -> None:
 
 
 def _key_of(configuration: CollectorConfiguration, link: str) -> object:
-    """All that decides how a link polls; None where the configuration has no such link.
+    """Return all settings that decide how a link is polled, for comparison; None if there is no such link.
 
     A reload leaves a link alone where its key in both configurations is equal.
     """
@@ -752,7 +757,7 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
 
 
 def _report_rules(configuration: CollectorConfiguration) -> dict[tuple[str, str], ReportRule]:
-    """By device and point, when the samples of points are handed on that do not hand on all."""
+    """Return the report rules of points by device and point, for those that do not pass on every sample."""
     return {
         (device.name, point.name): point.reporting
         for device in configuration.devices.values()
@@ -762,14 +767,14 @@ def _report_rules(configuration: CollectorConfiguration) -> dict[tuple[str, str]
 
 
 def _renamed(counters: Iterable[CounterState], points: Sequence[Point]) -> list[CounterState]:
-    """Accumulators with the names that their points have now."""
+    """Return the states of accumulators under the names that their points have now."""
     names = {point.name for point in points}
     former = {point.was: point.name for point in points if point.was and point.was not in names}
     return [replace(each, point=former.get(each.point, each.point)) for each in counters]
 
 
 async def _ended(task: "asyncio.Task[None]") -> None:
-    """End a task. What it may have failed with was logged by `_log_defect`."""
+    """Cancel a task and wait for its end. Its error was logged before, by `_log_defect`."""
     task.cancel()
     await asyncio.wait([task])
 

@@ -1,4 +1,4 @@
-"""A collector file → links, devices with their points, and plans; everything that is wrong is said at once.
+"""Reads a collector file into links, devices with their points, and read plans; reports all errors at once.
 
 Knows which section becomes which part of a collector; opens no port and no store. It reads the file, and the profiles
 that this names.
@@ -53,7 +53,7 @@ LEARNT_FILE: Final = "learnt.json"
 
 @dataclass(frozen=True, slots=True)
 class CollectedDevice:
-    """A device of a collector file.
+    """A device of a collector file, with its points and how they are read.
 
     Attributes:
         name, link, unit: its name, that of its link, and its unit identifier.
@@ -77,11 +77,11 @@ class CollectedDevice:
     fixed: bool
 
     def book(self, known: DeviceKnowledge) -> PlanBook:
-        """The read plans of the device, starting with what was learnt about it."""
+        """Return the read plans of the device, which begin with what was learnt about it."""
         return PlanBook(self.items, self.rules, self.cost, fixed=self.fixed, knowledge=known)
 
     def descriptions(self) -> list[PointDescription]:
-        """What the store keeps of its points."""
+        """Return what the store keeps about the device's points beside their samples."""
         return [
             PointDescription(self.name, point.name, point.unit_of_measure, point.type == "bit", point.was or None)
             for point in self.points
@@ -116,30 +116,30 @@ class CollectorConfiguration:
 
     @property
     def name(self) -> str:
-        """The file's name."""
+        """Name of the collector file."""
         return self.common.name
 
     @property
     def links(self) -> Mapping[str, NamedLink]:
-        """The links by name."""
+        """The links that the file declares, by name."""
         return self.common.links
 
     @property
     def learnt_path(self) -> FilePath:
-        """Where what was learnt is kept."""
+        """Path of the file for what is learnt about devices."""
         return FilePath(self.store) / LEARNT_FILE
 
     def devices_of(self, link: str) -> list[CollectedDevice]:
-        """The devices behind a link."""
+        """Return the devices that are polled over a link."""
         return [device for device in self.devices.values() if device.link == link]
 
     def known_of(self, device: CollectedDevice, knowledge: Knowledge) -> DeviceKnowledge:
-        """What is known of a device of this kind, behind this link and with this unit identifier."""
+        """Return what is known of a device of this kind, on this link and with this unit identifier."""
         place = f"{self.links[device.link].settings.endpoint.url} unit {device.unit}"
         return knowledge.of(device.name, device.profile, device.firmware, place)
 
     def loads(self, knowledge: Knowledge) -> list[LinkLoad]:
-        """The admission test of each link."""
+        """Return the computed load of each link."""
         found = []
         for name, link in self.links.items():
             books = [
@@ -150,7 +150,7 @@ class CollectorConfiguration:
 
 
 def load_collector(path: str | os.PathLike[str]) -> CollectorConfiguration:
-    """The collector that a file declares.
+    """Read and check a collector file, with its profiles.
 
     Raises:
         ConfigError: the file cannot be read, or something in it or in a profile cannot be; then it has all
@@ -161,7 +161,7 @@ def load_collector(path: str | os.PathLike[str]) -> CollectorConfiguration:
 
 
 def parse_collector(text: str, name: str) -> CollectorConfiguration:
-    """The collector that a text declares.
+    """Check the text of a collector file, with its profiles.
 
     Args:
         text: the content of the file.
@@ -190,7 +190,7 @@ def parse_collector(text: str, name: str) -> CollectorConfiguration:
 def _sinks(
     file: CollectorFile, name: str, report: ConfigurationReport
 ) -> tuple[dict[str, tuple[Sink, DeliveryOptions]], dict[str, PrometheusSinkSection], dict[str, CommandInput]]:
-    """Where samples are handed on, and commands come from; paths are relative to the folder of the file."""
+    """Return the sinks of the file and the sources of commands; paths are relative to the file's folder."""
     sinks: dict[str, tuple[Sink, DeliveryOptions]] = {}
     pages: dict[str, PrometheusSinkSection] = {}
     inputs: dict[str, CommandInput] = {}
@@ -233,7 +233,7 @@ class _Profile:
 
 
 class _Profiles:
-    """Profiles that were read, so that devices of one kind share their points."""
+    """Cache of device profiles, so that devices of one kind share their points."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -241,7 +241,7 @@ class _Profiles:
         self._by_unit: dict[str, bool] = {}
 
     def of(self, section: CollectedDeviceSection, asked: tuple[Source, Path]) -> _Profile:
-        """The profile of a device. Raises `FileError`."""
+        """Return the points that a device's profile describes. Raises `FileError`."""
         parent, at = asked
         unit = 1 if section.unit is None else section.unit
         key = (section.profile, tuple(sorted(section.with_.items())), unit if self._needs_unit(section) else None)
@@ -256,7 +256,7 @@ class _Profiles:
         return self._read[key]
 
     def _needs_unit(self, section: CollectedDeviceSection) -> bool:
-        """Whether a profile says something by the number of its unit."""
+        """Whether what a profile says depends on the number of its unit."""
         if section.profile not in self._by_unit:
             try:
                 text = read_profile(self._file(section.profile))
@@ -275,7 +275,7 @@ _UNIT: Final = re.compile(r"\$\{[^}]*\b(unit|index)\b")
 
 
 def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source, at: Path) -> ConfigError:
-    """What is wrong with a profile as a whole, where the device names it."""
+    """Return the error in a profile as an error at the device of the collector file that names it."""
     if error.key in section.with_:
         return source.problem((*at, "with", str(error.key)), f"{section.profile}: {error.message}")
     is_path = "/" in section.profile or "." in section.profile
@@ -284,7 +284,7 @@ def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source,
 
 
 def _rules_of(unit: UnitSection) -> ReadRules:
-    """How a unit may be read. A table that it declares exists as a whole, so that holes in it may be read."""
+    """Return how a unit may be read. A table that the unit declares exists wholly, so gaps in it may be read."""
     rules = unit.read.rules()
     readable = dict(rules.readable)
     for table in Table:
@@ -335,7 +335,7 @@ def _device(
 def _by_class(
     file: CollectorFile, section: CollectedDeviceSection, points: Sequence[Point], at: Path, report: ConfigurationReport
 ) -> dict[str, list[Point]] | None:
-    """The points that are read, by class; None and a problem in the report where a class is missing."""
+    """Return the points by poll class; None, and a problem in the report, if a class is missing."""
     usual = file.class_of(section)
     found: dict[str, list[Point]] = {}
     for point in points:
@@ -357,7 +357,7 @@ def _by_class(
 
 
 def _cost(settings: LinkSettings, line_baud: int | None, pause: float) -> tuple[ReadCost, bool]:
-    """What reads over a link cost, and whether the price of a register is known."""
+    """Return what reads over a link cost, and whether the time per register is known."""
     if line_baud is not None:
         return baud_cost(line_baud), True
     port = None if settings.line is None else settings.line.port

@@ -1,4 +1,4 @@
-"""The cost of reads on the wire in seconds: a base for each request, and a price for each register or bit.
+"""The cost of reads in seconds on the wire: a base for each request, and a part for each register or bit.
 
 Knows characters, silences and turnaround; knows no clock, no device and no plan.
 
@@ -27,7 +27,7 @@ _ASCII_CHARACTERS: Final = 28  # request: ':', 7 bytes in 14, CR LF; reply: ':',
 
 @dataclass(frozen=True, slots=True)
 class ReadCost:
-    """Cost of the reads of one device, in seconds.
+    """What reads of one device cost, in seconds.
 
     Attributes:
         base: seconds of any read, above 0.
@@ -44,22 +44,22 @@ class ReadCost:
             raise ValueError(f"costs are above 0, not {self.base}, {self.per_register} and {self.per_bit}")
 
     def per_item(self, table: Table) -> float:
-        """Seconds for one item of a table."""
+        """Return the seconds that one item of a table adds to a read."""
         return self.per_bit if table.holds_bits else self.per_register
 
     def of(self, table: Table, width: int) -> float:
-        """Seconds of a read of ``width`` items."""
+        """Return the seconds that a read of ``width`` items takes."""
         return self.base + self.per_item(table) * width
 
     def with_base(self, base: float) -> "ReadCost":
-        """A copy with another base, for another device on the same line."""
+        """Return a copy with another base, for another device on the same line."""
         return replace(self, base=base)
 
 
 def line_cost(
     timing: SerialTiming, framing: Literal["rtu", "ascii"] = "rtu", *, turnaround: float = TURNAROUND, gap: float = 0.0
 ) -> ReadCost:
-    """The cost of reads on a serial line.
+    """Return what reads on a serial line cost.
 
     Args:
         timing: characters and silences of the line; a character takes time.
@@ -78,10 +78,10 @@ def line_cost(
 
 
 def network_cost(round_trip: float = ROUND_TRIP) -> ReadCost:
-    """The cost of reads over a network: ``round_trip`` seconds each, whatever their width."""
+    """Return what reads over a network cost: ``round_trip`` seconds each, whatever their width."""
     return ReadCost(round_trip, NETWORK_REGISTER, NETWORK_REGISTER / 16)
 
 
 def baud_cost(baud: int, *, parity: Parity = Parity.EVEN, turnaround: float = TURNAROUND) -> ReadCost:
-    """The cost of reads on an RTU line of ``baud`` bit/s, also of one behind a gateway."""
+    """Return what reads on an RTU line of ``baud`` bit/s cost, also one that a gateway connects."""
     return line_cost(SerialTiming.of_line(baud, parity=parity), turnaround=turnaround)

@@ -1,4 +1,4 @@
-"""Derived points of one device: totals, computed points, and group members whose number the device tells.
+"""Points of one device that are derived from reads: totals, computed points, members of groups of variable size.
 
 Pure: knows points and their latest readings; knows no request and no clock.
 
@@ -47,7 +47,7 @@ class DerivedPoints:
         return not (self._accumulators or self._inputs or self._counted)
 
     def absent(self) -> list[Point]:
-        """The group members that the device does not have, as far as known."""
+        """The members of groups that the device does not have, as far as known."""
         return [point for point in self._counted if not self._is_there(point)]
 
     def _is_there(self, point: Point) -> bool:
@@ -58,7 +58,7 @@ class DerivedPoints:
         return True
 
     def take(self, batch: SampleBatch) -> tuple[SampleBatch, bool]:
-        """Add totals to the samples of a read. Returns them, and whether the number of group members has changed."""
+        """Add totals to the samples of a read. Returns them, and whether the size of a group has changed."""
         found = {
             name: Reading(value, reason)
             for name, value, reason in zip(batch.points, batch.values, batch.reason_column(), strict=True)
@@ -94,13 +94,13 @@ class DerivedPoints:
         return changed
 
     def failed(self, points: Sequence[str], reason: int) -> None:
-        """Note that a read of some points failed."""
+        """Note that a read of some of the device's points failed."""
         if self._group is not None:
             self._latest |= {name: Reading(None, reason) for name in points}
             self._touched |= set(points)
 
     def computed(self, time: int, half_width: int) -> SampleBatch | None:
-        """The samples of computed points at the end of a round; None if it read none of their inputs."""
+        """Return the samples of computed points after a round of reads; None if none of their inputs was read."""
         touched, self._touched = self._touched, set()
         if self._group is None or not any(inputs & touched for inputs in self._inputs.values()):
             return None

@@ -24,7 +24,7 @@ AGREEING: Final = 2
 
 @dataclass(frozen=True, slots=True)
 class LearntHole:
-    """A learnt range of items that a device refuses to read, or a border that no read may cross.
+    """A range of items that a device was found to refuse, or a border that no read may cross.
 
     Attributes:
         table: where.
@@ -54,7 +54,7 @@ class LearntHole:
 
 @dataclass(frozen=True, slots=True)
 class LearntLimit:
-    """The learnt size of the largest read that a device answers.
+    """The size of the largest read that a device was found to answer.
 
     Attributes:
         bits: whether it holds for bits; otherwise for registers.
@@ -74,7 +74,7 @@ class LearntLimit:
 
 @dataclass(frozen=True, slots=True)
 class DeviceKnowledge:
-    """What was learnt about one device.
+    """What the collector has learnt about one device.
 
     Attributes:
         profile, firmware: what kind of device it is; empty for unknown.
@@ -92,7 +92,7 @@ class DeviceKnowledge:
     place: str = ""
 
     def limit(self, bits: bool) -> LearntLimit | None:
-        """The learnt limit of reads of bits, or of registers; None without one."""
+        """Return the largest read of bits, or of registers, that was learnt; None without one."""
         return next((one for one in self.limits if one.bits is bits), None)
 
     def refuses(self, table: Table, start: int, end: int) -> bool:
@@ -100,7 +100,7 @@ class DeviceKnowledge:
         return any(one.table is table and one.start < end and start < one.end for one in self.holes)
 
     def knows(self, hole: LearntHole) -> bool:
-        """Whether a hole, or a larger one around it, was learnt already."""
+        """Whether a refused range, or a larger one around it, was learnt already."""
         return any(
             one.table is hole.table
             and one.start <= hole.start
@@ -110,20 +110,20 @@ class DeviceKnowledge:
         )
 
     def with_hole(self, hole: LearntHole) -> "DeviceKnowledge":
-        """A copy with one more hole."""
+        """Return a copy with one more refused range."""
         if self.knows(hole):
             return self
         return replace(self, holes=(*self.holes, hole))
 
     def with_limit(self, limit: LearntLimit) -> "DeviceKnowledge":
-        """A copy with another limit; a pinned limit stays."""
+        """Return a copy with another largest read; a pinned one stays."""
         known = self.limit(limit.bits)
         if known is not None and (known.pinned or known == limit):
             return self
         return replace(self, limits=(*(one for one in self.limits if one.bits is not limit.bits), limit))
 
     def pinned(self) -> "DeviceKnowledge":
-        """A copy with everything pinned, so that it is not forgotten by itself."""
+        """Return a copy with everything pinned, so that it is not forgotten by itself."""
         return replace(
             self,
             holes=tuple(replace(one, pinned=True) for one in self.holes),
@@ -131,7 +131,7 @@ class DeviceKnowledge:
         )
 
     def forgotten(self, *, pinned: bool = False) -> "DeviceKnowledge":
-        """A copy with only the pinned parts; an empty one if ``pinned`` parts are to be forgotten too."""
+        """Return a copy with only the pinned parts; an empty one if ``pinned`` parts are to be forgotten too."""
         return DeviceKnowledge(
             self.profile,
             self.firmware,
@@ -142,7 +142,7 @@ class DeviceKnowledge:
         )
 
     def lines(self) -> Iterator[str]:
-        """What was learnt, as sentences."""
+        """Return what was learnt about the device as sentences."""
         for hole in self.holes:
             yield f"{hole}{' (pinned)' if hole.pinned else ''}"
         for limit in self.limits:
@@ -152,7 +152,7 @@ class DeviceKnowledge:
 
 
 class Knowledge:
-    """What was learnt about all devices of a collector, by name."""
+    """What the collector has learnt about all its devices, by name."""
 
     def __init__(self, devices: Mapping[str, DeviceKnowledge] | None = None) -> None:
         self._devices = dict(devices or {})
@@ -161,9 +161,7 @@ class Knowledge:
         return iter(sorted(self._devices.items()))
 
     def of(self, name: str, profile: str = "", firmware: str = "", place: str = "") -> DeviceKnowledge:
-        """What is known about a device: learnt from itself at this place, or from others of its profile and firmware
-        (rules 1 and 2).
-        """
+        """Return what is known about a device: from itself at this place, or from others of its kind (rules 1 and 2)."""
         known = self._devices.get(name)
         if known is None:
             return replace(self.offered(profile, firmware), place=place)
@@ -176,11 +174,11 @@ class Knowledge:
         self._devices[name] = known
 
     def pin(self, name: str) -> bool:
-        """Pin what was learnt about a device: `forget` keeps it unless ``pinned=True``. False if it is unknown."""
+        """Pin what was learnt about a device, so that `forget` keeps it. Returns False if the device is unknown."""
         return self._change(name, lambda known: known.pinned())
 
     def forget(self, name: str, *, pinned: bool = False) -> bool:
-        """Forget what was learnt about a device; pinned knowledge only with ``pinned=True``. False if it is unknown."""
+        """Forget what was learnt about a device, pinned parts only if asked. Returns False if it is unknown."""
         return self._change(name, lambda known: known.forgotten(pinned=pinned))
 
     def _change(self, name: str, change: Callable[[DeviceKnowledge], DeviceKnowledge]) -> bool:
@@ -191,9 +189,7 @@ class Knowledge:
         return True
 
     def offered(self, profile: str, firmware: str) -> DeviceKnowledge:
-        """What at least two devices with the same profile and firmware have learnt in common; empty if these are
-        unknown.
-        """
+        """Return what two devices or more with the same profile and firmware have learnt in common."""
         empty = DeviceKnowledge(profile, firmware)
         if not profile or not firmware:
             return empty
@@ -212,19 +208,19 @@ class Knowledge:
         )
 
     def kinds(self) -> list[tuple[str, str]]:
-        """The pairs of profile and firmware for which `offered` has something."""
+        """Return the pairs of profile and firmware for which `offered` has something."""
         found = {(one.profile, one.firmware) for one in self._devices.values()}
         return sorted(kind for kind in found if any((self.offered(*kind).holes, self.offered(*kind).limits)))
 
     def text(self) -> str:
-        """Everything that was learnt, as JSON."""
+        """Return everything that was learnt as JSON."""
         return json.dumps(
             {"version": VERSION, "devices": {name: _device_data(known) for name, known in self}}, indent=1
         )
 
 
 def read_knowledge(text: str, name: str) -> Knowledge:
-    """Parse the JSON that `Knowledge.text` wrote.
+    """Parse the JSON that `Knowledge.text` has written.
 
     Raises:
         ConfigError: the text is something else; names the file.

@@ -58,7 +58,7 @@ _REFUSALS: Final = frozenset({ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.
 
 
 class CostLearner:
-    """Learns the cost of reads of one device from reads that succeeded.
+    """Learns what reads of one device cost, from reads that succeeded.
 
     Args:
         assumed: the cost until enough is known.
@@ -91,12 +91,12 @@ class CostLearner:
 
     @property
     def is_settled(self) -> bool:
-        """Whether enough reads were seen for the cost to count as known."""
+        """Whether enough reads were seen for their cost to count as known."""
         return self.reads >= SETTLED_AFTER and len(self.widths) >= WIDTHS
 
     @property
     def cost(self) -> ReadCost:
-        """The cost of reads as far as it was learnt."""
+        """Return what reads cost, as far as it was learnt."""
         if not self._seen:
             return self._assumed
         if not self._fixed:
@@ -110,7 +110,7 @@ class CostLearner:
         return self._assumed.with_base(max(base, 1e-6))
 
     def _network_cost(self, slope: float) -> ReadCost:
-        """The cost with a learnt time per register, limited to what a serial line can have."""
+        """Return the cost with a learnt time per register, limited to what a serial line can have."""
         _, narrowest, _ = min(self._seen, key=lambda seen: seen[1])
         least = LEAST_BASE * median(seconds for _, width, seconds in self._seen if width == narrowest)
         base = median(seconds - slope * width for _, width, seconds in self._seen)
@@ -119,7 +119,7 @@ class CostLearner:
         return ReadCost(max(base, least, 1e-6), slope, slope / 16)
 
     def _slope(self) -> float | None:
-        """Seconds per register, the median over reads of different widths; None while there are too few."""
+        """Return the seconds per register, the median over reads of different widths; None if there are too few."""
         by_width: dict[int, list[float]] = {}
         for table, width, seconds in self._seen:
             if not table.holds_bits:
@@ -132,7 +132,7 @@ class CostLearner:
 
 
 def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead]:
-    """Reads of at least three widths for measuring, if possible, within the ranges that ``reads`` touch.
+    """Return reads of at least three widths, if possible, to measure what reads cost, within known ranges.
 
     They are the widest of ``reads``, about half of it, and its narrowest item.
     """
@@ -150,7 +150,7 @@ def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead
 
 
 def read_of(table: Table, items: Sequence[Any], cost: ReadCost) -> PlannedRead:  # Any: the caller's kind of ReadItem
-    """One read that covers some items and no more."""
+    """Return one read that covers some items and no more."""
     start = min(one.start for one in items)
     width = max(one.start + one.width for one in items) - start
     return PlannedRead(table, start, width, tuple(items), cost.of(table, width))
@@ -166,7 +166,7 @@ class ReadOutcome(Enum):
 
 
 def outcome_of(code: int | None, *, silent: bool = False) -> ReadOutcome:
-    """The kind of result for a failed read with an exception code, or without one."""
+    """Return what a failed read, with its exception code or without, tells about a device's address map."""
     if code is not None:
         return ReadOutcome.REFUSED if code in _REFUSALS else ReadOutcome.OTHER
     return ReadOutcome.SILENCE if silent else ReadOutcome.OTHER
@@ -174,7 +174,7 @@ def outcome_of(code: int | None, *, silent: bool = False) -> ReadOutcome:
 
 @dataclass(slots=True)
 class _Part:
-    """A refused read, and what is known about its two halves.
+    """A read that a device refused, and what is known about its two halves.
 
     Attributes:
         read: it.
@@ -197,7 +197,7 @@ class _Purpose(Enum):
 
 @dataclass(slots=True)
 class _Question:
-    """A read that is made only to learn from its result."""
+    """A read that is made only to learn from its result what a device refuses."""
 
     purpose: _Purpose
     read: PlannedRead
@@ -207,7 +207,7 @@ class _Question:
 
 @dataclass(slots=True)
 class _Wait:
-    """Number of refusals of a read to ignore before its parts are tried again: ``left`` now, and ``next`` time."""
+    """How many refusals of a read are ignored before its parts are tried again: ``left`` now, ``next`` time."""
 
     left: int = 0
     next: int = 4
@@ -243,11 +243,11 @@ class MapLearner:
 
     @property
     def is_asking(self) -> bool:
-        """Whether a read for learning waits to be made."""
+        """Whether a read for learning waits to be sent."""
         return bool(self._questions)
 
     def question(self) -> PlannedRead | None:
-        """The next read for learning, to be made at low priority, or None."""
+        """Return the next read for learning, to be sent at low priority, or None."""
         return self._questions[0].read if self._questions else None
 
     def observe(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
@@ -277,7 +277,7 @@ class MapLearner:
                 self._ask_control(read)
 
     def answered(self, outcome: ReadOutcome, code: int = 0) -> bool:
-        """Note the result of a read for learning. Returns whether something was learnt that changes plans."""
+        """Note the result of a read for learning. Returns whether something was learnt that changes read plans."""
         question = self._questions[0]
         self.asked += 1
         self._left -= 1
@@ -312,7 +312,7 @@ class MapLearner:
         self._split(read)
 
     def _give_up(self) -> None:
-        """Note that the parts of a refused read were not refused: ignore twice as many refusals before trying again."""
+        """Stop looking for what is wrong with a read whose parts were accepted; wait longer before trying again."""
         self.inconclusive += 1
         assert self._cause is not None
         wait = self._waits.setdefault((self._cause.table, self._cause.start, self._cause.width), _Wait())
@@ -320,7 +320,7 @@ class MapLearner:
         wait.next = min(2 * wait.next, MOST_IGNORED)
 
     def _ask_control(self, read: PlannedRead) -> None:
-        """Test whether the device answers at all, by its cheapest read or the narrowest item of the silent one."""
+        """Arrange a read that tests whether the device answers at all."""
         control = self._narrowest
         if control is None or control.width >= read.width:
             control = read_of(read.table, [min(read.items, key=lambda one: one.width)], self._cost)
@@ -330,7 +330,7 @@ class MapLearner:
         self._questions.append(_Question(_Purpose.CONTROL, control))
 
     def _split(self, read: PlannedRead) -> None:
-        """Try the halves of a refused read, or its only item."""
+        """Arrange reads of the halves of a refused read, or of its only item."""
         bundles = _bundles(read.items)
         if len(bundles) == 1:
             self._questions.append(_Question(_Purpose.ITEM, read_of(read.table, bundles[0], self._cost)))
@@ -379,7 +379,7 @@ class MapLearner:
             self._split(read)
 
     def _both_good(self, part: _Part) -> None:
-        """Handle a refused read whose halves succeed (rule 5)."""
+        """Handle a refused read whose two halves were accepted (rule 5)."""
         left, right = part.halves
         across = read_of(part.read.table, [*_bundles(left.items)[-1], *_bundles(right.items)[0]], self._cost)
         if across.width < part.read.width:
@@ -418,7 +418,7 @@ class MapLearner:
         self._ask_width(self._cause)
 
     def _ask_width(self, read: PlannedRead) -> None:
-        """Try a run of items whose width is halfway between an accepted and a refused width."""
+        """Arrange a read whose width is halfway between an accepted and a refused width."""
         limit = self.knowledge.limit(read.table.holds_bits)
         if limit is None or limit.bad - limit.good < 2 or any(one.purpose is _Purpose.WIDTH for one in self._questions):
             return
@@ -439,7 +439,7 @@ class MapLearner:
 
 
 def _bundles(items: Sequence[Any]) -> list[list[Any]]:
-    """Items grouped so that no read may separate a group: atomic groups, and overlapping items."""
+    """Return items grouped so that no read separates a group: atomic groups, and overlapping items."""
     found: list[list[Any]] = []
     end = -1
     for one in sorted(items, key=lambda each: (each.start, -each.width)):
@@ -453,9 +453,7 @@ def _bundles(items: Sequence[Any]) -> list[list[Any]]:
 
 
 def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
-    """The runs of items that start at the first item of a read, and those that end at the last one, with their
-    widths.
-    """
+    """Return the runs of items at the start of a read, and those at its end, with their widths."""
     bundles = _bundles(read.items)
     for at in range(1, len(bundles)):
         for part in (bundles[:at], bundles[at:]):
@@ -464,7 +462,7 @@ def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
 
 
 def with_knowledge(rules: ReadRules, knowledge: DeviceKnowledge) -> ReadRules:
-    """The read rules of a device, tightened by what was learnt about it."""
+    """Return the rules for reading a device, tightened by what was learnt about it."""
     forbidden = {table: list(spans) for table, spans in rules.forbidden.items()}
     borders = {table: set(places) for table, places in rules.borders.items()}
     for hole in knowledge.holes:

@@ -1,4 +1,4 @@
-"""Devices in maintenance: which, since when, who began it, and why; kept in the manifest of the store.
+"""Devices in maintenance, which are not polled: which, since when, who began it, and why; kept with the store.
 
 Knows the manifest, the audit log and sentences; pollers leave the devices alone.
 
@@ -36,7 +36,7 @@ class MaintenanceBook:
 
     @property
     def devices(self) -> Mapping[str, MaintenanceRow]:
-        """Those that are in maintenance, by name."""
+        """The devices in maintenance, by name."""
         return self._rows
 
     def begin(self, device: str, at: int, by: str, why: str) -> MaintenanceRow:
@@ -53,7 +53,7 @@ class MaintenanceBook:
         return row
 
     def end(self, device: str, at: int, by: str, why: str) -> StateInterval:
-        """End the maintenance of a device that is in it; gives its whole interval. Raises `ConfigError`."""
+        """End the maintenance of a device; returns its whole interval. Raises `ConfigError`."""
         row = self._rows[device]
         try:
             self._manifest.end_maintenance(device)
@@ -75,7 +75,7 @@ class MaintenanceBook:
         return StateInterval(device, row.begin, end, Reason.MAINTENANCE)
 
     def mend(self, shift: int) -> None:
-        """Move begins from before the wall clock was set."""
+        """Correct the begin of maintenance that is from before the wall clock was set."""
         for row in list(self._rows.values()):
             if row.begin < EARLIEST:
                 self._rows[row.device] = moved = replace(row, begin=row.begin + shift)

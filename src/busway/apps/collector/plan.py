@@ -41,7 +41,7 @@ __all__ = [
 
 
 class ReadItem(Protocol):
-    """Interface of something to read with its position, such as a point."""
+    """Interface of something to be read from a device, with its position, such as a point."""
 
     @property
     def table(self) -> Table:
@@ -57,12 +57,12 @@ class ReadItem(Protocol):
 
     @property
     def group(self) -> Hashable | None:
-        """The atomic group that must be read in one request, or None."""
+        """The group with which the item must be read in one request, or None."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlainItem:
-    """An item to read that has a position only.
+    """Something to be read that has only a position.
 
     Attributes:
         table: the table it stands in.
@@ -81,7 +81,7 @@ class PlainItem:
 
 @dataclass(frozen=True, slots=True)
 class PlannedRead:
-    """One read of a plan: its range and the items it fetches.
+    """One read request of a plan: its range and the items it fetches.
 
     Attributes:
         table, start, width: what it asks for.
@@ -111,7 +111,7 @@ class Unreadable:
 
 @dataclass(frozen=True, slots=True)
 class DevicePlan:
-    """The read plan of a device.
+    """The read requests that fetch all wanted points of a device at the lowest cost.
 
     Attributes:
         reads: in the order of tables and places.
@@ -127,7 +127,7 @@ class DevicePlan:
 def plan_reads(
     wanted: Iterable[ReadItem], rules: ReadRules, cost: ReadCost, *, others: Iterable[ReadItem] = ()
 ) -> DevicePlan:
-    """Compute the cheapest reads for some items.
+    """Compute the cheapest read requests that fetch some items.
 
     Args:
         wanted: what is due; in any order.
@@ -151,12 +151,12 @@ def plan_reads(
 
 
 def predicted(reads: Iterable[PlannedRead], cost: ReadCost) -> float:
-    """Seconds that reads will take, by another cost than that of their plan."""
+    """Return the seconds that reads will take, by another cost than that of their plan."""
     return sum(cost.of(read.table, read.width) for read in reads)
 
 
 def undeclared(read: PlannedRead, known: Iterable[ReadItem], rules: ReadRules) -> list[ItemRange]:
-    """The parts of a read that belong to no known item and to no readable range."""
+    """Return the parts of a read that belong to no known item and to no readable range."""
     declared = [
         ItemRange(each.start, each.start + each.width) for each in known if each.width and each.table is read.table
     ]
@@ -175,9 +175,7 @@ def undeclared(read: PlannedRead, known: Iterable[ReadItem], rules: ReadRules) -
 
 
 class _Block(NamedTuple):
-    """Items that one read must fetch together: one item, or an atomic group. A tuple, because a plan makes tens of
-    thousands.
-    """
+    """Items that one read must fetch together: one item or a group. A tuple, for speed."""
 
     start: int
     end: int
@@ -202,7 +200,7 @@ def _by_table(items: Iterable[ReadItem]) -> dict[Table, list[ReadItem]]:
 
 
 def _blocks(items: list[ReadItem]) -> list[_Block]:
-    """Items combined into blocks by their groups, sorted by start, wider ones first."""
+    """Return items combined into blocks by their groups, sorted by start, wider ones first."""
     blocks: list[_Block] = []
     groups: dict[Hashable, list[ReadItem]] = {}
     for item in items:
@@ -220,7 +218,7 @@ def _blocks(items: list[ReadItem]) -> list[_Block]:
 
 
 def _in_order(blocks: list[_Block]) -> list[_Block]:
-    """Blocks sorted by start, wider ones first."""
+    """Return blocks of items sorted by start, wider ones first."""
     blocks.sort(key=_END, reverse=True)
     blocks.sort(key=_START)
     return blocks
@@ -254,7 +252,7 @@ def _plan_table(
 
 
 class _Borders:
-    """The places in a table that no read may cross."""
+    """The positions in a table that no read may cross."""
 
     def __init__(self, table: Table, rules: ReadRules) -> None:
         self._label = table.label
@@ -266,7 +264,7 @@ class _Borders:
         self._borders = sorted(rules.borders.get(table, ()))
 
     def place_of(self, block: _Block) -> tuple[_Place | None, str]:
-        """The range to read for a block; or None and the reason why reading it is not allowed."""
+        """Return the range to read for a block of items; or None and the reason why that is not allowed."""
         start, end, items = block
         if self._exact is not None:
             found = self._exact.touched(start, end)
@@ -289,7 +287,7 @@ class _Borders:
         return (start, end), ""
 
     def cut_between(self, left: _Place, right: _Place) -> bool:
-        """Whether no single read may fetch two neighbouring blocks."""
+        """Whether no read may fetch two neighbouring blocks of items together."""
         end, start = left[1], right[0]
         has_hole = start > end
         if self._exact is not None and (
@@ -321,7 +319,7 @@ def _is_gapless(block: _Block) -> bool:
 
 
 class _Ranges:
-    """Sorted ranges, searched for one that overlaps a given range; overlapping ones count as one."""
+    """Sorted ranges in which one that overlaps a given range can be found; overlapping ones count as one."""
 
     def __init__(self, spans: Sequence[ItemRange]) -> None:
         self._spans: list[ItemRange] = []
@@ -333,7 +331,7 @@ class _Ranges:
         self._starts = [span.start for span in self._spans]
 
     def touched(self, start: int, end: int) -> ItemRange | None:
-        """The last of the ranges that overlaps ``start``…``end``."""
+        """Return the last of the ranges that overlaps ``start``…``end``."""
         at = bisect_left(self._starts, end) - 1
         if at >= 0 and self._spans[at].end > start:
             return self._spans[at]
@@ -345,7 +343,7 @@ def _ranges(spans: Sequence[ItemRange]) -> _Ranges | None:
 
 
 def _without_inner(places: list[_Place]) -> list[_Place]:
-    """Ranges sorted by start, without those inside another one, so that their ends are sorted too."""
+    """Return ranges sorted by start, without those inside another one, so that their ends are sorted too."""
     places.sort(key=_END, reverse=True)
     places.sort(key=_START)
     kept: list[_Place] = []
@@ -358,7 +356,7 @@ def _without_inner(places: list[_Place]) -> list[_Place]:
 
 
 def _cheapest(places: list[_Place], border: _Borders, limit: int, base: float, per_item: float) -> list[_Place]:
-    """The cheapest reads for sorted ranges: each stretch between two borders is planned by itself."""
+    """Return the cheapest reads for sorted ranges: each stretch between two borders is planned by itself."""
     chosen: list[_Place] = []
     begin = 0
     for at in range(1, len(places) + 1):
@@ -369,7 +367,7 @@ def _cheapest(places: list[_Place], border: _Borders, limit: int, base: float, p
 
 
 def _shortest_path(places: list[_Place], limit: int, base: float, per_item: float) -> list[_Place]:
-    """The cheapest division of sorted ranges into reads, none wider than ``limit`` (rule 5)."""
+    """Return the cheapest division of sorted ranges into reads, none wider than ``limit`` (rule 5)."""
     if len(places) == 1:
         return places
     origin = places[0][0]  # small numbers keep all digits
@@ -397,13 +395,13 @@ def _shortest_path(places: list[_Place], limit: int, base: float, per_item: floa
 
 
 def _one_each(table: Table, blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """One read for each range, with the items in it."""
+    """Return one read for each range, with the items in it."""
     same = groupby(blocks, key=lambda block: (block.start, block.end))
     return [_read(table, start, end, list(each), cost) for (start, end), each in same]
 
 
 def _with_items(table: Table, places: list[_Place], blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """Reads for ranges, each item assigned to the first read that covers it."""
+    """Return reads for ranges, each item assigned to the first read that covers it."""
     starts = [block[0] for block in blocks]
     taken = bytearray(len(blocks))
     reads: list[PlannedRead] = []

@@ -1,4 +1,4 @@
-"""Cache of the read plans of one device, by the poll classes that are due, renewed when costs or rules change.
+"""Cache of one device's read plans, one for each set of poll classes that are due together.
 
 Pure: knows items, rules and what is learnt; knows no clock and no socket.
 
@@ -30,7 +30,7 @@ Classes = frozenset[str]
 
 
 class PlanBook:
-    """The cached read plans of one device.
+    """The read plans of one device, made when needed and again when costs or rules change.
 
     Args:
         items: by class, the points that it polls.
@@ -72,17 +72,17 @@ class PlanBook:
 
     @property
     def cost(self) -> ReadCost:
-        """The cost of reads of the device, as far as known."""
+        """What reads of the device cost, as far as known."""
         return self._learner.cost
 
     @property
     def classes(self) -> Classes:
-        """The poll classes that have points."""
+        """The names of the poll classes that have points of the device."""
         return frozenset(name for name, items in self._items.items() if items)
 
     @property
     def knowledge(self) -> DeviceKnowledge:
-        """What was learnt about the device, to be saved; with the base cost once it is settled."""
+        """Return what was learnt about the device, to be saved."""
         known = self._map.knowledge
         if not self._learner.is_settled:
             return known
@@ -90,15 +90,15 @@ class PlanBook:
 
     @property
     def rules(self) -> ReadRules:
-        """The read rules of the device, tightened by what was learnt."""
+        """Return the rules for reading the device, tightened by what was learnt."""
         return with_knowledge(self._rules, self._map.knowledge)
 
     def points(self) -> list[Any]:  # the caller's kind of ReadItem
-        """All points of the device, each once."""
+        """Return all points of the device, each once."""
         return list(self._all)
 
     def plan_for(self, classes: Classes) -> DevicePlan:
-        """The read plan for the points of some poll classes."""
+        """Return the read plan for the points of some poll classes."""
         plan = self._plans.get(classes)
         if plan is None:
             if len(self._plans) >= MOST_PLANS:
@@ -132,7 +132,7 @@ class PlanBook:
 
     @property
     def cheapest(self) -> PlannedRead | None:
-        """The cheapest read that has succeeded, or else one of the narrowest point; None without points."""
+        """Return the cheapest read that has succeeded, or else one of the narrowest point; None without points."""
         if self._cheapest is None:
             plan = plan_reads(self._present(self._all), self.rules, self._cost)
             narrowest = min(
@@ -146,7 +146,7 @@ class PlanBook:
         return self._cheapest
 
     def succeeded(self, read: PlannedRead, seconds: float) -> None:
-        """Note a read that succeeded at its first attempt."""
+        """Note a read that succeeded at its first attempt, to learn its cost."""
         self._learner.observe(read.table, read.width, seconds)
         self._map.observe(read, ReadOutcome.SUCCESS)
         if self._cheapest is None or read.seconds < self._cheapest.seconds:
@@ -157,7 +157,7 @@ class PlanBook:
             self._look_at_cost()
 
     def failed(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Note a failed read, with its exception code if there is one."""
+        """Note a failed read, with its exception code if there is one, to learn what the device refuses."""
         self._map.observe(read, outcome, code)
 
     def _look_at_cost(self) -> None:
@@ -178,11 +178,11 @@ class PlanBook:
 
     @property
     def may_ask(self) -> bool:
-        """Whether `question` may return a read now."""
+        """Whether `question` may return a read for learning now."""
         return self._probes is None or bool(self._probes) or self._map.is_asking
 
     def question(self) -> PlannedRead | None:
-        """The next read for learning, to be made at low priority, or None."""
+        """Return the next read for learning, to be sent at low priority, or None."""
         asked = self._map.question()
         if asked is not None:
             return asked
@@ -199,7 +199,7 @@ class PlanBook:
         return not (self._rules.exact or self._rules.one_point)
 
     def answered(self, read: PlannedRead, outcome: ReadOutcome, seconds: float, code: int = 0) -> bool:
-        """Note the result of a read from `question`. Returns whether holes or limits were learnt."""
+        """Note the result of a read from `question`. Returns whether refused ranges or limits were learnt."""
         if read is self._probe:
             self._probe = None
             if outcome is ReadOutcome.SUCCESS:
@@ -217,11 +217,11 @@ class PlanBook:
         return learnt
 
     def forget(self, known: DeviceKnowledge) -> None:
-        """Start again with the given knowledge, after some was forgotten or pinned."""
+        """Begin again with the given knowledge about the device, after some was forgotten or pinned."""
         self._map = MapLearner(known, self._cost)
         self._plans.clear()
 
 
 def _once(items: Iterable[ReadItem]) -> list[ReadItem]:
-    """The items without duplicate objects, in order."""
+    """Return the items without duplicate objects, in order."""
     return list({id(one): one for one in items}.values())

@@ -1,4 +1,4 @@
-"""The polling engine of one link: makes the reads that the schedule says, and turns replies into samples.
+"""Polls the devices of one link: sends the reads that the schedule says, and turns replies into samples.
 
 Knows the schedule, a link of asyncio and the decoders of points; knows no store and no file.
 
@@ -53,15 +53,15 @@ _GATEWAY_EXCEPTIONS: Final = frozenset(
 
 
 class PollLink(Protocol):
-    """What the engine needs of a link; `busway.AsyncLink` is one."""
+    """Interface of a link that polling needs; `busway.AsyncLink` is one."""
 
     async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
-        """A reply or an error for each request."""
+        """Send requests and return a reply or an error for each."""
 
 
 @dataclass(slots=True, eq=False)
 class _CompiledRead:
-    """A planned read, ready to be made: its request, the decoder of its reply, and whose samples it brings.
+    """A planned read with all that is needed to send it: request, decoder of the reply, and whose samples it brings.
 
     Attributes:
         data, at: its last reply, and the nanosecond when that was taken, for those who ask for raw values.
@@ -77,7 +77,7 @@ class _CompiledRead:
 
 @dataclass(frozen=True, slots=True)
 class _QueuedWrite:
-    """A write that waits for its turn."""
+    """A write of a command that waits for its turn on the link."""
 
     perform: Callable[[], Awaitable[None]]
     drop: Callable[[], None] | None
@@ -99,7 +99,7 @@ def _decoder_of(read: PlannedRead) -> ReadDecoder:
 
 @dataclass(slots=True)
 class PolledDevice:
-    """A device as the engine asks it.
+    """A device as its poller knows it: points, read plans, and what was read last.
 
     Attributes:
         name: its name.
@@ -134,7 +134,7 @@ class PolledDevice:
     _compiled: dict[int, _CompiledRead] = field(default_factory=dict)
 
     def registers_of(self, points: Container[str]) -> dict[str, bytes]:
-        """The registers of points as they were read last, two bytes each; none for bits and for computed points."""
+        """Return the registers of points as last read, two bytes each; empty for bits and computed points."""
         found: dict[str, bytes] = {}
         for each in sorted(self._compiled.values(), key=lambda one: one.at):
             if not each.data or each.read.table in (Table.COILS, Table.DISCRETE_INPUTS):
@@ -146,7 +146,7 @@ class PolledDevice:
         return found
 
     def compiled(self, read: PlannedRead) -> _CompiledRead:
-        """A read of it, compiled at its first use."""
+        """Return one planned read of the device with request and decoder, made at its first use."""
         found = self._compiled.get(id(read))
         if found is None or found.read is not read:
             if len(self._compiled) >= MOST_DECODERS:
@@ -161,7 +161,7 @@ class PolledDevice:
 
 
 class LinkPoller:
-    """Polls the devices of one link. `run` is a task of an event loop; all else is for the same thread.
+    """Polls the devices of one link, in the task `run` of an event loop. All methods are for that thread.
 
     Args:
         name: the link's name.
@@ -200,7 +200,9 @@ class LinkPoller:
         self._latencies: deque[float] = deque(maxlen=KEPT_LATENCIES)
 
     def latencies(self, parts: Sequence[float]) -> list[float]:
-        """Seconds within which these parts (0…1) of the last transactions were answered; empty before the first."""
+        """Return the seconds within which these parts (0…1) of the last requests were answered; empty before the
+        first.
+        """
         kept = sorted(self._latencies)
         return [kept[min(int(part * len(kept)), len(kept) - 1)] for part in parts] if kept else []
 
@@ -239,7 +241,7 @@ class LinkPoller:
             self.schedule.remove(name)
 
     def pause(self, name: str, *, paused: bool, since: int | None = None) -> None:
-        """Begin or end the maintenance of a device: it is not polled meanwhile.
+        """Begin or end the maintenance of a device: meanwhile it is not polled.
 
         Args:
             name: the device.
@@ -257,7 +259,7 @@ class LinkPoller:
         self.wake()
 
     def lease(self, name: str, points: Sequence[str], period: float, seconds: float) -> None:
-        """Read some points of a device every ``period`` seconds for ``seconds``, before the classes."""
+        """Read some points of a device every ``period`` seconds for ``seconds``, before the poll classes."""
         wanted = set(points)
         items = [each for each in self.devices[name].book.points() if each.name in wanted]
         now = self._now()
@@ -265,7 +267,7 @@ class LinkPoller:
         self.wake()
 
     def write(self, name: str, perform: Callable[[], Awaitable[None]], drop: Callable[[], None] | None = None) -> bool:
-        """Queue a write to a device, before all reads; False where too many wait, or the task has ended.
+        """Queue a write to a device, before all reads; False if too many wait, or polling has ended.
 
         Args:
             name: the device.
@@ -279,19 +281,19 @@ class LinkPoller:
         return taken
 
     async def wait_for(self, name: str) -> None:
-        """Wait until a device may be asked again. For what is done in the turn of a write."""
+        """Wait until the pause that a device needs between requests is over, during the turn of a write."""
         device = self.devices[name]
         if device.ready_at > self._now():
             await asyncio.sleep(device.ready_at - self._now())
 
     def note_asked(self, name: str) -> None:
-        """Note that a device was asked in the turn of a write: its pause begins."""
+        """Note that a device was sent a request during the turn of a write, so that its pause begins."""
         device = self.devices.get(name)
         if device is not None and device.pause:
             device.ready_at = self._now() + device.pause
 
     def note_reading(self, name: str, point: Point, found: Reading, began: float) -> None:
-        """Give the sample of a point that was read in the turn of a write, from ``began`` until now."""
+        """Pass on the sample of a point that was read during the turn of a write, from ``began`` until now."""
         device = self.devices.get(name)
         if device is None or point.rollover:  # a counter's sample is its total
             return
@@ -305,7 +307,7 @@ class LinkPoller:
         self._samples(batch)
 
     def wake(self) -> None:
-        """Look again at what is next."""
+        """Make the polling task look again at what is due next."""
         if self._wake is not None:
             self._wake.set()
 
@@ -342,21 +344,21 @@ class LinkPoller:
             pass
 
     def mend(self, shift: int) -> None:
-        """Move the begin of open intervals from before the wall clock was set."""
+        """Correct the begin of open intervals that are from before the wall clock was set."""
         for device in self.devices.values():
             begun = device.suspended
             if begun is not None and begun.begin < EARLIEST:
                 device.suspended = replace(begun, begin=begun.begin + shift)
 
     def close(self) -> None:
-        """End the open intervals, since the link stops; maintenance goes on without it."""
+        """End the open intervals of silent devices, because polling stops; maintenance goes on."""
         for device in self.devices.values():
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
                 _log.info("%s answers again", device.name)
                 self._end_interval(device)
 
     async def make(self, turn: Turn) -> None:
-        """Make the reads or the write of one turn, and note what came of it."""
+        """Send the reads or the write of one turn of the schedule, and note the outcome."""
         device = self.devices.get(turn.device)
         if device is not None:
             await self.wait_for(turn.device)
@@ -458,7 +460,7 @@ class LinkPoller:
         middle: int,
         half: int,
     ) -> TurnOutcome:
-        """Note a read that failed; gives the outcome of the turn with it."""
+        """Note a read that failed; returns the outcome of the turn with it."""
         reason, result = _judged(error)
         device.last_error = str(error)
         if turn.kind is TurnKind.ROUND:
@@ -512,7 +514,7 @@ class LinkPoller:
 
 
 def _judged(error: ModbusError) -> tuple[int, TurnOutcome]:
-    """The reason of samples for an error, and what it says about the device."""
+    """Return the reason of samples for an error, and whether the device counts as silent."""
     if isinstance(error, ExceptionReply):
         unreachable = error.code in _GATEWAY_EXCEPTIONS
         return exception_reason(error.code), TurnOutcome.SILENT if unreachable else TurnOutcome.ANSWERED

@@ -1,4 +1,5 @@
-"""Preview of a collector without traffic: its reads, the load of each link, undeclared registers, and what was learnt.
+"""What a collector would do, without traffic: its reads, the load of each link, undeclared registers, what was
+learnt.
 
 Knows plans; sends nothing.
 """
@@ -15,7 +16,7 @@ from .plan import PlannedRead, undeclared
 
 @dataclass(frozen=True, slots=True)
 class PreviewedRead:
-    """One read that a device would get.
+    """One read request that a device would get.
 
     Attributes:
         device, poll_class: whose, and of which class.
@@ -37,7 +38,7 @@ class PreviewedRead:
 
 @dataclass(frozen=True, slots=True)
 class CollectorPreview:
-    """The preview of a whole collector.
+    """What a whole collector would do.
 
     Attributes:
         reads: by device and class.

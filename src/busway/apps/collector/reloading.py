@@ -1,4 +1,4 @@
-"""A configuration that replaces another while the collector runs: what may not change, and the file itself.
+"""Replaces the configuration of a running collector: what may not change, and the replacement of the file.
 
 Knows two configurations and a file; knows no link.
 
@@ -22,7 +22,7 @@ _READ_AT_THE_START: Final = tuple(key for key in CollectorSection.model_fields i
 
 
 def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfiguration) -> None:
-    """Raise `ConfigError` where the store or the sinks differ."""
+    """Raise `ConfigError` if a new configuration has another store or other sinks."""
     if new.file.sink != old.file.sink:
         raise ConfigError("sinks cannot change while the collector runs: restart it", file=new.name, key="sink")
     if new.store != old.store:
@@ -32,7 +32,7 @@ def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfigu
 
 
 def left_for_the_next_start(started: CollectorConfiguration, new: CollectorConfiguration) -> list[str]:
-    """What differs from the configuration of the start and holds after the next one only, each as a sentence."""
+    """Return sentences about changes of the configuration that take effect only at the next start."""
     before, after = started.file.collector, new.file.collector
     keys = [f"[collector] {key}" for key in _READ_AT_THE_START if getattr(before, key) != getattr(after, key)]
     if started.file.audit != new.file.audit:
@@ -43,7 +43,7 @@ def left_for_the_next_start(started: CollectorConfiguration, new: CollectorConfi
 
 
 def replace_file(path: str, text: str) -> None:
-    """Replace the content of a file that is there (rule 3). Raises `ConfigError`; the file is as before then."""
+    """Replace the contents of a file that exists (rule 3). Raises `ConfigError`; then it is as before."""
     target = Path(os.path.realpath(path))
     beside = target.with_name(target.name + ".new")
     try:

@@ -1,4 +1,4 @@
-"""The timeout for replies of one device: adaptive on TCP, where replies are numbered; as configured on serial lines.
+"""The timeout for replies of one polled device: adaptive on TCP, as configured on serial lines.
 
 Pure: knows seconds.
 
@@ -16,7 +16,7 @@ _DEVIATION_GAIN: Final = 0.25
 
 
 class ReplyTimeout:
-    """The timeout for replies of one device.
+    """The timeout for replies of one polled device, which follows its replies on TCP.
 
     Args:
         configured: seconds; the longest, and the one to begin with.
@@ -36,7 +36,7 @@ class ReplyTimeout:
         self.seconds: float = configured
 
     def answered(self, elapsed: float) -> None:
-        """Note a reply that took ``elapsed`` seconds."""
+        """Note that a reply of the device took ``elapsed`` seconds."""
         if not self._numbered:
             return
         if self._smoothed is None:
@@ -47,6 +47,6 @@ class ReplyTimeout:
         self.seconds = min(max(self._smoothed + 4 * self._deviation, SHORTEST), self._configured)
 
     def silent(self) -> None:
-        """Note that no reply came in time."""
+        """Note that a reply of the device did not come in time."""
         if self._numbered:
             self.seconds = min(2 * self.seconds, self._configured)

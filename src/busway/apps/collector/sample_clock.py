@@ -1,4 +1,4 @@
-"""The clock for times of samples: follows the system's wall clock, but never runs backwards.
+"""The clock that gives samples their time: follows the system's wall clock, but never runs backwards.
 
 Pure: knows readings of two clocks; reads none itself.
 
@@ -37,7 +37,7 @@ class SampleClock:
 
     @property
     def is_right(self) -> bool:
-        """Whether the time is known to be correct."""
+        """Whether the wall clock is known to be set right."""
         return self._wall_is_right and self._behind <= TOLERANCE
 
     def adjust(self, monotonic: float, wall: int) -> int:
@@ -59,10 +59,10 @@ class SampleClock:
         return max(ahead, 0) if was_set_now else 0
 
     def time_ns(self, monotonic: float) -> int:
-        """Nanoseconds since 1970 at a time since the last `adjust`."""
+        """Return nanoseconds since 1970 for a monotonic time since the last `adjust`."""
         time = int(monotonic * NANOSECONDS) + self._offset
         return time + self._made_up(monotonic) if self._behind else time
 
     def _made_up(self, monotonic: float) -> int:
-        """The part of a fallen offset that was caught up since the last `adjust`, at half speed: 0 or less."""
+        """Return how much of a step back of the wall clock was caught up since the last `adjust`: 0 or less."""
         return -min(self._behind, max(0, int((monotonic - self._since) * NANOSECONDS)) // 2)

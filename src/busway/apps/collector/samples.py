@@ -78,7 +78,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class PointGroup:
-    """The points of one device that one read covers, in the order of the values; made once and used by many batches.
+    """The points of one device that one read fetches, in the order of their values; shared by many batches.
 
     Two groups are equal only if they are the same object, so that a look-up by group costs the same for any number of
     points.
@@ -96,7 +96,7 @@ class PointGroup:
 
 @dataclass(frozen=True, slots=True)
 class CounterState:
-    """State of an accumulator, from which its total continues after a restart.
+    """The state of an accumulator, from which its total goes on after a restart.
 
     Attributes:
         point: name of the point.
@@ -111,7 +111,7 @@ class CounterState:
 
 @dataclass(frozen=True, slots=True)
 class SampleBatch:
-    """The samples of one read, stored as columns.
+    """The samples of one read, as columns of values and reasons.
 
     Attributes:
         group: device and points.
@@ -138,19 +138,19 @@ class SampleBatch:
 
     @property
     def device(self) -> str:
-        """Name of the device."""
+        """Name of the device that was read."""
         return self.group.device
 
     @property
     def points(self) -> tuple[str, ...]:
-        """Names of the points, in the order of the values."""
+        """Names of the points that were read, in the order of the values."""
         return self.group.points
 
     def __len__(self) -> int:
         return len(self.group.points)
 
     def reason_column(self) -> Sequence[int]:
-        """The reason code of each point."""
+        """The reason code of each point's sample."""
         return (self.reasons,) * len(self) if isinstance(self.reasons, int) else self.reasons
 
     def __iter__(self) -> Iterator[Sample]:
@@ -159,7 +159,7 @@ class SampleBatch:
 
 
 def failed_batch(group: PointGroup, time: int, half_width: int, reason: int) -> SampleBatch:
-    """The samples of a read that failed: each point without a value, for one bad reason."""
+    """Return the samples of a read that failed: each point without a value, for the same bad reason."""
     if quality_of(reason) is not Quality.BAD:
         raise InvalidRequest(f"{shown(reason_text(reason))} is no reason for which a read fails")
     return SampleBatch(group, time, half_width, (None,) * len(group.points), reason)
@@ -214,7 +214,7 @@ def _check_interval(begin: int, end: int | None, reason: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class PointDescription:
-    """Properties of a point that the store and sinks know beside its samples.
+    """What the store and sinks know of a point beside its samples, such as its unit of measure.
 
     Attributes:
         device: name of the device.

@@ -1,4 +1,4 @@
-"""The schedule of one link: decides which read is made next, and when.
+"""The schedule of one link: decides which read request is sent next, and when.
 
 Pure: every call is handed the time; knows no clock and no socket. A driver asks `LinkSchedule.next`, makes the reads of
 the turn that it gets, and tells `LinkSchedule.done`.
@@ -46,7 +46,7 @@ LEASED: Final = "(leased)"
 
 
 class TurnKind(Enum):
-    """Reasons for a request in the schedule: a write, a polling round, a probe, or a read for learning."""
+    """Why a device is sent a request: a write, a polling round, a probe, or a read for learning."""
 
     WRITE = "write"
     ROUND = "round"
@@ -55,7 +55,7 @@ class TurnKind(Enum):
 
 
 class TurnOutcome(Enum):
-    """Results of a request, as far as the schedule needs them."""
+    """What a request told about its device: answered, silent, or nothing."""
 
     ANSWERED = "answered"  # also by an exception: the device lives
     SILENT = "silent"
@@ -64,7 +64,7 @@ class TurnOutcome(Enum):
 
 @dataclass(slots=True)
 class PollRound:
-    """One polling round of a device: the due poll classes and their reads.
+    """One polling round of a device: the poll classes that are due, and their reads.
 
     Attributes:
         device: its name.
@@ -94,7 +94,7 @@ class PollRound:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """The next request to make on a link.
+    """The next thing to do on a link: which device, why, and with which reads or write.
 
     Attributes:
         kind: why.
@@ -113,7 +113,7 @@ class Turn:
 
 @dataclass(slots=True)
 class ScheduledDevice:
-    """A device in the schedule of a link, with its due times and whether it answers.
+    """A device in the schedule of a link: when its poll classes are due, and whether it answers.
 
     Attributes:
         name: its name.
@@ -211,7 +211,7 @@ class LinkSchedule:
             self._asking.append(name)
 
     def _first_dues(self, book: PlanBook, periods: Mapping[str, float], now: float) -> dict[str, float]:
-        """First due times: the fastest class after those of earlier devices, slower classes on its due times."""
+        """Return first due times: the fastest class after those of earlier devices, others at its due times."""
         shortest = min(periods.values())
         first = now + self._placed % shortest
         for name, period in periods.items():
@@ -246,7 +246,7 @@ class LinkSchedule:
         return True
 
     def take_writes(self) -> list[Any]:  # Any: the caller's own
-        """Remove and return all waiting writes, because polling ends."""
+        """Remove and return all writes that wait, because polling ends."""
         waiting = [what for _, what in self._writes]
         self._writes.clear()
         return waiting
@@ -264,9 +264,7 @@ class LinkSchedule:
     # What is next.
 
     def next(self, now: float) -> Turn | float:
-        """The next request to make now, or the time to ask again at the latest; a new write or lease may come
-        earlier.
-        """
+        """Return the next request to send now, or the time to ask again; a new write or lease may come earlier."""
         self._credit_until(now)
         self._release_due(now)
         if self._writes:
@@ -310,7 +308,7 @@ class LinkSchedule:
                 self._release(device, now)
 
     def _release(self, device: ScheduledDevice, now: float) -> None:
-        """Begin a round with the due poll classes, or add them to the waiting one (rules 2 and 3)."""
+        """Begin a polling round with the classes that are due, or add them to the waiting one (rules 2 and 3)."""
         if LEASED in device.periods and now >= device.leased_until:
             del device.periods[LEASED], device.due[LEASED]
             device.book.set_class(LEASED, ())
@@ -360,7 +358,7 @@ class LinkSchedule:
     # What became of it.
 
     def done(self, turn: Turn, began: float, now: float, outcome: TurnOutcome) -> None:
-        """Note the end of a request: when it began and ended, and whether the device answered."""
+        """Note the end of a request to a device: when it began and ended, and whether the device answered."""
         self.busy += now - began
         device = self.devices.get(turn.device)
         if device is None:
@@ -399,7 +397,7 @@ class LinkSchedule:
                 self._push_silent(other)
 
     def _resume(self, device: ScheduledDevice, now: float, *, at_once: bool) -> None:
-        """Poll a responding device at its due times, and ``at_once`` before them; a silent one is probed first."""
+        """Go on with a device that answers: poll it at its due times; a silent one is probed first."""
         if not device.lives:
             device.probe_at = now
             self._push_silent(device)
@@ -410,7 +408,7 @@ class LinkSchedule:
         self._release_at(min(device.due.values()), device)
 
     def _unanswered(self, device: ScheduledDevice, now: float, *, down: bool) -> None:
-        """Suspend a device, or probe it later (rule 4)."""
+        """Suspend a device that did not answer, or probe it later (rule 4)."""
         device.silences += 1
         device.was_down = down
         if device.lives or device.suspended_at is None:
@@ -441,7 +439,7 @@ class LinkSchedule:
         self._credited_at = now
 
     def _first_silent(self) -> ScheduledDevice | None:
-        """The silent device whose probe is due first."""
+        """Return the silent device whose probe is due first."""
         while self._silent:
             when, _, name = self._silent[0]
             device = self.devices.get(name)
@@ -451,7 +449,7 @@ class LinkSchedule:
         return None
 
     def _first_contact(self) -> Turn | None:
-        """A request to a device that was never asked before, if nothing is due or its share of time allows it."""
+        """Return a request to a device never asked before, if nothing is due or its share of time allows it."""
         for _ in range(len(self._new)):
             device = self.devices.get(self._new.popleft())
             if device is None or device.lives is not None:
@@ -476,7 +474,7 @@ class LinkSchedule:
         return None if read is None else Turn(TurnKind.PROBE, device.name, (read,))
 
     def _question(self, now: float) -> Turn | None:
-        """The next read for learning: at most one per device in its shortest period."""
+        """Return the next read for learning: at most one per device in its shortest period."""
         for _ in range(len(self._asking)):
             device = self.devices.get(self._asking[0])
             if device is None:
@@ -504,9 +502,7 @@ class LinkSchedule:
 
     @property
     def blocking(self) -> float:
-        """Seconds for which other requests may occupy the link before a round begins: the longest read and one
-        timeout.
-        """
+        """Return the seconds that other requests may take before a round begins: longest read and one timeout."""
         longest = (
             read.seconds
             for device in self.devices.values()
@@ -516,18 +512,18 @@ class LinkSchedule:
 
     @property
     def revival_bound(self) -> float:
-        """Seconds within which a device that answers again is polled, unless the link is overloaded."""
+        """Return the seconds within which a device that answers again is polled, unless the link is overloaded."""
         silent = sum(not device.lives for device in self.devices.values())
         return LONGEST_BACKOFF + (silent + 1) * self.timeout / self._share + self.blocking
 
 
 def lateness_bound(period: float, blocking: float) -> float:
-    """Seconds that a round may be late because of others, if the admission test has passed."""
+    """Return the seconds that a round may be late because of others, if the admission test has passed."""
     return max(SLACK * period, blocking)
 
 
 def _next_on_grid(due: float, period: float, now: float) -> float:
-    """The first due time after now and after ``due``, a whole number of periods after ``due``."""
+    """Return the first due time after now that is a whole number of periods after ``due``."""
     following = due + period
     if following > now:
         return following

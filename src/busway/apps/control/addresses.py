@@ -1,4 +1,4 @@
-"""Addresses of control sockets, and the directories that contain them.
+"""Addresses of control sockets (which ``busway status`` asks), and the directories that contain them.
 
 Knows paths and the environment; opens nothing but that directory.
 
@@ -38,9 +38,7 @@ class UnixAddress:
 
 @dataclass(frozen=True, slots=True)
 class LoopbackAddress:
-    """The address of a control service over HTTP on this host. ``host`` is a loopback address; port 0 takes a
-    free one.
-    """
+    """The address of a control service over HTTP on this host: a loopback address, and a port (0 takes a free one)."""
 
     host: str
     port: int
@@ -80,7 +78,7 @@ def is_loopback(host: str) -> bool:
 
 
 def control_directory(environment: Mapping[str, str] | None = None) -> Path:
-    """The directory for control sockets of this user; created if missing.
+    """Return the directory for control sockets of this user; created if missing.
 
     Args:
         environment: used instead of that of the process.
@@ -100,7 +98,7 @@ def control_directory(environment: Mapping[str, str] | None = None) -> Path:
 
 
 def control_directories(environment: Mapping[str, str] | None = None) -> list[Path]:
-    """All directories that may contain control sockets of this user: a service's environment differs from a shell's.
+    """Return all directories that may hold control sockets of this user; services and shells differ in them.
 
     Directories that do not exist, or are not the user's alone, are left out.
     """
@@ -108,7 +106,7 @@ def control_directories(environment: Mapping[str, str] | None = None) -> list[Pa
 
 
 def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
-    """Possible directories for control sockets, the preferred one first."""
+    """Return possible directories for control sockets, the preferred one first."""
     runtime = (os.environ if environment is None else environment).get("XDG_RUNTIME_DIR", "")
     own = f"busway-{os.getuid()}" if hasattr(os, "getuid") else "busway"
     temporary = Path(tempfile.gettempdir()) / own
@@ -118,7 +116,7 @@ def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
 
 
 def _problem(path: Path) -> str:
-    """Why a directory is not private to this user; empty if it is."""
+    """Say why a directory is not private to this user; empty if it is."""
     found = path.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return f"{path} is no directory"

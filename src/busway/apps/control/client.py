@@ -1,4 +1,4 @@
-"""Client of the control service: finds running programs and asks them.
+"""Client of the control service: finds running servers and gateways and asks them for their status.
 
 Knows the client's side of HTTP over a Unix domain socket and over loopback; knows no status.
 
@@ -42,7 +42,7 @@ class Running:
 
 
 def find_running(*directories: Path) -> list[Running]:
-    """The running programs whose control sockets are in these directories, sorted by name."""
+    """Return the running programs whose control sockets are in these directories, sorted by name."""
     found: list[Running] = []
     for directory in directories:
         if HAS_UNIX_SOCKETS:
@@ -53,7 +53,7 @@ def find_running(*directories: Path) -> list[Running]:
 
 
 def find_one(text: str, *directories: Path) -> Running:
-    """The running program with this socket path, URL, or name (a process id). Raises `ConfigError`."""
+    """Return the running program with this socket path, URL, or name (a process id). Raises `ConfigError`."""
     address = parse_control_address(text)
     if isinstance(address, LoopbackAddress):
         known = [running for directory in directories for running in _with_tokens(directory)]
@@ -70,7 +70,7 @@ def find_one(text: str, *directories: Path) -> Running:
 
 
 def ask(running: Running, resource: str = "/status", *, method: str = "GET", timeout: float = 5.0) -> Any:
-    """Request a resource of a running program: the decoded JSON, or a text.
+    """Ask a running program for a resource of its control service; returns the decoded JSON, or a text.
 
     Args:
         running: the program.
@@ -141,7 +141,7 @@ class _Connection(http.client.HTTPConnection):
 
 
 def _with_tokens(directory: Path) -> list[Running]:
-    """The running programs on loopback whose access tokens are in a directory."""
+    """Return the running programs on loopback whose access tokens are in a directory."""
     found = []
     for path in sorted(directory.glob(f"*{TOKEN_SUFFIX}")):
         try:

@@ -30,7 +30,7 @@ _CONNECT_SECONDS = 1.0
 
 @dataclass
 class Bound:
-    """The bound socket of a control service, with its file.
+    """The listening socket of a control service, with its file.
 
     Attributes:
         address: its address.
@@ -44,12 +44,12 @@ class Bound:
     _identity: tuple[int, int] = field(default=(0, 0))
 
     def remember(self, made: Path) -> None:
-        """Remember the file that belongs to the socket, to remove it later."""
+        """Note which file belongs to the control socket, to remove it later."""
         found = made.lstat()
         self._made, self._identity = made, (found.st_dev, found.st_ino)
 
     def remove(self) -> None:
-        """Remove the file of the socket, unless another program has replaced it."""
+        """Remove the file of the control socket, unless another program has replaced it."""
         made, self._made = self._made, None
         if made is None:
             return
@@ -116,7 +116,7 @@ def bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
 
 
 def is_alive(path: Path) -> bool:
-    """Whether a program answers at a Unix socket."""
+    """Whether a program answers at a Unix control socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(_CONNECT_SECONDS)
         try:
@@ -137,7 +137,7 @@ def sweep(directory: Path) -> None:
 
 
 def same_user(accepted: socket.socket) -> bool:
-    """Whether the peer of a Unix socket is the same user or root. True if the system cannot tell."""
+    """Whether the program at the other end of a Unix socket runs as the same user or root; True if unknown."""
     option = getattr(socket, "SO_PEERCRED", None)
     if option is None:
         return True

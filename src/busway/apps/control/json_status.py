@@ -11,7 +11,7 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """A status as numbers, texts, lists and objects. Infinity and NaN become null, bytes hexadecimal text."""
+    """Return a status as numbers, texts, lists and objects. Infinity and NaN become null, bytes hexadecimal text."""
     if isinstance(value, Enum):
         return value.value if isinstance(value.value, str) else value.name.lower()
     if value is None or isinstance(value, bool | int | str):

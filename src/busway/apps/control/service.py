@@ -41,26 +41,26 @@ OFF: Final = "off"
 
 
 class Subject(Protocol):
-    """Interface of the server or gateway that a control service shows."""
+    """Interface of the server or gateway that a control service reports on."""
 
     def status(self) -> Any:
-        """The current status: a dataclass with any fields. Called in the subject's event loop."""
+        """Return the current status: a dataclass with any fields. Called in the subject's event loop."""
 
 
 @runtime_checkable
 class Resettable(Protocol):
-    """Interface of a server or gateway whose counters can be reset."""
+    """Interface of a server or gateway whose counters the control service can reset."""
 
     def reset_counters(self) -> None:
-        """Set the counters to zero; nothing else changes."""
+        """Set the counters of the server or gateway to zero; nothing else changes."""
 
 
 @runtime_checkable
 class Reloadable(Protocol):
-    """Interface of a server or gateway that can read its files again."""
+    """Interface of a server or gateway that can read its files again on demand."""
 
     async def reload(self) -> Any:
-        """Read the files again. The result is shown to the client. Raises `ModbusError`; then nothing has changed."""
+        """Read the files again; the result is shown to the client. Raises `ModbusError`; then nothing has changed."""
 
 
 Reload = Callable[[], Any]
@@ -124,7 +124,7 @@ class Control:
             self._resources["POST", "/reload"] = self._reload_files
 
     async def start(self) -> None:
-        """Start to answer requests. Called in the subject's event loop.
+        """Start to answer requests for the status. Called in the subject's event loop.
 
         Raises:
             ConfigError: another file is at the path, or the directory is not the user's own.
@@ -213,9 +213,7 @@ class Control:
         return _json({"reloaded": plain(self._in_loop(self._reload, RELOAD_SECONDS))})
 
     def _in_loop(self, work: Callable[[], Any], seconds: float = GATHER_SECONDS) -> Any:
-        """Run ``work`` in the subject's event loop and return its result. `HttpError` 503 or 504 if that does not
-        answer.
-        """
+        """Run ``work`` in the server's event loop and return its result. `HttpError` 503 or 504 if it hangs."""
         assert self._loop is not None
 
         async def done() -> Any:
@@ -260,7 +258,7 @@ async def open_control(
     reload: Reload | None = None,
     metrics: AnswerMetrics | None = None,
 ) -> AsyncIterator[Control | None]:
-    """Context manager of a `Control` for commands: None for ``off``, or if the default socket cannot be bound (logged).
+    """Context manager that opens a `Control`; None for ``off``, or if the default socket cannot be bound (logged).
 
     Args:
         subject, name, reload, metrics: as of `Control`.

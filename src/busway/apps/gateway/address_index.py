@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 
 class AddressIndex:
-    """An index of address ranges of one table.
+    """An index of many address ranges of one table, for routes.
 
     Args:
         ranges: first address and end of each, in their order; None for one that has all addresses.
@@ -30,7 +30,7 @@ class AddressIndex:
             self._first[begin:end] = [index] * (end - begin)
 
     def first_touched(self, address: int, end: int) -> int | None:
-        """The index of the first range that contains any of the items ``address`` … ``end - 1``; None without one."""
+        """Return the number of the first range that contains any of the items ``address`` … ``end - 1``; else None."""
         edges = self._edges
         at = bisect_right(edges, address) - 1
         found = self._first[at]

@@ -1,4 +1,4 @@
-"""Builds a gateway from one file, or from a few URLs (Messaging on TCP/IP V1.0b §4.4.2; clauses T24, T32).
+"""Reads the configuration of a gateway from one file, or from a few URLs, and builds the gateway.
 
 Knows which section becomes which part of a gateway; `route_checks` knows what cannot work. Reads no other file.
 
@@ -71,22 +71,22 @@ class GatewayConfiguration:
 
     @property
     def listeners(self) -> tuple[Listener, ...]:
-        """The listeners of the gateway, in the order of the plan."""
+        """The listeners that the gateway file declares, in their order."""
         return tuple(listener.settings for listener in self.plan.listeners)
 
     @property
     def access(self) -> AccessRules | None:
-        """The access rules of the file; None without any."""
+        """The access rules of the gateway file; None without any."""
         return self.common.access
 
     @property
     def audit(self) -> str | None:
-        """Path of the audit log; None without one."""
+        """Path of the gateway's audit log; None without one."""
         return self.common.audit
 
     @property
     def control(self) -> str | None:
-        """Address of the control socket; None for the default one."""
+        """Address of the gateway's control socket; None for the default one."""
         return self.common.control
 
     @property
@@ -114,7 +114,7 @@ class GatewayConfiguration:
         return Gateway(plan, **{**self.common.guarded(), **options})
 
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Apply this configuration to a running gateway. Returns what changed, in words.
+        """Apply this configuration to a gateway that runs. Returns what changed, in words.
 
         Args:
             running: the gateway, as an earlier reading of the file made it.
@@ -187,7 +187,7 @@ def simple_gateway(
     changes: Mapping[str, Any] | None = None,
     client_deadline: float | None = CLIENT_DEADLINE,
 ) -> GatewayConfiguration:
-    """The configuration of a gateway without a file: every unit of every listener is forwarded to one upstream.
+    """Return the configuration of a gateway without a file: all units of all listeners go to one upstream.
 
     Args:
         listeners: URLs to listen on.
@@ -262,7 +262,7 @@ def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadli
 
 
 def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
-    """The listeners with unique names: two may have the same URL if its port is 0."""
+    """Return the listeners with unique names, as two may have the same URL with port 0."""
     named: dict[str, PlacedListener] = {}
     for listener in listeners:
         name, number = listener.name, 1
@@ -293,7 +293,7 @@ def _upstream(
 
 
 def _as_served(common: Configuration) -> tuple[list[Listener], dict[str, Any]]:  # Any: as `Server` takes them
-    """The listeners, and the options common to their servers, with the preset applied."""
+    """Return the listeners and the options common to their servers, with the preset applied."""
     options = common.served()
     tls: TlsParameters | None = options.pop("tls", None)
     places, chosen = with_server_preset(common.listeners, options)

@@ -1,4 +1,4 @@
-"""A function table that caches decoded reads, because pollers repeat theirs.
+"""A table of functions for a gateway that caches decoded reads, because clients repeat theirs.
 
 Knows requests; knows no upstream.
 """
@@ -10,7 +10,7 @@ REMEMBERED = 4096
 
 
 class CachingFunctionTable(FunctionTable):
-    """A function table that returns the same object for equal reads, so that each is decoded and encoded once.
+    """Table of functions that returns the same object for equal reads, so that each is decoded and encoded once.
 
     Saves 1.5 of 12 µs per transaction.
     """
@@ -22,7 +22,7 @@ class CachingFunctionTable(FunctionTable):
         self._known: dict[bytes, AnyRequest] = {}
 
     def decode_request(self, pdu: bytes) -> AnyRequest:
-        """Decode a request PDU, as `FunctionTable.decode_request`; decoded reads are cached."""
+        """Decode a request PDU like `FunctionTable.decode_request`, with reads from the cache."""
         found = self._known.get(pdu)
         if found is None:
             found = super().decode_request(pdu)

@@ -16,7 +16,7 @@ NO_ANSWER = int(ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
 
 
 def code_for(error: ModbusError) -> int:
-    """The exception code that a client gets for the error of its forwarded request."""
+    """Return the exception code that a client gets for the error of its forwarded request."""
     if isinstance(error, ExceptionReply):
         return error.code
     if isinstance(error, Overloaded | InvalidRequest):
@@ -32,5 +32,5 @@ def code_for(error: ModbusError) -> int:
 
 
 def _does_not_answer(error: NoReply) -> bool:
-    """Whether a request failed without being sent because its unit did not answer before."""
+    """Whether a request failed without being sent because its unit had not answered before."""
     return isinstance(error, UnitSuspended) or error.kind == "in doubt"

@@ -23,7 +23,7 @@ SAME = "name", "unit", "unit_offset", "shift", "max_registers", "max_bits", "spl
 
 @dataclass(frozen=True, slots=True)
 class PlacedRoute:
-    """A route with its path in the file. ``section`` is None for the default route of a file without routes."""
+    """A route with its path in the gateway file. ``section`` is None for the default route of a file without routes."""
 
     route: Route
     place: Place
@@ -31,28 +31,28 @@ class PlacedRoute:
 
     @property
     def title(self) -> str:
-        """The name of the route in messages."""
+        """The name of the route in messages about the file."""
         return f"{self.place[0]}[{self.place[1]}]" + (f" ({self.route.name})" if self.route.name else "")
 
     @property
     def names_units(self) -> bool:
-        """Whether the file says which units it is for."""
+        """Whether the file says which units the route is for."""
         return self.section is not None and self.section.parameters.units is not None
 
     @property
     def gap(self) -> float:
-        """Seconds of silence that the route wants after a reply of its unit."""
+        """Seconds of silence that the route wants between a unit's reply and the next request."""
         return (self.section.parameters.request_gap or 0.0) if self.section is not None else 0.0
 
     def key(self, *names: str) -> Place:
-        """The path of the first of these keys that the route sets, or else of the route itself."""
+        """Return the path of the first of these keys that the route sets, or else of the route itself."""
         written = set() if self.section is None else self.section.model_fields_set
         return next(((*self.place, name) for name in names if name in written), self.place)
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedListener:
-    """A listener with the path of its URL in the file. ``is_chosen``: the file sets its deadline."""
+    """A listener with the path of its URL in the gateway file. ``is_chosen``: the file sets its deadline."""
 
     name: str
     endpoint: Endpoint
@@ -69,7 +69,7 @@ class PlacedListener:
 def placed_routes(
     file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], report: ConfigurationReport
 ) -> list[PlacedRoute]:
-    """The routes of a file; invalid ones are reported and left out."""
+    """Return the routes of a file with their paths; invalid ones are reported and left out."""
     if not file.route:
         return [
             PlacedRoute(Route(upstream=name, units=upstream_units(upstream)), ("link", 0), None)
@@ -110,7 +110,7 @@ def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> 
 
 
 def _default_units(wanted: RouteParameters, upstream: UpstreamSettings | None) -> frozenset[int]:
-    """The units of a route that names none: those that its upstream can have."""
+    """Return the units of a route that names none: those that its upstream can have."""
     if upstream is None:
         return ALL_UNITS
     there = upstream_units(upstream)
@@ -123,12 +123,12 @@ def _default_units(wanted: RouteParameters, upstream: UpstreamSettings | None) -
 
 
 def upstream_units(upstream: UpstreamSettings) -> frozenset[int]:
-    """The unit numbers that an upstream can have: 0…255 with MBAP framing, 1…247 on serial lines."""
+    """Return the unit numbers that an upstream can have: 0…255 with MBAP framing, 1…247 on serial lines."""
     return ALL_UNITS if upstream.link.endpoint.framing == "mbap" else SERIAL_UNITS
 
 
 def unit_gaps(routes: Sequence[PlacedRoute], upstream: str) -> dict[int, float]:
-    """The longest silence that any route wants after a reply of each unit of an upstream, in seconds."""
+    """Return the longest silence that any route wants after a reply, in seconds, by unit of an upstream."""
     found: dict[int, float] = {}
     for placed in routes:
         if placed.gap and placed.route.upstream == upstream:

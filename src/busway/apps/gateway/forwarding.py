@@ -50,7 +50,7 @@ _NONE_JOINED: Mapping[int, list[Waiter]] = MappingProxyType({})
 
 
 class Batch(Call):
-    """Requests of one client that are sent upstream together, and other clients that share some of them.
+    """Requests of one client that go upstream together, and the other clients that share replies to some of them.
 
     Attributes:
         asker: the client; None when it has disconnected.
@@ -96,21 +96,21 @@ class Batch(Call):
         self.asked = asked
 
     def done(self) -> bool:
-        """Always False; for the link, which would ask a future before it calls `set_result`."""
+        """Return False always; for the link, which asks a future this before it calls `set_result`."""
         return False
 
     def set_result(self, result: None) -> None:
-        """Called by the link when all requests of the batch have their outcomes, as if this were a future."""
+        """Called by the link when all requests of the batch have an outcome, as if this were a future."""
         self.forwarder.answer(self)
 
     def owed(self, asker: ForwardingClient) -> Iterator[ForwardedRequest]:
-        """The requests of a client that have not been answered yet."""
+        """Return the requests of a client that have no answer yet."""
         for position in range(len(self.tags)):
             if position not in self.told:
                 yield from (asked for waiter, _, asked in self.waiters(position) if waiter is asker)
 
     def asker_gone(self, asker: ForwardingClient) -> None:
-        """Drop the requests of a client that has disconnected."""
+        """Drop the requests of the client that sent the batch, because it has disconnected."""
         self.forwarder.withdraw(self, asker)
 
     def is_sent(self, position: int) -> bool:
@@ -119,17 +119,17 @@ class Batch(Call):
 
     @property
     def left(self) -> int:
-        """Number of requests of the batch that have not been answered yet."""
+        """Number of requests of the batch that have no answer yet."""
         return len(self.tags) - len(self.told)
 
     def waiters(self, position: int) -> list[Waiter]:
-        """The clients that wait for the request at a position of the batch."""
+        """Return the clients that wait for the request at a position of the batch."""
         own = [] if self.asker is None else [(self.asker, self.tags[position], self.asked[position])]
         return own + self.joined.get(position, [])
 
 
 class ForwardTarget:
-    """A unit of an upstream, as the requests of one listener reach it.
+    """A unit of an upstream, to which one listener's requests are forwarded.
 
     Args:
         forwarder: of the upstream.
@@ -198,7 +198,7 @@ class ForwardTarget:
         tags: Sequence[Any],
         asked: Sequence[ForwardedRequest],
     ) -> None:
-        """Forward requests one by one; refuse them if the upstream has no link."""
+        """Forward requests one by one; refuse them if the upstream has no connection for them."""
         forwarder = self.forwarder
         for tag, one in zip(tags, asked, strict=True):
             if link is not None:
@@ -209,7 +209,7 @@ class ForwardTarget:
         forwarder.send()
 
     def _not_begun(self, batch: Batch, asker: ForwardingClient, error: ModbusError) -> None:
-        """Refuse requests that the link did not accept; of several, it may have room for some."""
+        """Refuse requests that the upstream's queue did not accept; it may have room for some of several."""
         forwarder = self.forwarder
         forwarder.leave(batch)
         forwarder.upstream.counters.broadcasts -= batch.is_write and self.is_broadcast
@@ -227,7 +227,7 @@ class ForwardTarget:
         asked: Sequence[ForwardedRequest],
         shared: Mapping[Key, Batch],
     ) -> tuple[Sequence[Any], Sequence[ForwardedRequest], list[tuple[Any, ForwardedRequest]]]:
-        """Let reads wait for identical ones in flight. Returns those to send, and those that are among them already."""
+        """Let reads wait for equal ones in flight. Returns those to send, and those that wait already."""
         left: dict[Key, tuple[Any, ForwardedRequest]] = {}
         twice: list[tuple[Any, ForwardedRequest]] = []
         for tag, one in zip(tags, asked, strict=True):
@@ -243,7 +243,7 @@ class ForwardTarget:
         return [tag for tag, _ in left.values()], [one for _, one in left.values()], twice
 
     def _join(self, batch: Batch, waiter: Waiter) -> None:
-        """Let a client wait for an identical read in flight."""
+        """Let a client wait for an equal read that another client has in flight."""
         asker, _, asked = waiter
         self.forwarder.upstream.counters.shared += 1
         position = _position(batch, asked)
@@ -262,12 +262,12 @@ class ForwardTarget:
 
 
 def _position(batch: Batch, asked: ForwardedRequest) -> int:
-    """The position of a read in a batch."""
+    """Return the position of a read in a batch."""
     return batch.keys.index(asked.key)
 
 
 class Forwarder:
-    """All unanswered requests to one upstream, and the reads that clients share.
+    """All unanswered requests to one upstream, and the reads that several clients share.
 
     Args:
         upstream: where they go.
@@ -293,7 +293,7 @@ class Forwarder:
 
     @property
     def open_requests(self) -> int:
-        """Number of requests that are not answered yet."""
+        """Number of forwarded requests that have no answer yet."""
         return sum(batch.left for batch in self.open)
 
     async def wait_until_answered(self) -> None:
@@ -303,7 +303,7 @@ class Forwarder:
             await self._all_answered.wait()
 
     def recall(self, unit: int, place: Place, seconds: float) -> bytes | None:
-        """The remembered data of a read, if they are not older than ``seconds``; else None."""
+        """Return the remembered data of a read, if they are not older than ``seconds``; else None."""
         data = self.cache.recall(unit, place, self.upstream.clock(), for_seconds=seconds)
         self.upstream.counters.recalled += data is not None
         return data
@@ -311,7 +311,7 @@ class Forwarder:
     # What comes back.
 
     def look(self, session: object) -> None:
-        """After received bytes or a timeout: answer the requests that have an outcome, also of incomplete batches."""
+        """Answer the requests that have an outcome, also of incomplete batches; called after bytes or a timeout."""
         if isinstance(session, TcpClientSession):
             for call in session.in_work():
                 if (
@@ -325,7 +325,7 @@ class Forwarder:
             self.send()
 
     def send(self) -> None:
-        """Transmit the finished replies, those of one client together."""
+        """Transmit the replies that are ready, those of one client together."""
         answered, self.answered = self.answered, {}
         for asker in answered:
             asker.send()
@@ -355,7 +355,7 @@ class Forwarder:
             self.leave(batch)
 
     def _answer_one(self, batch: Batch, position: int, outcomes: Sequence[Outcome | bytes | None]) -> None:
-        """Answer all clients that wait for a request whose outcomes are complete."""
+        """Answer all clients that wait for one request, whose outcome is complete."""
         batch.told = {*batch.told, position}
         if batch.shared is not None and batch.shared.get(batch.keys[position]) is batch:
             del batch.shared[batch.keys[position]]  # no other client may join it any more
@@ -380,7 +380,7 @@ class Forwarder:
             self.answered[asker] = None
 
     def refuse(self, waiter: Waiter, code: int) -> None:
-        """Answer a forwarded request with an exception code."""
+        """Answer a forwarded request of a client with an exception code."""
         asker, tag, asked = waiter
         asker.refuse(tag, asked, code)
         self.answered[asker] = None
@@ -388,7 +388,7 @@ class Forwarder:
     # Clients that wait no longer.
 
     def give_up_one(self, batch: Batch, waiter: Waiter | None) -> None:
-        """Answer a client whose deadline has passed: for a read that it shares (None: for its own requests)."""
+        """Answer a client whose deadline has passed, for a read that it shares or (None) for its own requests."""
         asker = batch.asker if waiter is None else waiter[0]
         if asker is None:
             return  # it has disconnected
@@ -415,9 +415,7 @@ class Forwarder:
         self.send()
 
     def withdraw(self, batch: Batch, asker: ForwardingClient) -> None:
-        """Drop the requests of a disconnected client; those that no other client waits for are cancelled if
-        possible.
-        """
+        """Drop a disconnected client's requests; those that no other client waits for are cancelled if possible."""
         counters = self.upstream.counters
         if batch.asker is asker:
             batch.asker = None

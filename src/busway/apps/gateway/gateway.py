@@ -55,7 +55,7 @@ class _RunningListener:
     server: Server
 
     def follow(self, listener: GatewayListener) -> None:
-        """Apply changed options that need no new server; connections stay."""
+        """Apply changed options of a listener that need no restart; connections stay."""
         self.listener = listener
         self.responder.deadline = listener.deadline
         self.responder.silent_broadcasts = listener.silent_broadcasts
@@ -153,7 +153,7 @@ class Gateway:
         return left
 
     async def change(self, plan: GatewayPlan, *, policy: Policy | None = None) -> list[str]:
-        """Apply another plan to the running gateway. Returns what changed, in words.
+        """Apply another configuration while the gateway runs. Returns what changed, in words.
 
         Unchanged listeners and upstreams keep their connections. If a new listener cannot be opened, the error is
         raised and everything is as before, but clients of listeners that were to change have lost their connections.
@@ -233,7 +233,7 @@ class Gateway:
 
     @property
     def functions(self) -> FunctionTable:
-        """The table of functions that the gateway decodes."""
+        """The table of function codes, with their messages, that the gateway decodes."""
         return self._functions
 
     def observe(self, observer: RequestObserver) -> None:
@@ -249,7 +249,7 @@ class Gateway:
             each.server.observe(observer)
 
     def replace_policy(self, policy: Policy) -> None:
-        """Replace the policy of all listeners, from the next request on.
+        """Use another access policy on all listeners, from the next request on.
 
         Raises:
             ConfigError: the gateway was made without one.
@@ -286,16 +286,16 @@ class Gateway:
 
     @property
     def open_requests(self) -> int:
-        """Number of forwarded requests that are not answered yet."""
+        """Number of forwarded requests that have no answer yet."""
         return sum(forwarder.open_requests for forwarder in self._forwarders.values())
 
     @property
     def servers(self) -> list[Server]:
-        """The servers of the gateway's listeners."""
+        """The servers, one for each listener, of which the gateway consists."""
         return [each.server for each in self._running.values()]
 
     def status(self) -> GatewayStatus:
-        """A snapshot of the gateway's status: listeners, upstreams and counters."""
+        """Return the status of the gateway at this moment: listeners, upstreams and counters."""
         return GatewayStatus(
             running=self.is_running,
             uptime=time.monotonic() - self._started if self._started else 0.0,
@@ -309,7 +309,7 @@ class Gateway:
         )
 
     def _numbers(self) -> tuple[list[int], list[list[int]]]:
-        """The values of the status registers of the gateway's own unit."""
+        """Return the values of the status registers that the gateway's own unit shows."""
         status = self.status()
         own = [
             int(status.uptime),
@@ -364,7 +364,7 @@ class Gateway:
 
 
 def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
-    """The parts of a plan that change only with a restart."""
+    """Return the parts of a gateway's configuration that change only with a restart."""
     return plan.own_unit, plan.own_registers, plan.functions, plan.server
 
 
@@ -380,7 +380,7 @@ def _standard_port(listener: GatewayListener, plan: GatewayPlan) -> bool | None:
 
 
 def _to_zero(counters: "DataclassInstance") -> None:
-    """Set the numbers of a dataclass to zero."""
+    """Set the counters in a dataclass to zero."""
     for one in fields(counters):
         setattr(counters, one.name, 0)
 
@@ -402,7 +402,7 @@ def _open(upstream: Upstream, settings: UpstreamSettings) -> None:
 def _changes(
     what: str, old: Mapping[str, GatewayListener | UpstreamSettings], new: Iterable[GatewayListener | UpstreamSettings]
 ) -> Iterator[str]:
-    """Added, changed and closed listeners or upstreams, in words."""
+    """Say which listeners or upstreams were added, changed and closed."""
     names = set()
     for one in new:
         names.add(one.name)

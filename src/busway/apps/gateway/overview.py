@@ -22,7 +22,7 @@ _OF_GATEWAYS = frozenset({"listener", "policy", "server"})
 
 
 def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
-    """Listeners, upstreams, own unit, policy and logs: kind, name and description of each."""
+    """Return what a gateway file contains, as rows: kind, name and description of each part."""
     plan = configuration.plan
     known = {kind: [row for row in overview(configuration.common) if row[0] == kind] for kind in _OF_GATEWAYS}
     for listener, row in zip(plan.listeners, known["listener"], strict=True):
@@ -35,7 +35,7 @@ def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
 
 
 def routing_rows(configuration: GatewayConfiguration) -> Iterator[RoutingRow]:
-    """The routes in their order, which decides which of them gets a request, as rows of text."""
+    """Return the routes as rows of text, in their order, which decides which of them gets a request."""
     names = [listener.name for listener in configuration.plan.listeners]
     for placed in configuration.routes:
         route = placed.route

@@ -36,7 +36,7 @@ STATES: Final = ("down", "backing off", "connecting", "suspect", "up")
 
 @dataclass(frozen=True, slots=True)
 class StatusRegister:
-    """One value of the register map: address (for upstreams, within the block), width and meaning."""
+    """One value in the status registers of the gateway's own unit: address, width and meaning."""
 
     address: int
     registers: int

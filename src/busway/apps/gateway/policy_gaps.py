@@ -28,7 +28,7 @@ Access = tuple[type[Request], TouchedRange]
 def policy_gaps(
     policy: Policy, routes: Sequence[PlacedRoute], same_device: Mapping[str, Sequence[frozenset[int]]]
 ) -> Iterator[tuple[Place, str]]:
-    """The rules that some route to their device bypasses: the path of each in the file, and a message.
+    """Return the rules that some route to their device bypasses: path in the file, and a message.
 
     ``same_device``: by name of upstream, the groups of units there that are one device.
     """
@@ -54,7 +54,7 @@ def policy_gaps(
 
 
 def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[Access]:
-    """The kinds of access to ask for: of those that no rule and no route tells apart, one."""
+    """Return the kinds of access to test: one of those that no rule and no route tells apart."""
     by_rules = [rule for rule in policy.rules if rule.functions is not None]
     found: dict[object, Access] = {}
     for kind in STANDARD:
@@ -68,7 +68,7 @@ def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[Access]:
 def _reached_in_several_ways(
     routes: Sequence[PlacedRoute], same_device: Mapping[str, Sequence[frozenset[int]]]
 ) -> list[list[Way]]:
-    """The ways to each device that is reached by two units, or with two shifts."""
+    """Return the routes to each device that is reached by two unit numbers, or with two address shifts."""
     devices: dict[tuple[str, int], list[Way]] = {}
     for one in routes:
         if one.route.upstream:
@@ -89,7 +89,7 @@ def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
 
 
 def _evaded(rule: Rule, rights: Rights, accesses: Sequence[Access], way: Way, other: Way) -> str:
-    """How requests by the other way do what the rule does not permit by this one; empty if they do not."""
+    """Say how requests by another route do what the rule forbids by its own; empty if they do not."""
     (near, asked), (far, unit) = way, other
     is_named = rule.units is None or unit in rule.units
     if (rule.units is not None and asked not in rule.units) or (is_named and near.route.shift == far.route.shift):
@@ -126,7 +126,7 @@ def _takes(route: Route, kind: type[Request]) -> bool:
 
 
 def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | None:
-    """The part of an address range that a route forwards."""
+    """Return the part of an address range that a route forwards."""
     if isinstance(touched.space, Table):
         low, high = max(low, 0), min(high, 0x10000)
     if route.addresses is not None:
@@ -137,7 +137,7 @@ def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | 
 
 
 def _permits_more(other: Zone, zone: Zone, items: Range) -> bool:
-    """Whether a zone of the other way, where it has some of the items, permits what this zone refuses or limits."""
+    """Whether the other route's rule permits some items that this rule refuses or limits."""
     if not other.permits or other.end <= items[0] or items[1] <= other.first or other.rule is zone.rule:
         return False
     return not zone.permits or (other.rate, other.limits) != (zone.rate, zone.limits)

@@ -1,4 +1,4 @@
-"""Shares and remembers reads of an upstream: reads in flight that several clients wait for, and recent values.
+"""Cache of reads through a gateway: reads in flight that several clients wait for, and recently read values.
 
 Knows reads and writes by unit and range; knows no link, and the time only as ``now``.
 
@@ -34,7 +34,7 @@ BLOCKS_PER_UNIT = 64
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Remembered items of one read, and the time when it was forwarded."""
+    """Values that one read has returned, and the time when it was forwarded."""
 
     place: Place
     data: bytes
@@ -43,7 +43,7 @@ class _Block:
 
 @dataclass(slots=True)
 class _Unit(Generic[Shared]):
-    """The shared reads and remembered values of one unit."""
+    """The shared reads and recently read values of one unit."""
 
     open_writes: int = 0
     changes: int = 0
@@ -57,7 +57,7 @@ class _Unit(Generic[Shared]):
 
 
 class ReadCache(Generic[Shared]):
-    """The shared reads and remembered values of one upstream. ``Shared`` is the type of a read in flight.
+    """The shared reads and recently read values of one upstream. ``Shared`` is the type of a read in flight.
 
     Args:
         register_width: bytes of a register.
@@ -82,11 +82,11 @@ class ReadCache(Generic[Shared]):
     # Writes.
 
     def write_begins(self, unit: int) -> None:
-        """Note that a write to ``unit`` is about to be forwarded: its remembered values are dropped."""
+        """Drop the remembered values of a unit, because a write to it is about to be forwarded."""
         self._changed(unit, 1)
 
     def write_ended(self, unit: int) -> None:
-        """Note that a write to ``unit`` has ended, successfully or not."""
+        """Note that a write to a unit has ended, successfully or not; its reads may be shared again."""
         self._changed(unit, -1)
 
     def _changed(self, unit: int, more_writes: int) -> None:
@@ -97,7 +97,7 @@ class ReadCache(Generic[Shared]):
             state.forget()
 
     def _is_quiet(self, unit: int) -> bool:
-        """Whether no write in progress concerns a unit."""
+        """Whether no write to a unit is in progress, broadcasts included."""
         if not self._open_writes:
             return True
         if unit in ANY_DEVICE:
@@ -108,7 +108,7 @@ class ReadCache(Generic[Shared]):
     # Reads in flight.
 
     def shared(self, unit: int) -> dict[Key, Shared] | None:
-        """The reads in flight of a unit by their key, to which new ones are added; None while a write forbids sharing.
+        """Return a unit's reads in flight by key, to which new ones are added; None while a write forbids sharing.
 
         It is always the same object. A write empties it.
         """
@@ -116,13 +116,13 @@ class ReadCache(Generic[Shared]):
         return state.reading if not self._open_writes or self._is_quiet(unit) else None
 
     def changes(self, unit: int) -> int:
-        """A number that changes with every write that concerns a unit; take it before a read, for `remember`."""
+        """Return a number that changes with every write to a unit; take it before a read, for `remember`."""
         return self._unit(unit).changes
 
     # Values.
 
     def remember(self, unit: int, place: Place, data: bytes, *, since: int, read_at: float) -> None:
-        """Keep the data of a read, unless a write has concerned the unit since the read was forwarded.
+        """Keep the data of a read, unless the unit was written since the read was forwarded.
 
         Args:
             unit: the unit on the upstream.
@@ -140,7 +140,7 @@ class ReadCache(Generic[Shared]):
             del state.blocks[next(iter(state.blocks))]
 
     def recall(self, unit: int, place: Place, now: float, *, for_seconds: float) -> bytes | None:
-        """The remembered items of a range, also as part of a larger one; None if there are no recent ones."""
+        """Return recently read values of a range, also from a larger read; None if there are none."""
         state = self._units.get(unit)
         if state is None or not state.blocks:
             return None

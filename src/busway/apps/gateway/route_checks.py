@@ -36,7 +36,7 @@ _MOST_BITS = 2000
 
 @dataclass(frozen=True, slots=True)
 class WorstCase:
-    """The longest time that an upstream may need for one request, from its turn in the queue.
+    """The longest time that an upstream may need for one request once its turn has come, and its parts.
 
     Attributes:
         seconds: until the last attempt has failed.
@@ -58,7 +58,7 @@ def check_routes(
     policy: Policy | None,
     report: ConfigurationReport,
 ) -> None:
-    """Report errors and warnings about routes, listeners, upstreams and the policy."""
+    """Report errors and warnings about the routes, listeners, upstreams and policy of a gateway file."""
     for at, sentence in (
         *_unreached(routes),
         *_hidden_refusals(routes),
@@ -116,7 +116,7 @@ def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
-    """Errors for refusing routes of which an earlier route forwards a part.
+    """Return errors for refusing routes of which an earlier route forwards a part.
 
     A refusal without units, functions and addresses is meant for what other routes leave.
     """
@@ -138,7 +138,7 @@ def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
-    """The part of a refusing route that an earlier route takes: units, functions or addresses; empty if none."""
+    """Say which part of a refusing route an earlier route forwards: units, functions or addresses; or empty."""
     refusal = placed.route
     wider = replace(refusal, units=refusal.units & earlier.units or refusal.units)
     is_for_all = not refusal.listeners and bool(earlier.listeners)
@@ -247,7 +247,7 @@ def _impatient_clients(
 def _upstreams_slower_than_the_default(
     routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
 ) -> Faults:
-    """Warnings about upstreams that may need longer than the default ``client_deadline`` of their listeners."""
+    """Return warnings about upstreams slower than the default ``client_deadline`` of their listeners."""
     deadline = next((one.deadline for one in listeners if one.deadline is not None and not one.is_chosen), None)
     if deadline is None:
         return
@@ -272,7 +272,7 @@ def _upstreams_slower_than_the_default(
 
 
 def worst_case(upstream: UpstreamSettings, route: Route, gap: float = 0.0) -> WorstCase:
-    """The longest time of a request of a route, from its turn in the queue. ``gap``: that of its unit, in seconds."""
+    """Return the longest time that a request of a route may take. ``gap``: seconds of silence that its unit needs."""
     parameters = upstream.link.parameters
     timeout = route.timeout or parameters.timeout
     reading = writing = parameters.request_gap
@@ -325,7 +325,7 @@ def _of_listener(routes: Sequence[PlacedRoute], listener: PlacedListener) -> lis
 
 
 def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]) -> Faults:
-    """Errors for upstreams that lead back to the gateway itself, and for serial ports used twice."""
+    """Return errors for upstreams that lead back to the gateway itself, and for serial ports used twice."""
     owners: dict[str, str] = {}
     for listener in listeners:
         if listener.endpoint.carrier == "serial":

@@ -44,7 +44,7 @@ _NO_PATH: Final = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
 
 @dataclass(slots=True)
 class GatewayListenerCounters:
-    """Counters of a listener's requests that reached no upstream, and of broadcasts.
+    """Counters of a gateway's listener: requests that reached no upstream, and broadcasts.
 
     Attributes:
         no_route: requests without a route.
@@ -73,7 +73,7 @@ def _no_refusal(context: RequestContext, request: AnyRequest, units: Collection[
 
 
 class ListenerRouter:
-    """The responder of one listener, which forwards its requests by the routes.
+    """The responder of one listener of a gateway: forwards its requests by the routes.
 
     Attributes:
         refusal_of: returns the exception code if the policy denies a broadcast, else 0.
@@ -112,7 +112,7 @@ class ListenerRouter:
         self._targets: dict[tuple[str, int, float | None], ForwardTarget] = {}
 
     def follow(self, routes: ListenerRoutes, forwarders: Mapping[str, Forwarder]) -> None:
-        """Use these routes from now on, with these forwarders by name of upstream. Open requests are still answered."""
+        """Use these routes and forwarders from now on. Requests that are open are still answered."""
         self._routes = routes
         self._forwarders = forwarders
         self._targets = {}
@@ -122,11 +122,11 @@ class ListenerRouter:
         self.generation += 1
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """The served unit for a number that a route or the gateway's own unit answers for; None without any."""
+        """Return the unit that answers for a number, by a route or as the gateway's own unit; else None."""
         return self._served.get(unit)
 
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
-        """The forwarding plan of a read; None if it is refused, split, remembered, or its reply must be checked."""
+        """Return how to forward a read directly; None if it is refused, split, cached, or its reply must be checked."""
         request = self.functions.decode_request(pdu)
         if not isinstance(request, ReadRegisters | ReadBits) or request.take is None:
             return None
@@ -146,7 +146,7 @@ class ListenerRouter:
         return ForwardPlan(self._target(forwarder, context.unit, found), context.unit, asked)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Forward a request, let the own unit answer it, or refuse it."""
+        """Forward a request by its route, let the own unit answer it, or refuse it."""
         if isinstance(request, MalformedRequest):
             self.counters.malformed += 1
             return ExceptionResponse(context.function, request.code)
@@ -176,12 +176,12 @@ class ListenerRouter:
         return self._no_route(context, found)
 
     def _forwarder_of(self, route: Route) -> Forwarder | None:
-        """The forwarder of a route; None if the route refuses, or its upstream was just removed."""
+        """Return the forwarder of a route's upstream; None if the route refuses, or the upstream was removed."""
         return self._forwarders.get(route.upstream) if route.action is RouteAction.FORWARD else None
 
     @staticmethod
     def _reaches_all(route: Route, unit: int, request: Request, forwarder: Forwarder) -> bool:
-        """Whether a request to one unit is a broadcast behind."""
+        """Whether a request to one unit becomes a broadcast on the upstream."""
         takes_it = request.broadcast and forwarder.upstream.takes_broadcasts
         return takes_it and route.upstream_unit(unit) == BROADCAST_UNIT
 
@@ -195,7 +195,7 @@ class ListenerRouter:
     def _forward(
         self, context: RequestContext, request: Request, route: Route, forwarder: Forwarder
     ) -> Message | Forwarding:
-        """Forward a request by a route, or answer a read with remembered data."""
+        """Forward a request by a route, or answer a read from the cache."""
         width = forwarder.upstream.register_width
         if width != NARROW and isinstance(request, ReadRegisters) and request.count * width > MAX_DATA:
             return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_DATA_VALUE)
@@ -223,7 +223,7 @@ class ListenerRouter:
         return SILENCE
 
     def _broadcast(self, context: RequestContext, request: Request) -> Outcome:
-        """Broadcast a write to unit 0 that came over a network."""
+        """Forward a write to unit 0, which came over a network, to all units of the upstreams that take broadcasts."""
         self.counters.broadcasts += 1
         own = self._routes.find(BROADCAST_UNIT, request)
         if isinstance(own, Route) and own.action is not RouteAction.FORWARD:
@@ -255,8 +255,7 @@ class ListenerRouter:
         return Forwarding(context, tuple(asks), reply) if asks else reply
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
-        """Forward a broadcast of a serial listener, which arrives once per unit; upstreams that take broadcasts get
-        one.
+        """Forward a serial broadcast, which arrives once per unit, once to each upstream that takes broadcasts.
 
         A server on a network gets one for each unit that a route names, and one to unit 0 if the route names none: most
         of 247 units would have no device, and their timeouts would take minutes.
@@ -284,15 +283,14 @@ class ListenerRouter:
         return SILENCE
 
     def _takers(self) -> list[str]:
-        """The names of this listener's upstreams that take broadcasts."""
+        """Return the names of this listener's upstreams that take broadcasts."""
         names = [name for name in self._routes.upstreams if name in self._forwarders]
         return [name for name in names if self._forwarders[name].upstream.takes_broadcasts]
 
     def _way_to_all(
         self, context: RequestContext, upstream: str, request: Request, charged: set[int]
     ) -> Route | int | None:
-        """The route of a broadcast to an upstream, the exception code that refuses it, or None if the broadcast is not
-        for it.
+        """Return the route of a broadcast to an upstream, an exception code, or None if it is not for that.
 
         Every unit of the upstream hears it: so all of them must permit it, under the same address. ``charged`` as of
         `RefusalOf`.
@@ -324,7 +322,7 @@ class ListenerRouter:
 
 
 def _for_all_units(route: Route) -> Route:
-    """The route for a broadcast to all units of an upstream, which shifts and splits like a route to one of them."""
+    """Return the route for a broadcast to an upstream; shifts and limits are those of a route to one unit."""
     return Route(
         upstream=route.upstream,
         unit=BROADCAST_UNIT,
@@ -337,5 +335,5 @@ def _for_all_units(route: Route) -> Route:
 
 @lru_cache(maxsize=32)
 def as_bytes(kind: type[ReadRegisters] | type[ReadBits]) -> Any:  # Any: a class of the same kind
-    """A request class for the same read whose reply is its data alone: building a message would cost 0.4 µs."""
+    """Return a request class for the same read whose reply is only its data: building a message takes 0.4 µs."""
     return type(kind.__name__, (kind,), {"take": staticmethod(bytes), "__doc__": kind.__doc__})

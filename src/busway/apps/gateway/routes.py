@@ -37,7 +37,7 @@ class RouteAction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class AddressRange:
-    """Items ``first`` … ``end - 1`` of a table, which a route applies to."""
+    """Items ``first`` … ``end - 1`` of a table, which a route forwards or refuses."""
 
     table: Table
     first: int
@@ -109,7 +109,7 @@ class Route:
             raise ConfigError("a route names an upstream, or refuses, or drops", key="upstream")
 
     def upstream_unit(self, unit: int) -> int:
-        """The unit on the upstream for a unit that a client names."""
+        """Return the unit number on the upstream for a unit number that a client uses."""
         return unit + self.unit_offset if self.unit is None else self.unit
 
     @property
@@ -147,13 +147,13 @@ class Route:
 
 @dataclass(frozen=True, slots=True)
 class Straddles:
-    """Result of a route search: the request lies only partly in this route's address range."""
+    """Result of looking for a route: the request lies only partly in this route's address range."""
 
     route: Route
 
 
 class ListenerRoutes:
-    """The routes that apply to the requests of one listener, by unit."""
+    """The routes for the requests of one listener, arranged by unit."""
 
     __slots__ = ("_by_unit", "_indexed")
 
@@ -172,16 +172,14 @@ class ListenerRoutes:
                 self._by_unit[unit] = tuple(found)
 
     def find(self, unit: int, request: Request) -> Route | Straddles | None:
-        """The route for a request; None without one."""
+        """Return the route for a request; None without one."""
         routes = self._by_unit.get(unit, ())
         if len(routes) > _FEW and (touch := _touched_at_once(request)) is not None:
             return self._found_by_address(routes, request, touch)
         return self._looked_through(routes, request)
 
     def _found_by_address(self, routes: tuple[Route, ...], request: Request, touch: Span) -> Route | Straddles | None:
-        """The first fitting route, found by an index of addresses in a time that does not grow with the number of
-        routes.
-        """
+        """Return the first route that fits a request, by an index of addresses, fast also for many routes."""
         key = id(routes), request.code, touch.table
         indexed = self._indexed.get(key)
         if indexed is None:
@@ -196,7 +194,7 @@ class ListenerRoutes:
         return Straddles(route)
 
     def _looked_through(self, routes: tuple[Route, ...], request: Request) -> Route | Straddles | None:
-        """The first fitting route, found by trying one after the other."""
+        """Return the first route that fits a request, by trying one after the other."""
         for route in routes:
             if route.functions and function_of(request) not in route.functions:
                 continue
@@ -210,7 +208,7 @@ class ListenerRoutes:
         return None
 
     def units_to(self, upstream: str) -> list[int]:
-        """The units 1…247 that have a route to an upstream."""
+        """Return the units 1…247 that have a route to an upstream."""
         return [
             unit
             for unit in range(1, LAST_SERIAL_UNIT + 1)
@@ -219,19 +217,19 @@ class ListenerRoutes:
 
     @property
     def units(self) -> frozenset[int]:
-        """The units that have a route of this listener."""
+        """Return the units that have a route of this listener."""
         return frozenset(self._by_unit)
 
     @property
     def upstreams(self) -> tuple[str, ...]:
-        """The names of the upstreams of the listener's routes, each once, in order."""
+        """Return the names of the upstreams of the listener's routes, each once, in order."""
         return tuple(
             dict.fromkeys(route.upstream for routes in self._by_unit.values() for route in routes if route.upstream)
         )
 
 
 def _indexed(routes: Sequence[Route], function: int, table: Table) -> tuple[list[Route], AddressIndex]:
-    """The routes that take a function, without those of other tables, and an index of their addresses."""
+    """Return the routes that take a function, without those of other tables, and an index of their addresses."""
     taking = [
         one
         for one in routes
@@ -242,7 +240,7 @@ def _indexed(routes: Sequence[Route], function: int, table: Table) -> tuple[list
 
 
 def _touched_at_once(request: Request) -> Span | None:
-    """The one range that a request touches; None if it touches several ranges, or no item."""
+    """Return the one range that a request touches; None if it touches several ranges, or no item."""
     if isinstance(request, OpaqueRequest):
         return None
     spans = request.spans()
@@ -268,7 +266,7 @@ def _within(wanted: AddressRange, request: Request) -> bool | None:
 
 @dataclass(frozen=True)
 class RoutingTable:
-    """All routes of a gateway, in order.
+    """All routes of a gateway, in order; the first that fits gets a request.
 
     Attributes:
         routes: in their order; the first one that fits decides.
@@ -282,7 +280,7 @@ class RoutingTable:
             raise ConfigError(sentence, key=f"route[{position}]")
 
     def faults(self) -> Iterator[tuple[int, str]]:
-        """The routes that are never reached: the position of each, and a message."""
+        """Return the routes that no request ever reaches: the position of each, and a message."""
         for position in range(len(self.routes)):
             takers, left = taken_before(self.routes, position)
             if not left:
@@ -293,7 +291,7 @@ class RoutingTable:
                 )
 
     def of_listener(self, listener: str) -> ListenerRoutes:
-        """The routes that apply to the requests of one listener."""
+        """Return the routes for the requests of one listener."""
         found = self._of_listener.get(listener)
         if found is None:
             found = ListenerRoutes([one for one in self.routes if not one.listeners or listener in one.listeners])
@@ -302,7 +300,7 @@ class RoutingTable:
 
 
 def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], frozenset[int]]:
-    """The earlier routes that take all requests to some units of a route, and the units that are left to it."""
+    """Return the earlier routes that take all requests to some units of a route, and the units left to it."""
     route = routes[position]
     whole = next((one for one in routes[:position] if one.covers(route)), None)
     if whole is not None:
@@ -316,12 +314,12 @@ def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], f
 
 
 def function_of(request: Request) -> int:
-    """The function code of a request."""
+    """Return the function code of a request."""
     return request.function if isinstance(request, OpaqueRequest) else request.code
 
 
 def units_text(units: frozenset[int]) -> str:
-    """Unit numbers as text: ``1-5, 7``."""
+    """Return unit numbers as text: ``1-5, 7``."""
     parts: list[str] = []
     ordered = sorted(units)
     start = 0

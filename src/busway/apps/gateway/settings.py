@@ -1,4 +1,4 @@
-"""The plan of a gateway in memory: its listeners, upstreams and routes, checked.
+"""The configuration of a gateway as objects: its listeners, upstreams and routes, checked together.
 
 Knows what a gateway needs; knows no file, and runs nothing.
 """
@@ -104,7 +104,7 @@ class UpstreamSettings:
 
 @dataclass(frozen=True)
 class GatewayPlan:
-    """The complete configuration of a gateway in memory, checked as a whole.
+    """The complete configuration of a gateway as objects, checked as a whole.
 
     Attributes:
         listeners, upstreams: each with a unique name.
@@ -151,7 +151,7 @@ class GatewayPlan:
 def simple_plan(
     listeners: Sequence[str | Endpoint | Listener], upstream: str | Endpoint, **options: Any
 ) -> GatewayPlan:
-    """The plan of a gateway that forwards every unit of every listener to one upstream.
+    """Return the configuration of a gateway that forwards all units of all listeners to one upstream.
 
     Args:
         listeners: URLs to listen on.

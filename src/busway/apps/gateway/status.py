@@ -1,4 +1,4 @@
-"""The status of a gateway: of its listeners, its upstreams, and totals.
+"""Data classes for the status of a gateway: its listeners, its upstreams, and totals.
 
 Knows counters and states; knows no connection.
 """
@@ -46,7 +46,7 @@ class GatewayStatus:
 
     @property
     def connections(self) -> tuple[ConnectionStatus, ...]:
-        """The client connections of all listeners."""
+        """The open client connections of all listeners."""
         return tuple(one for listener in self.gateway_listeners for one in listener.server.connections)
 
     @property
@@ -85,7 +85,7 @@ class GatewayStatus:
 
 
 def upstream_numbers(upstream: UpstreamStatus) -> list[int]:
-    """The values of an upstream's registers in the own unit (`UPSTREAM_REGISTERS`)."""
+    """Return the status registers of an upstream in the gateway's own unit (`UPSTREAM_REGISTERS`)."""
     counters = upstream.counters
     return [
         max((STATES.index(one.state) for one in upstream.links), default=0),

@@ -22,7 +22,7 @@ _READS = (ReadRegisters, ReadBits)  # a union would be made anew at every look: 
 
 
 class Translated:
-    """A client's request translated for its upstream, able to translate the reply back.
+    """A client's request as its upstream gets it, with what is needed to translate the reply back.
 
     Args:
         request: the client's request.
@@ -52,17 +52,17 @@ class Translated:
                 self.place = request.reads.table, request.address + route.shift, request.count
 
     def of_data(self, data: bytes) -> Message:
-        """The client's reply to a read, built from its data."""
+        """Return the client's reply to a read, built from the data that the upstream sent."""
         kind: Any = type(self.requests[0])  # as wide as the device's registers are
         reply: Message = kind.Reply(data)
         return reply
 
     def whole(self, replies: Sequence[Message]) -> Message:
-        """The reply to the request, joined from the replies to its parts."""
+        """Return the reply to the request, joined from the replies to its parts."""
         return replies[0] if len(replies) == 1 else _joined(self._request, self._route, self.requests, replies)
 
     def client_reply(self, reply: Message) -> Message:
-        """The client's reply, translated from that of the upstream."""
+        """Return the client's reply, translated from that of the upstream."""
         if reply is self.requests[0]:  # no unit answers on unit 0 of a serial line: the request stands for its reply
             return echo(self._request)
         shift = self._route.shift
@@ -99,7 +99,7 @@ def _upstream_requests(request: Request, route: Route, width: int) -> tuple[Requ
 
 
 def echo(request: Request) -> Message:
-    """The reply that a device gives to an executed write."""
+    """Return the reply that a device gives to an executed write."""
     if request.echoes or isinstance(request, OpaqueRequest):
         return request
     fields = request.values()
@@ -107,7 +107,7 @@ def echo(request: Request) -> Message:
 
 
 def _limit(request: Request, route: Route) -> int | None:
-    """The most items in one request of this kind over a route; None without a limit."""
+    """Return the most items that one request of this kind may have on a route; None without a limit."""
     if isinstance(request, ReadRegisters):
         return route.max_registers
     if isinstance(request, ReadBits):
@@ -126,12 +126,12 @@ def _count(request: Any) -> int:  # one of the four kinds that `_limit` knows
 
 @lru_cache(maxsize=1024)
 def _read_pieces(kind: type[Any], address: int, count: int, limit: int) -> tuple[Request, ...]:
-    """The parts of a split read; cached, because pollers repeat their reads."""
+    """Return the parts into which a read is split; cached, because clients repeat their reads."""
     return tuple(kind(address + at, min(limit, count - at)) for at in range(0, count, limit))
 
 
 def _wire(request: Request) -> bytes:
-    """The PDU of a request, encoded at most once."""
+    """Return the PDU of a request, encoded at most once."""
     return request.wire if hasattr(request, "wire") else request.prepare()
 
 
@@ -152,7 +152,7 @@ def _joined(request: Request, route: Route, sent: Sequence[Request], replies: Se
 
 
 def _moved(message: Message, kind: type[Request], shift: int) -> Message:
-    """A copy of a message with ``shift`` added to all its addresses."""
+    """Return a copy of a message with ``shift`` added to all its addresses."""
     names = {touch.address for touch in (kind.reads, kind.writes) if touch is not None}
     values = message.values()
     moved = names & set(values)

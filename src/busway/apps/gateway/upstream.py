@@ -65,7 +65,7 @@ class UpstreamCounters:
 
 @dataclass(frozen=True, slots=True)
 class SuspendedUnit:
-    """The status of a unit whose circuit breaker is not closed.
+    """A unit that gets no requests for now because its circuit breaker is open, for the status.
 
     Attributes:
         unit: the unit on the upstream.
@@ -122,7 +122,7 @@ class UpstreamStatus:
 
 
 class Upstream:
-    """One upstream of a gateway: its connections, counters and status.
+    """One upstream of a gateway: its connections, their log lines, counters and status.
 
     Args:
         name: its name in routes.
@@ -167,7 +167,7 @@ class Upstream:
     # Open and close.
 
     def open(self) -> None:
-        """Create the links; call it in a coroutine. A serial port is opened soon. Raises `ConfigError`."""
+        """Create the links of the upstream, in a coroutine. A serial port is opened soon. Raises `ConfigError`."""
         if self.links:
             return
         for _ in range(self._connections):
@@ -194,7 +194,7 @@ class Upstream:
                 await asyncio.sleep(link.next_attempt or 0.01)
 
     def _told(self, event: ConnectionEvent, reason: str) -> None:
-        """Log that a connection was opened, could not be opened, or was lost; wake the keeper of a lost port."""
+        """Log that a connection was opened, failed or was lost; wake the task that opens a lost port again."""
         if event is ConnectionEvent.CONNECTED:
             self.news.is_up()
         elif event is ConnectionEvent.FAILED:
@@ -204,7 +204,7 @@ class Upstream:
             self.news.is_down(reason)
 
     def set_unit_gaps(self, unit_gaps: Mapping[int, float]) -> None:
-        """Set the seconds of silence after replies of each unit; for serial lines only."""
+        """Set for how many seconds each unit gets no request after its reply; for serial lines only."""
         for link in self.links:
             if isinstance(link.session, SerialClientSession):
                 link.session.set_unit_gaps(unit_gaps)
@@ -223,7 +223,7 @@ class Upstream:
             await link.close()
 
     def status(self) -> UpstreamStatus:
-        """A snapshot of the upstream's status."""
+        """Return the status of the upstream at this moment."""
         links = tuple(
             LinkStatus(
                 link.reconnect.state.value,
@@ -240,7 +240,7 @@ class Upstream:
         return UpstreamStatus(self.name, self.settings.endpoint.url, links, self.counters, _indicators(links))
 
     def link_for(self, client: str) -> AsyncLinkDriver | None:
-        """The connection that the requests of a client (``host:port``) use; None while the upstream is closed."""
+        """Return the link that sends the requests of a client (``host:port``); None while the upstream is closed."""
         links = self.links
         if len(links) < 2:
             return links[0] if links else None
@@ -257,7 +257,7 @@ class Upstream:
         return link
 
     def refused(self, error: ModbusError) -> int:
-        """The exception code for the error of a forwarded request; counts the request, and logs 0A."""
+        """Return the exception code for the error of a forwarded request; counts the request, and logs 0A."""
         code = code_for(error)
         counters = self.counters
         if code == ExceptionCode.GATEWAY_PATH_UNAVAILABLE:
@@ -272,7 +272,7 @@ class Upstream:
 
 
 def _indicators(links: Sequence[LinkStatus]) -> StatusIndicators:
-    """The status indicators of an upstream."""
+    """Return the status indicators of an upstream."""
     is_faulty = not links or any(link.reason for link in links)
     return StatusIndicators(
         StatusIndicator.ON if any(link.in_flight for link in links) else StatusIndicator.OFF,
@@ -282,13 +282,13 @@ def _indicators(links: Sequence[LinkStatus]) -> StatusIndicators:
 
 
 def _in_doubt(link: AsyncLinkDriver) -> tuple[int, ...]:
-    """The units of a serial link that owe replies."""
+    """Return the units of a serial link that may still send late replies."""
     session = link.session
     return tuple(session.doubts.in_doubt()) if isinstance(session, SerialClientSession) else ()
 
 
 def _suspended(link: AsyncLinkDriver) -> tuple[SuspendedUnit, ...]:
-    """The units of a link whose circuit breaker is not closed."""
+    """Return the units of a link that get no requests for now, or only tries."""
     session = link.session
     if session.breakers is None:
         return ()

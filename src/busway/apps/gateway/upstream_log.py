@@ -45,7 +45,7 @@ class UpstreamLog:
         self._told_at = -math.inf
 
     def is_down(self, reason: str) -> None:
-        """Log that the upstream cannot be reached, unless the reason was logged before."""
+        """Log that the upstream cannot be reached, unless the same reason was logged before."""
         if reason != self._reason:
             self._reason = reason
             _log.warning("%s: %s; %s", self._endpoint, reason, self._then)
@@ -59,7 +59,7 @@ class UpstreamLog:
         self._no_path_reason = ""
 
     def no_path(self, reason: str) -> None:
-        """Log or count a request that was answered 0A."""
+        """Log or count a request that was answered with exception code 0A."""
         if reason != self._no_path_reason:
             self._tell_count()
             self._no_path_reason = reason
@@ -71,7 +71,7 @@ class UpstreamLog:
             self._tell_count()
 
     def _tell_count(self) -> None:
-        """Log how many requests were answered 0A since the last such line."""
+        """Log how many requests were answered with 0A since the last such line."""
         if self._no_path:
             now = self._clock()
             _log.warning(

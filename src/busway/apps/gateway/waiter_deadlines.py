@@ -1,4 +1,4 @@
-"""Deadlines of clients that wait for a shared read: each has its own, and the read continues for the others.
+"""Deadlines of clients that wait for the same read: each has its own, and the read goes on for the others.
 
 Knows waiters and times; knows no read. There is one timer, for the nearest deadline; a read of one client has none.
 """
@@ -13,7 +13,7 @@ class DeadlineTimer(Protocol):
     """Interface of a timer that can be cancelled."""
 
     def cancel(self) -> None:
-        """Cancel the timer, so that its callback is not called."""
+        """Cancel the timer, so that it calls nothing."""
 
 
 CallAt = Callable[[float, Callable[[], None]], DeadlineTimer]
@@ -21,7 +21,7 @@ CallAt = Callable[[float, Callable[[], None]], DeadlineTimer]
 
 
 class WaiterDeadlines(Generic[Waiter]):
-    """The deadlines of the clients that wait for one read.
+    """The deadlines of the clients that wait for one read, with the timer for the earliest.
 
     Args:
         now: the clock of the deadlines.
@@ -39,7 +39,7 @@ class WaiterDeadlines(Generic[Waiter]):
         self._timer: DeadlineTimer | None = None
 
     def add(self, waiter: Waiter, deadline: float) -> None:
-        """Add a waiting client and its deadline."""
+        """Add a client that waits for the read, and its deadline."""
         self._deadlines.append((deadline, waiter))
         if self._timer is None or deadline < self._nearest(self._deadlines[:-1]):
             self._arm()

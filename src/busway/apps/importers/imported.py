@@ -71,19 +71,19 @@ class ImportedDevice:
         self.points.setdefault(unit, []).append(ImportedPoint(kept, where))
 
     def omit(self, where: str, what: str, why: str) -> None:
-        """Report something that is not carried over."""
+        """Note something in the imported file that is not carried over."""
         self.omissions.append(Omission(where, what, why))
 
     @contextmanager
     def reporting(self, where: str, what: str) -> Iterator[None]:
-        """Report what is read in the block where a value in it has a type or form that its format does not have."""
+        """Context manager that notes values of a wrong type or form in the imported file, instead of failing."""
         try:
             yield
         except WRONG_VALUE as error:
             self.omit(where, what, f"has a value that cannot be read: {error}")
 
     def sections(self) -> list[SimulatedUnitSection]:
-        """The checked units; invalid points are reported and left out.
+        """Return the imported units, checked; invalid points are reported and left out.
 
         Raises:
             ConfigError: no point is left.
@@ -110,7 +110,7 @@ class ImportedDevice:
         return self._together(number, kept)
 
     def _together(self, number: int, kept: list[ImportedPoint]) -> SimulatedUnitSection:
-        """One unit of points that are valid together; others are reported and left out."""
+        """Return one unit of points that are valid together; others are reported and left out."""
         groups = self.groups.get(number, [])
         while True:
             data = {"unit": number, "point": [each.keys for each in kept]} | ({"group": groups} if groups else {})
@@ -131,7 +131,7 @@ class ImportedDevice:
             kept = [each for at, each in enumerate(kept) if at not in wrong or "is taken by" in wrong[at]]
 
     def text(self, source: str) -> str:
-        """The text of the device file, with the report in its first lines."""
+        """Return the text of the device file, with what was not carried over in its first lines."""
         units = self.sections()
         remarks = [f"Converted from {source} by busway points convert.", *self.remarks]
         if self.omissions:
@@ -140,12 +140,12 @@ class ImportedDevice:
 
 
 def tables_in(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:  # Any: what the file has
-    """The tables of a list, each with its place; nothing where it is none."""
+    """Return the tables in a list of an imported file, each with its place; empty if it is no list."""
     return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))
 
 
 def _once(name: str, taken: set[str]) -> str:
-    """A unique name: with a number behind it if it is taken."""
+    """Return a name that is not taken yet: with a number behind it if necessary."""
     if name not in taken:
         return name
     number = 2

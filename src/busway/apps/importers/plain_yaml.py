@@ -46,7 +46,7 @@ def parse_yaml(text: str, name: str) -> YamlDocument:
 
 
 class _Reader:
-    """Parser that reads lines with their indentation."""
+    """Parser of YAML that reads lines with their indentation."""
 
     def __init__(self, text: str, name: str) -> None:
         self._name = name
@@ -61,7 +61,7 @@ class _Reader:
                 self._lines.append(_Line(number, len(content) - len(content.lstrip(" ")), content.strip()))
 
     def document(self) -> YamlDocument:
-        """Parse the whole document."""
+        """Parse the whole YAML document."""
         if self._lines:
             self._found.data = self._block(self._lines[0].indent, (), 0)
             if self._at < len(self._lines):
@@ -113,7 +113,7 @@ class _Reader:
         return found
 
     def _below(self, indent: int, place: Place, depth: int, *, key: bool = False) -> Any:
-        """Parse a more indented block; a sequence may be indented like its key. None if there is none."""
+        """Parse a more indented YAML block; a sequence may be indented like its key. None if there is none."""
         if self._at >= len(self._lines):
             return None
         line = self._lines[self._at]

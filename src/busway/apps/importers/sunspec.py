@@ -85,7 +85,7 @@ def read_sunspec(
 
 
 class _Model:
-    """Assigns addresses to the points and groups of a model, from its first register on."""
+    """The points and groups of a SunSpec model, to which addresses are given from its first register on."""
 
     def __init__(self, found: ImportedDevice, name: str, counts: dict[str, int]) -> None:
         self._found = found
@@ -93,7 +93,7 @@ class _Model:
         self._counts = counts
 
     def take(self, group: Mapping[str, Any], first: int) -> None:
-        """Import the points and the inner groups of a group."""
+        """Import the points and inner groups of a group of the SunSpec model."""
         points, at = self._points(group, first, ())
         for keys in points:
             self._found.add(1, keys, keys["name"])
@@ -201,7 +201,7 @@ class _Model:
 
 
 def _symbols(point: Mapping[str, Any], name: str, found: ImportedDevice) -> Iterator[tuple[str, int]]:
-    """Names and numbers of a point's values; a number with two names keeps the first."""
+    """Return names and numbers of a point's values; a number with two names keeps the first."""
     seen: set[int] = set()
     for each in point.get("symbols", []):
         value = each.get("value")

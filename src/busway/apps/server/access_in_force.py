@@ -1,4 +1,4 @@
-"""The policy and the address lists that a running service applies, which a reload replaces.
+"""The access policy and address lists that a running service applies, and their replacement by a reload.
 
 Knows rules, lists and listeners; knows no file, and does not know when it is read again.
 
@@ -18,7 +18,7 @@ from .overrides import Overrides
 
 
 class AccessInForce:
-    """Access rules of one service, and their application to its server.
+    """The access rules of one running service, and how they reach its server.
 
     Args:
         configuration: the one that the service starts with.
@@ -40,7 +40,7 @@ class AccessInForce:
         self._allow_lists: dict[str, ReloadableAllowList] = {}  # of single listeners, by URL
 
     def guard(self, listeners: Sequence[Listener]) -> Policy | None:
-        """Start to apply the rules. Returns the policy to start the server with; None if it needs none."""
+        """Begin to apply the access rules. Returns the policy to start the server with; None if it needs none."""
         self.allow_list.lists = self._lists(self.rules)
         self.is_guarded = (
             self.rules is not None
@@ -50,7 +50,7 @@ class AccessInForce:
         return self.cautious_policy(self.rules)
 
     def cautious_policy(self, rules: AccessRules | None) -> Policy | None:
-        """The policy while it is unknown which listeners the network reaches: all that could be; None if unguarded."""
+        """Return a policy that takes every listener for reachable, for use until that is known; None if not needed."""
         return self._policy(rules, NETWORK_SCHEMES) if self.is_guarded else None
 
     def replace_policy(self, server: RunningServer, rules: AccessRules | None) -> None:
@@ -72,7 +72,7 @@ class AccessInForce:
         return changed
 
     def listeners(self, configuration: DeclaredServer) -> list[Listener]:
-        """The listeners of a configuration, each with address lists that can be replaced."""
+        """Return the listeners of a configuration, each with address lists that can be replaced."""
         if self._overrides.listen:
             return [Listener(url) for url in self._overrides.listen]
         found = []
@@ -85,7 +85,7 @@ class AccessInForce:
         return found
 
     def _policy(self, rules: AccessRules | None, exposed: Sequence[str]) -> Policy:
-        """The policy of the rules; without rules, one that makes the exposed listeners read-only."""
+        """Return the policy of the access rules; without rules, one that makes the exposed listeners read-only."""
         if rules is not None:
             return rules.policy
         return read_only_for(() if self._overrides.allow_writes else exposed)

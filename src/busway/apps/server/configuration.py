@@ -1,4 +1,4 @@
-"""The configuration of a whole system from one file: every parameter, checked together (clause T33).
+"""The configuration of a server and its clients from one file: every parameter, checked together (clause T33).
 
 Knows what each section is for and which component takes it; knows no network. It reads its file and no other: what
 the file names (certificates, the audit log) is opened by the component that it belongs to.
@@ -46,7 +46,7 @@ ANY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
 
 @dataclass(frozen=True, slots=True)
 class Configuration:
-    """The checked contents of a configuration file, as objects.
+    """The checked contents of a configuration file, as objects that can be served or opened.
 
     Attributes:
         name: the file's name.
@@ -105,30 +105,30 @@ class Configuration:
         return []
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
-        """The options of `busway.serve` that the file sets."""
+        """Return the options of `busway.serve` that the file sets."""
         chosen = self.file.server.options() | dict(self.changes)
         return chosen if self.tls is None else {**chosen, "tls": self.tls}
 
     def guarded(self) -> dict[str, Any]:  # as `busway.serve` takes them
-        """Policy and address lists of the file, as options of `busway.serve`; empty without ``[policy]``."""
+        """Return policy and address lists of the file as options of `busway.serve`; empty without ``[policy]``."""
         return {} if self.access is None else {"policy": self.access.policy, "authorize": self.access.addresses}
 
     def open(self, name: str, *, shared: bool = True) -> "AsyncLink":
-        """A named link for asyncio programs, as `busway.open` gives it. Raises `ConfigError` if there is none."""
+        """Return a link named in the file, as `busway.open` gives it. Raises `ConfigError` if there is none."""
         from ...client.aio import open_link
 
         link = self._link_to_open(name)
         return open_link(link.url, shared=shared, **link.options)
 
     def connect(self, name: str, *, shared: bool = True) -> "BlockingLink":
-        """A named link for blocking programs, as `busway.connect` gives it. Raises `ConfigError` if there is none."""
+        """Return a link named in the file, as `busway.connect` gives it. Raises `ConfigError` if there is none."""
         from ...client.blocking import connect
 
         link = self._link_to_open(name)
         return connect(link.url, shared=shared, **link.options)
 
     def _link_to_open(self, name: str) -> NamedLink:
-        """A named link to open, after the configured limit of connections was set for the process."""
+        """Return a link named in the file, after setting the configured limit of connections."""
         supported = self.file.client.supported_connections
         if supported is not None:
             from ...client.registry import limit_local_connections
@@ -137,7 +137,7 @@ class Configuration:
         return self.link(name)
 
     def link(self, name: str) -> NamedLink:
-        """The named link that the file declares. Raises `ConfigError` that lists all of them."""
+        """Return the link that the file declares by this name. Raises `ConfigError` that lists all of them."""
         link = self.links.get(name)
         if link is None:
             there = f"there are {', '.join(self.links)}" if self.links else "there is none"
@@ -186,7 +186,7 @@ def parse_configuration(
 
 
 def _what_reads_it(error: FileError) -> FileError:
-    """The error for a file with problems; for a simulation or gateway file, only which command takes it."""
+    """Return the error for a file with problems; for a simulation or gateway file, only which command takes it."""
     from ...config.files.simulation import is_only_of_simulations
 
     one = next((each for each in error.problems if is_only_of_simulations(each.key or "")), None)
@@ -247,7 +247,7 @@ def _control(file: SystemFile, name: str) -> str | None:
 
 
 class _Makers:
-    """Builds listeners from a file: settings of a listener override the general ones."""
+    """Builds the listeners of a file: settings of a listener override the general ones."""
 
     def __init__(self, file: SystemFile, name: str, report: ConfigurationReport, changes: Mapping[str, Any]) -> None:
         self._file = file
@@ -297,7 +297,7 @@ class _Makers:
         return self._checked(Listener(endpoint, access=access, tls=tls, limits=limits), place, own)
 
     def _checked(self, listener: Listener, place: Place, own: Mapping[str, Any] | None = None) -> Listener:
-        """The listener, after its URL and certificates were checked; problems are reported."""
+        """Return the listener after its URL and certificates were checked; problems are reported."""
         options = parse_endpoint(listener.endpoint).options
 
         def place_of(key: str | None) -> Place:

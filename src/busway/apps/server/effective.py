@@ -1,4 +1,4 @@
-"""The effective configuration, defaults included, as TOML.
+"""The configuration that really holds, defaults included, as TOML.
 
 Knows parameter classes and TOML; changes nothing.
 """
@@ -17,7 +17,7 @@ from .configuration import Configuration
 
 
 def effective(configuration: Configuration) -> Iterator[str]:
-    """The effective configuration as lines of TOML: each section that a component uses, with every value."""
+    """Return the configuration with all defaults as lines of TOML: each section that a component uses."""
     yield "[server]"
     given = {name: value for name, value in configuration.served().items() if name != "tls"}
     chosen = Offer.of(*SERVERS).chosen(given)
@@ -58,14 +58,14 @@ def _link(link: NamedLink) -> Iterator[str]:
 def values(
     parameters: Any, *, without: frozenset[str] = frozenset()
 ) -> Iterator[str]:  # Any: classes of no common base
-    """A TOML line for each option of a parameter object."""
+    """Return a TOML line for each option of a parameter object."""
     for field in fields(parameters):
         if field.name not in without:
             yield line(field.name, getattr(parameters, field.name))
 
 
 def line(name: str, value: object) -> str:
-    """A key and its value as a TOML line."""
+    """Return a key and its value as a TOML line."""
     return f"{name} = {_written(value)}"
 
 

@@ -26,23 +26,23 @@ class RunningServer(Protocol):
         """Whether the server is started."""
 
     def status(self) -> Any:  # a dataclass, of its own kind
-        """The current status of the server."""
+        """Return the current status of the server or gateway."""
 
     @property
     def functions(self) -> FunctionTable:
-        """The table of functions that the server decodes."""
+        """The table of function codes, with their messages, that the server decodes."""
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer of requests, before the start."""
+        """Register an observer of the server's requests, before the start."""
 
     def replace_policy(self, policy: Policy) -> None:
-        """Replace the access policy, from the next request on."""
+        """Use another access policy, from the next request on."""
 
     def end_unauthorized(self) -> int:
         """Abort connections of hosts that may no longer connect; returns their number."""
 
     def reload_security(self) -> None:
-        """Read the certificates again. Raises `ConfigError`; a listener whose new ones are unusable keeps the old."""
+        """Read the TLS certificates again. Raises `ConfigError`; a listener keeps its old ones if they are unusable."""
 
     async def __aenter__(self) -> object:
         """Start the server."""
@@ -58,7 +58,7 @@ class DeclaredServer(Protocol):
 
     @property
     def file(self) -> SystemFile:
-        """The sections of the configuration file."""
+        """The sections of the configuration file, checked."""
 
     @property
     def listeners(self) -> tuple[Listener, ...]:
@@ -70,7 +70,7 @@ class DeclaredServer(Protocol):
 
     @property
     def audit(self) -> str | None:
-        """Path of the audit log."""
+        """Path of the audit log; None without one."""
 
     @property
     def control(self) -> str | None:
@@ -78,12 +78,10 @@ class DeclaredServer(Protocol):
 
     @property
     def at_once(self) -> frozenset[str]:
-        """Names of the sections that take effect at once when the file is read again."""
+        """Names of the file's sections that a reload applies without a restart."""
 
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> RunningServer:  # of several types
         """Create the declared server, not started yet."""
 
     async def apply_to(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Apply the configuration to a running server, as far as possible without a restart; returns the changes.
-        Raises `ModbusError`.
-        """
+        """Apply the configuration to a running server, as far as possible without a restart. Raises `ModbusError`."""

@@ -21,7 +21,7 @@ Row = tuple[str, str, str]
 
 
 def overview(configuration: Configuration) -> Iterator[Row]:
-    """The rows of the overview, in the order of the file's sections."""
+    """Return what a configuration contains as rows of text, in the order of the file's sections."""
     file = configuration.file
     for listener in configuration.listeners:
         yield "listener", str(listener.endpoint), "; ".join(_listener(listener, configuration.limits))

@@ -1,4 +1,4 @@
-"""Reload of a configuration while its server runs: reads the files again and applies what can change at once.
+"""Reads a configuration again while its server runs, and applies what can change without a restart.
 
 Knows what differs between two configurations, and what can be replaced; knows no request.
 
@@ -32,7 +32,7 @@ _MANY_RULES: Final = 10_000
 
 
 class Reload:
-    """Reloads the configuration of one running service.
+    """Reads the configuration of one running service again, on demand.
 
     Args:
         read: reads the configuration.
@@ -54,7 +54,7 @@ class Reload:
         self._access = access
 
     async def run(self, server: RunningServer, audit: "AuditLog | None") -> list[str]:
-        """Reload. Returns one sentence for each change.
+        """Read the configuration again and apply it. Returns one sentence for each change.
 
         Raises:
             ConfigError, LinkDown: the files have a mistake, or something they name cannot be had; nothing has changed.
@@ -71,7 +71,7 @@ class Reload:
         return done
 
     def exclude_rules_from_gc(self) -> None:
-        """Exclude the rules from garbage collection if there are many: it would go through all of them each time."""
+        """Exclude many access rules from garbage collection, which would go through all of them each time."""
         rules = self._access.rules
         if rules is not None and len(rules.policy.rules) > _MANY_RULES:
             keep_uncollected()
@@ -134,7 +134,7 @@ class ReloadedConfiguration:
     before: tuple[Rule, ...]
 
     def rule_lists(self) -> list[list[Any]]:
-        """The lists of rules, which may be large and are not needed after the reload, for `let_go`."""
+        """Return the lists of rules, which may be large and are not needed after the reload, for `let_go`."""
         policy = self.configuration.file.policy
         read = () if self.rules is None else self.rules.policy.rules
         return [list(self.before), list(read), [] if policy is None else list(policy.rule)]
@@ -143,7 +143,7 @@ class ReloadedConfiguration:
 def read_again(
     old: DeclaredServer, new: DeclaredServer, rules_in_force: AccessRules | None, rules: AccessRules | None
 ) -> ReloadedConfiguration:
-    """Check a configuration that was read again and compare it with what runs.
+    """Read and check the configuration again and compare it with what runs.
 
     With many rules that takes long, so call it in a thread.
 
@@ -165,7 +165,7 @@ def read_again(
 
 
 def _differences(old: DeclaredServer, new: DeclaredServer) -> list[str]:
-    """The sections in which two configurations differ, without those that take effect at once."""
+    """Return the sections in which two configurations differ, without those that take effect at once."""
     found = []
     for name in type(old.file).model_fields:
         before, after = getattr(old.file, name), getattr(new.file, name)

@@ -1,4 +1,4 @@
-"""Builds devices, points and behaviours from the units that a simulation file declares.
+"""Builds the devices, points and behaviours that a simulation file declares.
 
 Knows declarations, devices and behaviours; knows no time. It reads the recordings that behaviours name, and no other
 file.
@@ -34,7 +34,7 @@ from .simulated import SimulatedPoint, SimulatedUnit
 
 @dataclass(frozen=True, slots=True)
 class BuiltUnits:
-    """The devices, points and behaviours built from a declaration.
+    """The devices, points and behaviours built from a simulation file.
 
     Attributes:
         units: by number.
@@ -48,7 +48,7 @@ class BuiltUnits:
 
 
 def build_simulation(declared: Sequence[DeclaredUnit], seed: int, *, read: Reader = read_named_text) -> BuiltUnits:
-    """Build the units of a declaration, with the initial values of their points.
+    """Build the units that a simulation file declares, with the initial values of their points.
 
     Args:
         declared: the units.
@@ -87,7 +87,7 @@ def build_simulation(declared: Sequence[DeclaredUnit], seed: int, *, read: Reade
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """The parts of a behaviour that are equal for all units built from the same section.
+    """The parts of a behaviour that are equal for all units built from the same section of a file.
 
     Attributes:
         section: what the file says.
@@ -103,7 +103,7 @@ class _Plan:
 
 
 def _plans(declared: Sequence[DeclaredUnit], read: Reader) -> dict[int, _Plan]:
-    """The shared parts of behaviours, by the identity of their point's section."""
+    """Return the shared parts of behaviours, by the identity of their point's section."""
     problems: list[ConfigError] = []
     plans: dict[int, _Plan] = {}
     recordings: dict[str, Recording] = {}
@@ -155,7 +155,7 @@ def _plan(
 def _needed(
     units: Mapping[int, SimulatedUnit], planned: Mapping[SimulatedPoint, _Plan]
 ) -> dict[SimulatedPoint, list[SimulatedPoint]]:
-    """The points that each formula needs at the same moment. Refuses names of points that do not exist."""
+    """Return the points that each formula needs at the same moment. Refuses names of points that do not exist."""
     problems: list[ConfigError] = []
     found: dict[SimulatedPoint, list[SimulatedPoint]] = {}
     for point, plan in planned.items():
@@ -177,7 +177,7 @@ def _needed(
 
 
 def find_point(units: Mapping[int, SimulatedUnit], unit: int, name: str) -> SimulatedPoint | None:
-    """Find a point by name as seen from a unit: its own, or that of another unit by ``UNIT/NAME``."""
+    """Find a point by its name in a formula of a unit: its own, or that of another unit by ``UNIT/NAME``."""
     own = units[unit].points.get(name)
     if own is not None:
         return own
@@ -202,7 +202,7 @@ def _is_number(section: SimulatedPointSection) -> bool:
 def _in_order(
     planned: Mapping[SimulatedPoint, _Plan], needed: Mapping[SimulatedPoint, Sequence[SimulatedPoint]]
 ) -> dict[SimulatedPoint, int]:
-    """Sort points so that each comes after those it needs, with ranks (`Driven.rank`). Refuses circular formulas."""
+    """Sort points so that each comes after those that its formula needs. Refuses circular formulas."""
     ranks: dict[SimulatedPoint, int] = {point: 0 for point in planned if point not in needed}
     for first in planned:
         if first in ranks:
@@ -225,7 +225,7 @@ def _in_order(
 
 
 def _spans(points: Sequence[SimulatedPoint]) -> bool:
-    """Whether some points are in different units."""
+    """Whether some of the points are in different units."""
     return len({point.unit for point in points}) > 1
 
 
@@ -254,6 +254,6 @@ def _driven(
 
 
 def _start(section: SimulatedPointSection, number: float) -> float:
-    """The initial value of a point, not rounded to its register type."""
+    """Return the initial value of a point, not rounded to its register type."""
     value = section.value
     return float(value) if isinstance(value, int | float) else number

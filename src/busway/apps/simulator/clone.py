@@ -67,7 +67,7 @@ class Clone:
 def clone_points(
     unit: BlockingUnit, points: Sequence[SimulatedPointSection], *, progress: Progress = lambda line: None
 ) -> Clone:
-    """Clone a unit by the points of a register map, each read once.
+    """Clone a unit of a live device by the points of a register map, each read once.
 
     Args:
         unit: whom to read.
@@ -108,7 +108,7 @@ def clone_tables(
     thorough: bool = False,
     progress: Progress = lambda line: None,
 ) -> Clone:
-    """Clone a unit by whatever items its tables have in some ranges.
+    """Clone a unit of a live device by whatever items its tables have in some ranges.
 
     Args:
         unit: whom to read.
@@ -156,7 +156,7 @@ def clone_tables(
 def watch_points(
     unit: BlockingUnit, clone: Clone, moments: Iterable[float], *, progress: Progress = lambda line: None
 ) -> Clone:
-    """Add behaviours to a clone, learnt by reading its points again and again.
+    """Add behaviours to a clone, learnt by reading the live device's points again and again.
 
     Args:
         unit: whom to read.
@@ -188,7 +188,7 @@ def _read_again(unit: BlockingUnit, point: SimulatedPointSection) -> float:
 
 
 class _Watched:
-    """The observed changes of a number while a device is watched.
+    """The changes of one number, observed while a live device is watched.
 
     Args:
         point: it.
@@ -218,7 +218,7 @@ class _Watched:
         self._moments += 1
 
     def learnt(self) -> SimulatedPointSection:
-        """The point with the behaviour that fits the observed changes."""
+        """Return the point with the behaviour that fits the observed changes."""
         if not self.has_changed or self._time <= 0:
             return self.point
         is_whole = self.point.form is not None and not self.point.form.name.startswith("float")
@@ -237,12 +237,12 @@ class _Watched:
 
 
 def _short(number: float) -> float:
-    """A number rounded to six digits, as people write it."""
+    """Return a number rounded to six digits, as people write it."""
     return float(f"{number:.6g}")
 
 
 class _Recorder:
-    """Reads points of a device, and remembers registers that several points share by bits."""
+    """Reads points of a live device, and remembers registers whose bits several points share."""
 
     def __init__(self, unit: BlockingUnit) -> None:
         self._unit = unit
@@ -250,7 +250,7 @@ class _Recorder:
         self._named: set[tuple[Table, int, int]] = set()
 
     def record(self, point: SimulatedPointSection, remarks: list[str]) -> list[SimulatedPointSection]:
-        """The point with its current value; or its registers as one point each, if they are no value of its type."""
+        """Return the point with its current value; if that is invalid in its type, one point for each register."""
         place, form = point.place, point.form
         if form is None:
             return [_with(point, value=self._bit(place))]
@@ -273,7 +273,7 @@ class _Recorder:
         return bool(self._shared[key] >> place.bit & 1)
 
     def unnamed_bits(self) -> Iterator[SimulatedPointSection]:
-        """Points for set bits without a name, so that the cloned register has the same value."""
+        """Return points for set bits without a name, so that the cloned register has the same value."""
         for (table, offset), value in self._shared.items():
             for bit in range(16):
                 if value >> bit & 1 and (table, offset, bit) not in self._named:
@@ -282,7 +282,7 @@ class _Recorder:
 
 
 def _valued(point: SimulatedPointSection, form: ValueType[Any], data: bytes) -> SimulatedPointSection:
-    """A point with the value of its registers, and its range and names extended to include it.
+    """Return a point with the value of its registers, its range and names extended to include it.
 
     Raises:
         BadReply, InvalidRequest: they mean nothing in its type, or the value does not give the same registers again.
@@ -317,7 +317,7 @@ def _keys_of(point: SimulatedPointSection) -> dict[str, Any]:
 
 
 def _register_point(point: SimulatedPointSection, index: int, value: int) -> SimulatedPointSection:
-    """A point for one register of a point whose value is invalid in its type."""
+    """Return a point for one register of a point whose value is invalid in its type."""
     place = Address(point.place.table, point.place.offset + index)
     keys = {"name": f"{point.name} register {index + 1}", "address": format_address(place), "value": value}
     if point.access is not None:
@@ -326,7 +326,7 @@ def _register_point(point: SimulatedPointSection, index: int, value: int) -> Sim
 
 
 class _Scanner:
-    """Finds which items a table of a device has, and reads their values.
+    """Finds out which items a table of a live device has, and reads their values.
 
     Attributes:
         offered: whether the device has the function that reads the table.
@@ -342,7 +342,7 @@ class _Scanner:
         self.refusal: ExceptionReply | None = None
 
     def items(self, part: range) -> dict[int, int]:
-        """The values of the existing items in a range, by offset."""
+        """Return the values of the items that exist in a range, by offset."""
         size = MAX_READ_BITS if self._table.holds_bits else MAX_READ_REGISTERS
         found: dict[int, int] = {}
         for first in range(part.start, part.stop, size):
@@ -358,7 +358,7 @@ class _Scanner:
             self._divide(first, count, found)
 
     def _divide(self, first: int, count: int, found: dict[int, int]) -> None:
-        """Read the existing parts of a range that was refused as a whole."""
+        """Read the parts that exist of a range that the device has refused as a whole."""
         if count == 1:
             return
         half = count // 2
@@ -367,7 +367,7 @@ class _Scanner:
                 self._divide(start, size, found)
 
     def _take(self, first: int, count: int, found: dict[int, int]) -> bool:
-        """Read a range. Returns whether the device has all of it."""
+        """Read a range of the live device. Returns whether it has all items of it."""
         try:
             values = self._read(first, count=count)
         except ExceptionReply as error:
@@ -387,14 +387,14 @@ class _Scanner:
 
 
 def _runs(items: Mapping[int, int]) -> Iterator[tuple[int, list[int]]]:
-    """Items grouped into runs without a gap: the first offset and the values of each."""
+    """Return items grouped into runs without a gap: the first offset and the values of each."""
     for _, group in groupby(enumerate(sorted(items)), lambda pair: pair[1] - pair[0]):
         offsets = [offset for _, offset in group]
         yield offsets[0], [items[offset] for offset in offsets]
 
 
 def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
-    """The keys of a table section; zeros at the end are left out."""
+    """Return the keys of a device file for a table; zeros at the end are left out."""
     said = len(values)
     while said and not values[said - 1]:
         said -= 1
@@ -403,13 +403,13 @@ def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
 
 
 def _unnamed(table: Table, offset: int, value: int) -> dict[str, Any]:
-    """The keys of a point for an item without a name."""
+    """Return the keys of a device file for an item without a name."""
     address = format_address(Address(table, offset))
     return {"name": address, "address": address, "value": bool(value) if table.holds_bits else value}
 
 
 def _identity(unit: BlockingUnit, progress: Progress) -> dict[str, Any]:
-    """The keys that identify a unit: its number and its identification data."""
+    """Return the keys of a device file for a unit: its number and its identification data."""
     keys: dict[str, Any] = {"unit": 1 if unit.number in _UNNAMED_UNITS else unit.number}
     objects = _objects(unit)
     if objects:
@@ -425,7 +425,7 @@ def _identity(unit: BlockingUnit, progress: Progress) -> dict[str, Any]:
 
 
 def _objects(unit: BlockingUnit) -> dict[int, bytes]:
-    """The identification objects of the highest level that the device supports."""
+    """Return the identification objects of the highest level that the live device supports."""
     for level in _LEVELS:
         objects = _offered(partial(unit.read_device_identification, level))
         if objects:
@@ -434,7 +434,7 @@ def _objects(unit: BlockingUnit) -> dict[int, bytes]:
 
 
 def _offered(ask: Callable[[], Answer]) -> Answer | None:
-    """The reply of the device; None if it does not support the function."""
+    """Return the reply of the live device; None if it does not support the function."""
     try:
         return ask()
     except (ExceptionReply, BadReply):

@@ -1,4 +1,4 @@
-"""Writes units as the text of a device file, which parses to the same units.
+"""Writes units as the text of a device file; reading that text gives the same units.
 
 Knows how TOML is written and the keys of a unit; writes no file.
 
@@ -21,7 +21,7 @@ _RUNNING: Final = b"\xff"
 def device_text(
     units: Iterable[BaseModel], *, listen: Sequence[str] = (), remarks: Iterable[str] = (), compact: bool = False
 ) -> str:
-    """The text of a device file for these units.
+    """Return the text of a device file for these units.
 
     Args:
         units: its units (`UnitSection`).
@@ -39,7 +39,7 @@ def device_text(
 
 
 def _on_one_line(text: str) -> str:
-    """A text made safe for a comment, without line ends and characters that TOML forbids there."""
+    """Return a text that is safe in a comment, without line ends and characters that TOML forbids there."""
     return " ".join("".join(each if each.isprintable() else " " for each in text).split())
 
 
@@ -62,14 +62,14 @@ def _unit_lines(unit: BaseModel, compact: bool) -> list[str]:
 
 
 def _key_lines(key: str, value: Any) -> list[str]:
-    """The TOML lines of a key: one, or for a list of tables one for each table."""
+    """Return the TOML lines of a key: one, or for a list of tables one for each table."""
     if isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
         return [f"{_key(key)} = [", *(f"    {written(each)}," for each in value), "]"]
     return [f"{_key(key)} = {written(value)}"]
 
 
 def _decided(section: BaseModel) -> dict[str, Any]:  # Any: what TOML has
-    """The keys of a section that were set, as a file has them."""
+    """Return the keys of a section that were set, as a file has them."""
     return {
         field.alias or name: _plain(name, getattr(section, name))
         for name, field in type(section).model_fields.items()
@@ -91,9 +91,7 @@ def _plain(key: str, value: Any) -> Any:
 
 
 def _bytes(data: bytes, *, running: bool) -> Any:
-    """Bytes as text if possible, otherwise in hexadecimal. The run indicator of a server id is left out, as it is
-    added.
-    """
+    """Return bytes as text if possible, otherwise in hexadecimal, without the run indicator of a server id."""
     body = data.removesuffix(_RUNNING) if running else data
     if body != data or not running:
         try:
@@ -106,7 +104,7 @@ def _bytes(data: bytes, *, running: bool) -> Any:
 
 
 def written(value: Any) -> str:
-    """A value in TOML syntax."""
+    """Return a value in TOML syntax."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
@@ -125,7 +123,7 @@ def written(value: Any) -> str:
 
 
 def _visible(text: str) -> str:
-    """A TOML string with all invisible characters escaped, since devices' names can contain any."""
+    """Return a TOML string with all invisible characters escaped, since devices' names can contain any."""
     if text.isprintable():
         return text
     return "".join(each if each.isprintable() else f"\\U{ord(each):08X}" for each in text)

@@ -28,7 +28,7 @@ _LAST: Final = 1 << 30
 
 @dataclass(slots=True, eq=False)
 class Driven:
-    """A point with a behaviour, as the engine runs it.
+    """A simulated point with its behaviour, as the engine runs it.
 
     Attributes:
         point: the point.
@@ -47,7 +47,7 @@ class Driven:
 
 @dataclass(slots=True, eq=False)
 class _Group:
-    """Points of one unit that change at the same moments, or behaviours that observe after them.
+    """Points of one unit that change at the same moments, or behaviours that look at them after that.
 
     Attributes:
         device: that holds them.
@@ -67,14 +67,14 @@ class _Group:
 
 @dataclass(slots=True, eq=False)
 class _Release:
-    """A scheduled end of holding a point, unless it was set again meanwhile."""
+    """The time at which a point set by hand follows its behaviour again, unless it is set again meanwhile."""
 
     point: SimulatedPoint
     held: int
 
 
 class _Batch:
-    """Groups of one unit that change at the same moment, with all look-ups done beforehand, for speed.
+    """Points of one unit that change at the same moment, with all look-ups done beforehand, for speed.
 
     Args:
         groups: of one unit.
@@ -99,7 +99,7 @@ class _Batch:
         ]
 
     def run(self, time: float) -> list[SimulatedPoint]:
-        """Update the points of the groups for a time. Returns those with a new value."""
+        """Give the points of the batch their values at a time. Returns those whose value has changed."""
         changed: list[SimulatedPoint] = []
         changes = changed.append
         with self.device.lock:
@@ -120,7 +120,7 @@ class _Batch:
         return changed
 
     def _store(self) -> None:
-        """Write the new values into copies of the runs, and show all of them at once."""
+        """Write the new values of the batch into the unit's memory, where readers see all of them at once."""
         shown: dict[RegisterRun | BitRun, bytearray] = {}
         for memory, points in self.memories.items():
             if points:
@@ -132,7 +132,7 @@ class _Batch:
 
 
 class Engine:
-    """Runs all points with behaviours, each at its own moments.
+    """Gives all simulated points with behaviours new values, each at its own moments.
 
     Args:
         driven: them.
@@ -158,7 +158,7 @@ class Engine:
             self._push(group.due(), rank, units.setdefault(id(group.device), len(units)), group)
 
     def deadline(self) -> float | None:
-        """When the next task is due, in seconds of the simulation; None without tasks."""
+        """Return when the next points change, in seconds of the simulation; None if there are none."""
         return self._heap[0][0] if self._heap else None
 
     def drives(self, point: SimulatedPoint) -> bool:
@@ -166,14 +166,14 @@ class Engine:
         return point in self._driven
 
     def state_of(self, point: SimulatedPoint, time: float) -> float | None:
-        """The value that a point's behaviour would continue from, as of the last moment before a time; None if none."""
+        """Return the value that a point's behaviour would continue from, as of its last moment; None if none."""
         driven = self._driven.get(point)
         if driven is None:
             return None
         return driven.behaviour.state(math.floor(time / driven.every + _ROUNDING) * driven.every)
 
     def run(self, until: float, *, skip: bool = False, pause: Callable[[], bool] = lambda: False) -> bool:
-        """Run all tasks that are due until a time.
+        """Give points new values at all moments until a time.
 
         Args:
             until: the time, in seconds of the simulation.
@@ -205,7 +205,7 @@ class Engine:
         return not self._heap or self._heap[0][0] > until
 
     def _leave_out(self, until: float) -> None:
-        """Skip missed moments: each overdue task continues with the latest one."""
+        """Skip moments that were missed: each point goes on with its latest one."""
         first = self._heap[0][4] if self._heap else None
         if not isinstance(first, _Group) or (first.step + 1) * first.every > until:
             return
@@ -219,7 +219,7 @@ class Engine:
             self._push(due, rank, unit, task)
 
     def _run(self, groups: list[_Group], rank: int, time: float) -> None:
-        """Run some groups of one unit at a moment."""
+        """Give points of one unit new values at a moment."""
         if rank == _LAST:
             for group in groups:
                 for driven in group.driven:
@@ -250,16 +250,14 @@ class Engine:
             self._push(time + section.resume_after, -1, 0, _Release(point, point.held))
 
     def release(self, point: SimulatedPoint, time: float) -> None:
-        """Let a point follow its behaviour again; a behaviour that depends on its last value continues from the current
-        one.
-        """
+        """Let a point that was set by hand follow its behaviour again, from its current value if that matters."""
         driven = self._driven.get(point)
         if driven is not None and point.held:
             _go_on(driven.behaviour, point, time)
             point.held = 0
 
     def begin(self, time: float, kept: Mapping[str, float]) -> None:
-        """Start at a time other than 0, with each point at its last moment before it.
+        """Start at a time other than 0, where each point has the value of its last moment before it.
 
         Args:
             time: in seconds of the simulation.
@@ -288,18 +286,18 @@ _ROUNDING: Final = 1e-9
 
 
 def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
-    """Let a behaviour continue from the value of its point, unless that is no number."""
+    """Let a behaviour continue from the value that its point has, unless that is no number."""
     if math.isfinite(point.number):
         behaviour.resume(time, point.number)
 
 
 def is_observer(behaviour: Any) -> TypeGuard[Observer]:  # of any class
-    """Whether a behaviour depends on other points over time."""
+    """Whether a behaviour depends on the values of other points over time."""
     return hasattr(behaviour, "observe")
 
 
 def _groups(driven: Iterable[Driven]) -> list[tuple[_Group, int]]:
-    """The driven points grouped by unit, moments and rank, and the behaviours that observe after them."""
+    """Return the simulated points grouped by unit, moments and order, and the behaviours that look at others."""
     found: dict[tuple[int, float, int], _Group] = {}
     for each in driven:
         device = each.point.device

@@ -20,7 +20,7 @@ from ...faults.switchboard import FaultSwitchboard
 def fault_problems(
     sections: Iterable[FaultSection], source: Source, fault_profiles: FaultProfileTable = FAULT_PROFILES
 ) -> list[ConfigError]:
-    """Errors in the ``[[fault]]`` sections of a file that the schema cannot find, each with file, line and key.
+    """Return errors in the ``[[fault]]`` sections of a file that its schema cannot find: file, line and key of each.
 
     Args:
         sections: as they stand in the file, under ``fault``.
@@ -55,7 +55,7 @@ def _section_problems(section: FaultSection, fault_profiles: FaultProfileTable) 
 
 
 def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[str]:
-    """Add the faults of ``[[fault]]`` sections to a switchboard.
+    """Add the faults of a file's ``[[fault]]`` sections to those of a running simulation.
 
     Returns:
         Their names.
@@ -91,7 +91,7 @@ def _put_on(board: FaultSwitchboard, section: FaultSection, name: str) -> str:
 
 
 def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
-    """Apply ``--fault``: switch on the fault with that name, or add a fault profile with its parameters.
+    """Do what ``--fault`` says: switch on the fault with that name, or add a fault profile with its options.
 
     Args:
         board: where.
@@ -111,7 +111,7 @@ def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
 
 
 def fault_profile_lines(fault_profiles: FaultProfileTable = FAULT_PROFILES) -> list[str]:
-    """The lines that ``--list-faults`` prints: each fault profile with its effect, and its parameters."""
+    """Return the lines that ``--list-faults`` prints: each fault profile with its effect and its options."""
     width = max(len(name) for name in fault_profiles)
     lines = []
     for one in fault_profiles.values():

@@ -51,7 +51,7 @@ MOST_LEVELS: Final = 32
 
 @dataclass(frozen=True, slots=True)
 class DeclaredUnit:
-    """A ``[[unit]]`` section after includes and parameters, with its origin.
+    """A ``[[unit]]`` section with includes and parameters resolved, and the file that it comes from.
 
     Attributes:
         section: what it says; with several numbers, for a device each.
@@ -64,7 +64,7 @@ class DeclaredUnit:
     path: Path
 
     def problem(self, path: Path, sentence: str) -> ConfigError:
-        """The error for a path in the unit's section, with file, line and key."""
+        """Return the error for a path in the unit's section, with file, line and key."""
         return self.source.problem((*self.path, *path), sentence)
 
 
@@ -147,7 +147,7 @@ class _Count:
 
 
 class _Including:
-    """Collects the units of included files.
+    """Collects the units of all included files.
 
     Args:
         read: gives the text of a file.
@@ -161,7 +161,7 @@ class _Including:
         self._count = count
 
     def all_of(self, file: ParameterKeys, source: Source) -> Iterator[DeclaredUnit]:
-        """The units of all includes of a file."""
+        """Return the units of all includes of a file."""
         for index, section in enumerate(file.include):
             yield from self._one(section, source, ("include", index))
 
@@ -195,7 +195,7 @@ class _Including:
             raise FileError([_included(each, name, f"{parent.name}:{line}") for each in error.problems]) from None
 
     def _whole(self, source: Source, parameters: Mapping[str, Parameter], identity: str) -> Iterator[DeclaredUnit]:
-        """The units of a file unchanged, and those of the files that it includes."""
+        """Return the units of a file unchanged, and those of the files that it includes."""
         filled = replace(source, data=own_units(FilledSource(source, parameters)))
         profile = filled.checked(ProfileFile)
         if not profile.unit and not profile.include:
@@ -207,7 +207,7 @@ class _Including:
     def _several(
         self, source: Source, parameters: Mapping[str, Parameter], numbers: Sequence[int], asked: tuple[Source, Path]
     ) -> Iterator[DeclaredUnit]:
-        """Units from the single section of a file: one for each number, or one for all if none differs."""
+        """Return units made from the single section of a file: one per number, or one for all if none differs."""
         sections = source.data.get("unit")
         if not isinstance(sections, list) or len(sections) != 1 or "include" in source.data:
             parent, at = asked
@@ -230,7 +230,7 @@ def _checked_unit(source: Source, index: int) -> DeclaredUnit:
 
 
 def _included(error: ConfigError, name: str, where: str) -> ConfigError:
-    """The error of an included file, with the including file added; errors of other files unchanged."""
+    """Return the error of an included file, with the including file added; errors of other files unchanged."""
     if error.file != name:
         return error
     return ConfigError(f"{error.message} (included by {where})", file=error.file, line=error.line, key=error.key)

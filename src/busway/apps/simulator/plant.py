@@ -1,5 +1,4 @@
-"""The plant of the demonstration: a tank that consumers empty and a pump fills, a meter, and a thermometer; three
-devices.
+"""The plant of the demonstration, as three devices: a tank with pump and consumers, a meter, and a thermometer.
 
 Knows its physics as functions of state and time, and its points; knows no clock and no connection.
 
@@ -118,7 +117,7 @@ _LONGEST_STEP: Final = 0.2
 
 @dataclass(frozen=True, slots=True)
 class Controls:
-    """The settings of the plant: the level to keep, in metres, and whether the pump may run."""
+    """What an operator may set in the plant: the level to keep, in metres, and whether the pump may run."""
 
     target: float = 2.0
     pump_enabled: bool = True
@@ -126,7 +125,7 @@ class Controls:
 
 @dataclass(frozen=True, slots=True)
 class PlantState:
-    """The state of the plant: time, level of the tank, whether the pump runs, and volume delivered.
+    """The state of the plant: time, level of the tank, whether the pump runs, volume delivered.
 
     Attributes:
         time: seconds of the clock since it began.
@@ -142,7 +141,7 @@ class PlantState:
 
 
 def advance(state: PlantState, controls: Controls, seconds: float) -> PlantState:
-    """The state of the plant after some more seconds."""
+    """Return the state of the plant some seconds later."""
     while seconds > 0:
         step = min(seconds, _LONGEST_STEP)
         seconds -= step
@@ -163,34 +162,34 @@ def _step(state: PlantState, controls: Controls, seconds: float) -> PlantState:
 
 
 def _pumps(state: PlantState, controls: Controls) -> bool:
-    """Whether the pump runs: started below the level band, stopped above it, unchanged within."""
+    """Whether the pump of the plant runs: it starts below the level band and stops above it."""
     if not controls.pump_enabled or state.level >= controls.target + BAND:
         return False
     return state.is_pumping or state.level <= controls.target - BAND
 
 
 def flow(state: PlantState) -> float:
-    """Flow of the pump in cubic metres per hour: slightly less against a full tank."""
+    """Return the flow of the pump in cubic metres per hour: slightly less against a full tank."""
     return PUMP_FLOW * (1 - 0.04 * state.level) if state.is_pumping else 0.0
 
 
 def consumption(time: float) -> float:
-    """Consumption in cubic metres per hour, ``time`` seconds after the start."""
+    """Return what the consumers take in cubic metres per hour, ``time`` seconds after the start."""
     return 15.0 + 5.0 * math.sin(time * 2 * math.pi / 7)
 
 
 def temperature(time: float) -> float:
-    """Temperature of the tank in degrees Celsius, in steps of 0.1."""
+    """Return the temperature of the tank in degrees Celsius, in steps of 0.1."""
     return round(18.0 + 1.5 * math.sin(time * 2 * math.pi / 30), 1)
 
 
 def power(state: PlantState) -> int:
-    """Power consumption of the plant, in watts."""
+    """Return the electrical power of the plant in watts."""
     return IDLE_POWER + (round(PUMP_POWER * (0.9 + 0.03 * state.level)) if state.is_pumping else 0)
 
 
 class Plant:
-    """The plant with the three devices that show its state.
+    """The plant of the demonstration with the three devices that show its state.
 
     Attributes:
         devices: what is served, by unit.

@@ -1,4 +1,4 @@
-"""Named points of a device for its application, read and written in their unit of measure.
+"""Named points of a served device for the program that serves it, read and written in their unit of measure.
 
 Knows points and the device that holds them; knows no connection.
 """
@@ -34,7 +34,7 @@ class Points:
         return iter(self._sections)
 
     def __getitem__(self, name: str) -> Any:  # what the point's type says
-        """Read a point in its unit of measure. Raises `InvalidRequest` if there is no such point."""
+        """Return the value of a point in its unit of measure. Raises `InvalidRequest` if there is no such point."""
         section = self._section(name)
         return section.physical(self._device.read(section.place, section.form))
 

@@ -1,4 +1,4 @@
-"""Imports register maps in CSV, as manuals and spreadsheets have them, as the points of a unit.
+"""Imports register maps in CSV, as manuals and spreadsheets have them, as points of a unit.
 
 Knows the columns and how their cells are written; what a point may be is known by the schema of device files.
 
@@ -159,7 +159,7 @@ def parse_register_map(data: bytes | str, name: str) -> list[SimulatedPointSecti
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """A row of the map: its cells by column, without the empty ones."""
+    """A row of the register map: its cells by column, without the empty ones."""
 
     line: int
     cells: Mapping[str, str]
@@ -175,7 +175,7 @@ class _Reader:
     problems: list[ConfigError] = field(default_factory=list)
 
     def rows(self) -> list[_Row]:
-        """The rows below the header line."""
+        """Return the rows of the register map below its header line."""
         begin, header = self._header_line()
         if header is None:
             self._complain("there is no line with columns; there are " + ", ".join(_NAME_OF_KEY.values()), begin)
@@ -199,14 +199,14 @@ class _Reader:
         return found
 
     def _header_line(self) -> tuple[int, str | None]:
-        """The first line with content, and its number."""
+        """Return the first line that has content, and its number."""
         for number, line in enumerate(self.text.splitlines(), 1):
             if line.strip(" \t,;") and not line.lstrip(" \t\"'").startswith("#"):
                 return number, line
         return 1, None
 
     def _records(self, delimiter: str, begin: int) -> Iterator[tuple[int, list[str]]]:
-        """The CSV records from a line on, each with the number of its first line."""
+        """Return the CSV records from a line on, each with the number of its first line."""
         body = "\n".join(self.text.splitlines()[begin - 1 :])
         reader = csv.reader(io.StringIO(body, newline=""), delimiter=delimiter, strict=True)
         line = begin
@@ -218,7 +218,7 @@ class _Reader:
             self._complain(f"is no CSV: {error}", line)
 
     def _columns(self, cells: list[str], line: int) -> list[Column | None] | None:
-        """The columns that the header names; None if they are unusable."""
+        """Return the columns that the header line names; None if they are unusable."""
         columns: list[Column | None] = []
         wrong = len(self.problems)
         for number, cell in enumerate(cells, 1):
@@ -251,18 +251,18 @@ def _decoded(data: bytes) -> str:
 
 
 def _known_in(header: str, delimiter: str) -> int:
-    """Number of known columns in a header line split by this delimiter."""
+    """Return the number of known columns in a header line split by this delimiter."""
     return sum(" ".join(cell.strip(' "').lower().split()) in _BY_HEADER for cell in header.split(delimiter))
 
 
 def _column_of(key: str | None) -> str | None:
-    """The column that a key of a point comes from: ``point[3].unit_of_measure`` → ``unit``."""
+    """Return the column that a key of a point comes from: ``point[3].unit_of_measure`` → ``unit``."""
     last = re.sub(r"\[\d+\]$", "", (key or "").rpartition("]")[2].lstrip(".").partition("[")[0].partition(".")[0])
     return _NAME_OF_KEY.get(last, last or None)
 
 
 def _keys_of(row: _Row) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """The keys of the point in a row, and errors in its cells: column and sentence."""
+    """Return the keys of the point in a row, and errors in its cells: column and sentence."""
     cells = row.cells
     keys: dict[str, Any] = {}
     faults = [(needed, "is empty") for needed in ("name", "address") if needed not in cells]
@@ -322,7 +322,7 @@ def _number(text: str, row: _Row) -> float:
 
 
 def _with_point(text: str, row: _Row) -> str:
-    """A number with a decimal point, even if the map uses commas."""
+    """Return a number with a decimal point, even if the register map uses commas."""
     return text.replace(",", ".") if row.decimal_comma and text.count(",") == 1 and "." not in text else text
 
 
@@ -350,12 +350,12 @@ def _enumeration(text: str) -> dict[str, int]:
 
 
 def _whole(text: str) -> int:
-    """Parse an integer: decimal, also with leading zeros, ``0x…`` or ``0b…``."""
+    """Return the integer in a cell: decimal, also with leading zeros, ``0x…`` or ``0b…``."""
     return int(text, 0) if text[1:2] in ("x", "X", "b", "B") else int(text)
 
 
 def _value(text: str, row: _Row, keys: Mapping[str, Any], *, is_bit: bool) -> Any:
-    """Parse an initial value: in the notation of its type, as a number in the unit of measure, or as a name."""
+    """Return the initial value in a cell: in the notation of its type, in the unit of measure, or as a name."""
     if text in keys.get("enumeration", {}):
         return text
     if is_bit:

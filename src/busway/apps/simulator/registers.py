@@ -1,4 +1,4 @@
-"""The position of a point in the memory of its device, and the encoding of its values there.
+"""Where a point is in the memory of its device, and how its values are encoded there.
 
 Knows sections of points and runs of items; knows no behaviour and no time.
 
@@ -41,7 +41,7 @@ _LARGEST: Final = {"float16": 65504.0, "float32": 3.4028234663852886e38, "float6
 
 @dataclass(frozen=True, slots=True)
 class PointForm:
-    """The declaration of a point, evaluated once for all units that have it.
+    """How a point is encoded, worked out once for all units that have it.
 
     Attributes:
         section: the declaration.
@@ -68,14 +68,14 @@ class PointForm:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Position of a point in the memory of one device: the run, and the offset in bytes (for bits: in bits)."""
+    """Where a point is in the memory of one device: the run, and the offset in bytes (for bits: in bits)."""
 
     memory: RegisterRun | BitRun
     offset: int
 
 
 def form_of(section: SimulatedPointSection) -> PointForm:
-    """Evaluate the declaration of a point."""
+    """Work out how a declared point is encoded."""
     place, form = section.place, section.form
     return PointForm(
         section,
@@ -96,7 +96,7 @@ def _factors(section: SimulatedPointSection) -> tuple[float, float]:
 
 
 def place_of(form: PointForm, device: Device) -> Place:
-    """The position of a point in a device that has its items."""
+    """Return where a point is in the memory of a device that has its items."""
     run = device.find_run(form.table, form.address, form.size)
     assert run is not None  # the device was built of these declarations
     position = form.address - run.first
@@ -115,7 +115,7 @@ def _put_bit(data: bytearray, offset: int, on: bool) -> None:
 
 
 def _putter(form: ValueType[Any]) -> Put:
-    """A function that encodes a number of a type; for common byte orders ``struct`` alone."""
+    """Return a function that encodes a number of a type; for common byte orders ``struct`` alone."""
     letter = _LETTERS.get(form.name)
     if letter is not None and form.order == "ABCDEFGH"[: 2 * form.registers]:
         return struct.Struct(f">{letter}").pack_into
@@ -198,7 +198,7 @@ def _float_quantiser(section: SimulatedPointSection, low: float, high: float) ->
 
 
 def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
-    """The smallest and the largest number of a value type."""
+    """Return the smallest and the largest number of a value type."""
     if form.name in _LARGEST:
         return -_LARGEST[form.name], _LARGEST[form.name]
     bits = 16 * form.registers
@@ -215,9 +215,7 @@ def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
 
 
 def largest_of(form: PointForm) -> float | None:
-    """The value above which a counter in this type starts again from 0, in the unit of measure; None for bits and
-    floats.
-    """
+    """Return the value after which a counter of this type starts from 0 again; None for bits and floats."""
     if form.form is None or form.form.name.startswith("float"):
         return None
     if not isinstance(form.section.rollover, bool):

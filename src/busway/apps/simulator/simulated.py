@@ -1,4 +1,4 @@
-"""A simulated point, its unit, and a change of its value.
+"""Data of a running simulation: a simulated point, its unit, and a change of its value.
 
 Knows the device that holds the point; knows no behaviour beyond its name, and no clock: times are seconds of the
 simulation since its beginning.
@@ -74,7 +74,7 @@ class SimulatedPoint:
 
     @property
     def section(self) -> SimulatedPointSection:
-        """The declaration of the point."""
+        """The declaration of the point in its file."""
         return self.form.section
 
     @property
@@ -182,7 +182,7 @@ class SimulatedPoint:
         return (self.device.peek(self.table, self.address, self.form.size) or b"").hex(" ", 2).upper()
 
     def look(self) -> None:
-        """Take over the current content of the registers, after a client has written them."""
+        """Take the value of the point from its registers again, after a client has written them."""
         try:
             self.stored = self._decoded()
         except BadReply:
@@ -191,14 +191,14 @@ class SimulatedPoint:
         self.number = float(value) if isinstance(value, int | float) else math.nan
 
     def _decoded(self) -> Any:  # what its type says
-        """The content of the point's registers, decoded by its type."""
+        """Return the content of the point's registers, decoded by its type."""
         form, offset = self.form.form, self.offset
         if form is None:
             return bool(self.memory.data[offset >> 3] >> (offset & 7) & 1)
         return form.decode(self.memory.data[offset : offset + 2 * form.registers])[0]
 
     def put(self, value: Any) -> None:  # what its type says
-        """Set the point to a value in the unit of measure, or to the name of one.
+        """Set the simulated point to a value in the unit of measure, or to the name of one.
 
         Raises:
             InvalidRequest: it does not fit the type, the range or the names.
@@ -234,7 +234,7 @@ class SimulatedUnit:
 
 @dataclass(frozen=True, slots=True)
 class PointChanged:
-    """A new value of a simulated point, with its time and origin.
+    """A new value of a simulated point, with its time and who set it.
 
     Attributes:
         point: which.

@@ -52,14 +52,14 @@ Watcher = Callable[[list[PointChanged]], object]
 
 
 class SimulationTimer(Protocol):
-    """Interface of a scheduled callback of a clock."""
+    """Interface of a call scheduled with the simulation's clock."""
 
     def cancel(self) -> None:
-        """Cancel the scheduled callback."""
+        """Cancel the scheduled call."""
 
 
 class SimulationClock(Protocol):
-    """Interface of a clock that also schedules callbacks; `busway.testing.FakeClock` is one."""
+    """Interface of a clock that also calls functions at a time; `busway.testing.FakeClock` is one."""
 
     def now(self) -> float:
         """The current time in seconds, monotonic."""
@@ -69,7 +69,7 @@ class SimulationClock(Protocol):
 
 
 class _LoopClock:
-    """The clock of the running event loop."""
+    """The clock of the running event loop, for simulations in real time."""
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -150,11 +150,11 @@ class Simulation:
 
     @property
     def left_out(self) -> int:
-        """Number of moments of units skipped so far, because the program could not keep up."""
+        """Number of moments at which points should have changed but did not, because the program was too slow."""
         return self._engine.left_out
 
     def point(self, key: str) -> SimulatedPoint:
-        """The point of a key ``UNIT/NAME``. Raises `InvalidRequest` if there is none."""
+        """Return the point with a key ``UNIT/NAME``. Raises `InvalidRequest` if there is none."""
         point = self.points.get(key)
         if point is None:
             raise InvalidRequest(f"there is no point {shown(key)}; a point is UNIT/NAME")
@@ -178,8 +178,7 @@ class Simulation:
         self._tell(changes)
 
     def release(self, key: str) -> None:
-        """Let a point that was set by hand follow its behaviour again, from its next moment on. A counter, a lag and a
-        random walk continue from the current value. From any thread.
+        """Let a point that was set by hand follow its behaviour again, from its next moment on. From any thread.
 
         Raises:
             InvalidRequest: there is no such point.
@@ -189,7 +188,7 @@ class Simulation:
             self._engine.release(point, self.time)
 
     def watch(self, callback: Watcher) -> Callable[[], None]:
-        """Call a function with changed values, several at a time. Returns a function that ends it.
+        """Have a function called with changed values, several at a time. Returns a function that ends it.
 
         Args:
             callback: called in the thread that made the change; what it raises is logged.
@@ -212,7 +211,7 @@ class Simulation:
     # ---- time
 
     def tick(self, now: float) -> None:
-        """Update all points up to a time, without skipping moments.
+        """Give all points their values up to a time, without skipping moments.
 
         Args:
             now: seconds of the clock, monotonic. Without a clock, the first time is the beginning.
@@ -223,7 +222,7 @@ class Simulation:
         self._engine.run(self._time)
 
     def deadline(self) -> float | None:
-        """When the next task is due, in seconds of the clock; None without tasks, or before the start."""
+        """Return when the next points change, in seconds of the clock; None if none do, or before the start."""
         due = self._engine.deadline()
         if due is None or self._origin is None:
             return None
@@ -247,13 +246,13 @@ class Simulation:
         self._arm_if_running()
 
     def pause(self) -> None:
-        """Stop the simulated time: points keep their values, and can still be set. Thread as of `change_speed`."""
+        """Stop the simulated time: points keep their values and can still be set. From the event loop's thread."""
         self._count_from_here()
         self.is_paused = True
         self._arm_if_running()
 
     def resume(self) -> None:
-        """Continue the simulated time from where it stopped. Thread as of `change_speed`."""
+        """Continue the simulated time from where it stopped. From the event loop's thread."""
         self._count_from_here()
         self.is_paused = False
         self._arm_if_running()
@@ -306,7 +305,7 @@ class Simulation:
 
     @property
     def at_once(self) -> frozenset[str]:
-        """Names of the sections that take effect at once when the file is read again."""
+        """Names of the file's sections that a reload applies without a restart."""
         return self.declaration.configuration.at_once
 
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> "Server":  # Any: as `busway.serve`
@@ -325,18 +324,18 @@ class Simulation:
 
     @property
     def functions(self) -> FunctionTable:
-        """The table of functions that the server of the simulation decodes."""
+        """The table of function codes, with their messages, that the simulation's server decodes."""
         return STANDARD
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer of requests for every server that is created from now on."""
+        """Register an observer of requests for every server of the simulation from now on."""
         self._observers.append(observer)
 
     # ---- running
 
     @property
     def server(self) -> "Server":
-        """The running server. Raises `ConfigError` if there is none."""
+        """The running server of the simulation. Raises `ConfigError` if there is none."""
         if self._server is None:
             raise ConfigError("the simulation does not run", key="server")
         return self._server
@@ -396,7 +395,7 @@ class Simulation:
             self.keep()
 
     def _arm(self) -> None:
-        """Set the timer to the next task."""
+        """Set the timer to the time when the next points change."""
         clock, deadline = self._clock, self.deadline()
         if self._timer is not None:
             self._timer.cancel()
@@ -421,20 +420,20 @@ class Simulation:
     # ---- changes
 
     def _followed(self, points: list[SimulatedPoint], time: float) -> None:
-        """Report new values that the engine has given to points."""
+        """Report new values that behaviours have given to points."""
         if self._watchers:
             self._tell(
                 [PointChanged(point, point.section.physical(point.stored), time, SIMULATION) for point in points]
             )
 
     def _written(self, points: Sequence[SimulatedPoint], peer: str) -> None:
-        """Handle a Modbus write to points; the device's lock is held."""
+        """Handle a Modbus write to simulated points; the device's lock is held."""
         for point in points:
             point.look()
         self._tell(self._held(points, peer))
 
     def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChanged]:
-        """Note points that were set by hand. Returns their changes."""
+        """Note points that were set by hand. Returns them as changes to report."""
         time = self.time
         changes = []
         for point in points:

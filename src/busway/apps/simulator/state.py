@@ -30,7 +30,7 @@ ASIDE: Final = ".broken"
 
 @dataclass(frozen=True, slots=True)
 class KeptPoint:
-    """The saved state of one point.
+    """What is saved of one simulated point.
 
     Attributes:
         value: in the unit of measure; None where the behaviour alone is kept.
@@ -45,7 +45,7 @@ class KeptPoint:
 
 @dataclass(frozen=True, slots=True)
 class KeptState:
-    """The saved state of a simulation.
+    """What is saved of a simulation: its time and the state of its points.
 
     Attributes:
         time: seconds since its beginning.
@@ -57,7 +57,7 @@ class KeptState:
 
 
 def save_state(path: str, state: KeptState) -> None:
-    """Save a state to a file. Raises `ConfigError` on failure; then the earlier file is unchanged."""
+    """Save the state of a simulation in a file. Raises `ConfigError` on failure; then the earlier file is unchanged."""
     document = {
         "kind": _KIND,
         "version": _VERSION,
@@ -84,7 +84,7 @@ def save_state(path: str, state: KeptState) -> None:
 
 
 def check_state(path: str) -> str:
-    """The path of a state file with links resolved; the file need not exist yet.
+    """Return the path of a state file with links resolved; the file need not exist yet.
 
     Raises:
         ConfigError: it is no regular file, is no state, or is reached by a link of another user; it stays as it is.
@@ -95,7 +95,7 @@ def check_state(path: str) -> str:
 
 
 def load_state(path: str) -> KeptState | None:
-    """Load the state from a file; None if there is no file.
+    """Return the state of a simulation saved in a file; None if there is no file.
 
     Raises:
         ConfigError: the file is not a valid state; it was renamed, with ``.broken`` after its name. Or as of

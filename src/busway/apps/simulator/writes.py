@@ -1,4 +1,4 @@
-"""Reports Modbus writes to the points of a unit to the simulation.
+"""Tells a simulation which of its points a Modbus client has written.
 
 Knows points and the hooks of devices; knows no behaviour. What does not fit a point is refused before
 (`busway.config.device_writes`).
@@ -25,7 +25,7 @@ def watch_writes(device: Device, points: Sequence[SimulatedPoint], told: Told) -
 
 
 class _Writes:
-    """The watched points in one table of a unit.
+    """The points in one table of a unit whose writes are reported.
 
     Args:
         points: those that stand in it.

@@ -1,4 +1,4 @@
-"""The schema of behaviours: what makes the value of a simulated point change.
+"""Keys of simulation files for behaviours: what makes the value of a simulated point change.
 
 Knows the keys of each kind and what they may be; computes no value (`apps.simulator.behaviours` does) and reads no
 formula (only their position; the simulator, which knows the points, checks them).
@@ -56,7 +56,7 @@ Expression = Annotated[float | str, BeforeValidator(_as_expression, json_schema_
 
 
 class BehaviourSection(Section):
-    """Keys of all kinds of behaviour: how often the value changes, and how long a written value stays."""
+    """Keys that behaviours of all kinds have: how often the value changes, how long a written value stays."""
 
     expressions: ClassVar[tuple[str, ...]] = ()
     """Keys that may hold an expression."""
@@ -201,7 +201,7 @@ KINDS: Final[Mapping[str, type[BehaviourSection]]] = {
 
 
 def _as_behaviour(value: object) -> object:
-    """Read a behaviour by the section class of its kind, so that errors name its keys; pydantic's union would not."""
+    """Read a behaviour by the keys of its kind, so that errors name them; pydantic's union would not."""
     if isinstance(value, BehaviourSection):
         return value
     if not isinstance(value, dict):
@@ -222,7 +222,7 @@ DeclaredBehaviour = Annotated[
 
 
 def described(section: BehaviourSection) -> str:
-    """A short description of a behaviour: ``sine: amplitude 4, period 60``."""
+    """Return a short description of a behaviour: ``sine: amplitude 4, period 60``."""
     own: dict[str, Any] = {  # Any: of the types of the keys
         name: getattr(section, name)
         for name in type(section).model_fields

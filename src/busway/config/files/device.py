@@ -82,7 +82,7 @@ def parse_device_file(text: str, name: str) -> "DeviceFile":
 
 
 def _as_table(value: object) -> object:
-    """Accept a table written as a number of items, or as a list of values."""
+    """Accept a table of a device file written as a number of items, or as a list of values."""
     if isinstance(value, int) and not isinstance(value, bool):
         return {"count": value}
     if isinstance(value, list):
@@ -97,7 +97,7 @@ def _as_list(value: object) -> object:
 
 
 def _as_bytes(value: object) -> object:
-    """Accept bytes written as text, or as ``{ hex = "…" }``."""
+    """Accept bytes in a device file written as text, or as ``{ hex = "…" }``."""
     if isinstance(value, str):
         return value.encode("utf-8")
     if isinstance(value, dict) and set(value) == {"hex"} and isinstance(value["hex"], str):
@@ -137,7 +137,7 @@ class ServerSection(OptionSection):
     preset: Literal["standard", "strict"] = "standard"
 
     def options(self) -> dict[str, Any]:  # of several types
-        """The options of `busway.serve` that this section sets."""
+        """Return the options of `busway.serve` that this section sets."""
         return {name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set}
 
 
@@ -155,7 +155,7 @@ class TableSection(Section):
 
     @property
     def size(self) -> int:
-        """Number of items that the table has."""
+        """Number of items that the table of the device has."""
         return self.count if self.count is not None else len(self.values or ())
 
     @property
@@ -164,7 +164,7 @@ class TableSection(Section):
         return self.first + self.size
 
     def faults(self, *, bits: bool, size: int = TABLE_SIZE) -> Iterator[tuple[Path, str]]:
-        """Errors in the declaration of a table, each with its path inside the table's section."""
+        """Return errors in the declaration of a table, each with its path inside the table's section."""
         if self.end > size:
             yield (), f"offsets are 0…{size - 1}, but {self.first}…{self.end - 1} are declared"
         if self.values is not None and len(self.values) > self.size:
@@ -201,7 +201,7 @@ class FifoSection(Section):
 
     @property
     def place(self) -> Address:
-        """The address of the queue's pointer."""
+        """Return the address at which function 24 reads the queue."""
         return parse_address(self.address, table=Table.HOLDING_REGISTERS)
 
     @model_validator(mode="after")
@@ -223,11 +223,11 @@ class GroupSection(WholeSection):
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:
-        """Values for missing keys, so that the rest of a faulty group can be checked."""
+        """Return values for missing keys, so that the rest of a faulty group can be checked."""
         return {"name": "?"}
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Errors between the keys of this group, each with its path and a sentence."""
+        """Return errors between the keys of this group, each with its path and a sentence."""
         if self.count_from and self.count is None:
             yield ("count",), f"is missing: the most that {self.count_from} may say"
         if self.count is not None and self.count > 1 and not self.stride:
@@ -237,17 +237,17 @@ class GroupSection(WholeSection):
         yield from _repeated("point", "name", [point.name for point in self.point])
 
     def size(self) -> int:
-        """Number of points that the group makes in total."""
+        """Return the number of points that the group makes in total."""
         return (self.count or 1) * (len(self.point) + sum(each.size() for each in self.group))
 
     def names(self) -> Iterator[str]:
-        """The names of the group's points at one place, without those of inner groups."""
+        """Return the names of the group's points at one place, without those of inner groups."""
         return (point.name for point in self.point)
 
     def placed(
         self, path: Path, prefix: str, by: int, outer: Sequence[str], around: "_Around"
     ) -> Iterator["PlacedPoint"]:
-        """The points of the group at all its places, each with its path in the file."""
+        """Return the points of the group at all its places, each with its path in the file."""
         for index in range(self.count or 1):
             here = f"{prefix}{self.name}." if self.count is None else f"{prefix}{self.name}.{index + 1}."
             known = [*(here + name for name in self.names()), *outer]
@@ -265,7 +265,7 @@ class GroupSection(WholeSection):
 
 @dataclass(frozen=True, slots=True)
 class _Around:
-    """Properties that a point gets from the groups around it, as in `busway.points.Point`."""
+    """What a point of a device file gets from the groups around it, as in `busway.points.Point`."""
 
     exists: tuple[tuple[str, int], ...] = ()
     group: str | None = None
@@ -288,7 +288,7 @@ class PlacedPoint:
 
 
 class ReadSection(Section):
-    """``read``: the limits for reading a unit, such as the largest request and forbidden ranges."""
+    """``read`` of a unit: limits of read requests, such as the largest one and forbidden ranges."""
 
     max_registers: Annotated[int, Field(ge=1, le=MAX_READ_REGISTERS)] = MAX_READ_REGISTERS
     max_bits: Annotated[int, Field(ge=1, le=MAX_READ_BITS)] = MAX_READ_BITS
@@ -314,7 +314,7 @@ class ReadSection(Section):
         return self
 
     def rules(self) -> ReadRules:
-        """The limits as `ReadRules`, for the read plan."""
+        """Return the limits of read requests as `ReadRules`, for the read plan."""
         return ReadRules(
             self.max_registers,
             self.max_bits,
@@ -384,18 +384,18 @@ class UnitSection(WholeSection):
     functions: list[Annotated[int, Field(ge=1, le=127)]] | None = None
 
     def table(self, table: Table) -> TableSection | None:
-        """The declaration of a table of this unit; None if it is not declared."""
+        """Return the declaration of a table of this unit; None if it is not declared."""
         declared: TableSection | None = getattr(self, table.value)
         return declared
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:
-        """Values for missing keys, so that the rest of a faulty unit can be checked."""
+        """Return values for missing keys, so that the rest of a faulty unit can be checked."""
         return {"unit": 1}
 
     @cached_property
     def placed(self) -> tuple[PlacedPoint, ...]:
-        """All points of the unit, those of groups at each of their places."""
+        """Return all points of the unit, those of groups at each of their places."""
         own = [PlacedPoint(("point", index), point) for index, point in enumerate(self.point)]
         names = [point.name for point in self.point]
         grouped = (
@@ -407,15 +407,15 @@ class UnitSection(WholeSection):
 
     @cached_property
     def stored(self) -> tuple[PlacedPoint, ...]:
-        """The points of the unit that are in tables: all but computed ones."""
+        """Return the points of the unit that are in tables: all but computed ones."""
         return tuple(each for each in self.placed if not each.section.is_computed)
 
     def points_in(self, table: Table) -> list[PointSection]:
-        """The points of the unit that are in one table."""
+        """Return the points of the unit that are in one table."""
         return [each.section for each in self.stored if each.section.table is table]
 
     def described(self) -> list[Point]:
-        """The points of the unit as `busway.points.Point` objects, computed ones too."""
+        """Return the points of the unit as `busway.points.Point` objects, computed ones too."""
         exponents = {each.section.scale_from for each in self.placed}
         return [
             replace(
@@ -429,11 +429,11 @@ class UnitSection(WholeSection):
         ]
 
     def objects(self) -> dict[int, bytes]:
-        """The identification objects of the unit, by number."""
+        """Return the identification objects of the unit (function 43/14), by number."""
         return {_object_number(key): value for key, value in self.identification.items()}
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Errors between the keys of this unit, each with its path and a sentence."""
+        """Return errors between the keys of this unit, each with its path and a sentence."""
         yield from self._table_faults()
         yield from self._placed_faults()
         yield from self._object_faults()
@@ -451,7 +451,7 @@ class UnitSection(WholeSection):
                 yield ("file", index, *path), message
 
     def _placed_faults(self) -> Iterator[tuple[Path, str]]:
-        """Errors between the points of the unit; none are looked for if the points cannot be placed."""
+        """Return errors between the points of the unit; none if the points cannot be placed."""
         if sum(group.size() for group in self.group) > MOST_REPEATED:
             yield ("group",), f"groups come to more than {MOST_REPEATED} points"
             return
@@ -528,7 +528,7 @@ def _repeated(section: str, key: str, values: list[Any]) -> Iterator[tuple[Path,
 
 
 def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Errors for points outside their table, or overlapping without being allowed to."""
+    """Return errors for points outside their table, or overlapping without being allowed to."""
     owners: dict[tuple[Table, int, int], str] = {}
     for each in stored:
         point, declared = each.section, unit.table(each.section.table)
@@ -551,7 +551,7 @@ def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tupl
 
 
 def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Errors for references to points that do not exist, or that do not hold the kind of number needed."""
+    """Return errors for names of points that do not exist, or do not hold the kind of number needed."""
     there = {each.section.name: each.section for each in placed}
     counts = {name: each.path for each in placed for name, _ in each.exists}
     needed = [((*each.path, "scale_from"), each.section.scale_from) for each in placed if each.section.scale_from]
@@ -579,7 +579,7 @@ def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[P
 
 
 def _circles(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Errors for computed points that depend on themselves."""
+    """Return errors for computed points that depend on themselves."""
     computed = {each.section.name: each for each in placed if each.section.is_computed}
     done: set[str] = set()
     for first in computed:

@@ -1,4 +1,4 @@
-"""The schema of faults that a simulated device has: ``[[fault]]``.
+"""Keys of simulation files for faults that a simulated device has: ``[[fault]]``.
 
 Knows the keys, and which requests a section chooses; what goes wrong is in the fault profiles, which
 `busway.apps.simulator.fault_sections` looks up with their parameters.
@@ -90,11 +90,11 @@ class FaultSection(Section):
         return self
 
     def chosen_units(self) -> frozenset[int] | None:
-        """The units, 0…255, that the fault applies to; None for all."""
+        """Return the units, 0…255, that the fault applies to; None for all."""
         return None if self.units is None else parse_units(self.units)
 
     def chosen_functions(self) -> frozenset[int] | None:
-        """The function codes, 1…127, that the fault applies to; None for all."""
+        """Return the function codes, 1…127, that the fault applies to; None for all."""
         if self.functions is None:
             return None
         found = parse_functions(self.functions)
@@ -104,7 +104,7 @@ class FaultSection(Section):
         return frozenset(code for code, _ in found)
 
     def chosen_addresses(self) -> dict[Table, tuple[Range, ...]] | None:
-        """The item ranges that the fault applies to, by table; None for all. Plain numbers mean every table."""
+        """Return the item ranges that the fault applies to, by table; None for all."""
         if self.addresses is None:
             return None
         found: dict[Table, list[Range]] = {}

@@ -51,7 +51,7 @@ NOT_OF_GATEWAYS: Final = {
 
 
 def is_gateway(sections: Container[str]) -> bool:
-    """Whether sections are those of a gateway file: it has routes, or listeners but no units."""
+    """Whether the sections of a file are those of a gateway file: routes, or listeners but no units."""
     listens = "listen" in sections or "listener" in sections
     return "route" in sections or "gateway" in sections or (listens and "unit" not in sections)
 
@@ -66,7 +66,7 @@ class GatewayListenerSection(ListenerSection):
 
     @property
     def title(self) -> str:
-        """The name of the listener in routes; its URL if it has no name."""
+        """The name of the listener in routes; its URL if the file gives it no name."""
         return self.name or self.url
 
 
@@ -85,7 +85,7 @@ class RouteSection(OptionSection):
 
     @property
     def parameters(self) -> RouteParameters:
-        """The options, with the defaults of those that are left out."""
+        """Return the options of the route, with the defaults of those that the file leaves out."""
         return self.built(RouteParameters)
 
     @model_validator(mode="after")
@@ -111,12 +111,12 @@ class RouteSection(OptionSection):
                 yield (key,), error.message
 
     def asked_units(self) -> frozenset[int] | None:
-        """The units that the route applies to; None for all. Raises `ConfigError`."""
+        """Return the units that the route applies to; None for all. Raises `ConfigError`."""
         units = self.parameters.units
         return None if units is None else parse_units(units.written)
 
     def asked_functions(self) -> frozenset[int]:
-        """The function codes that the route applies to; empty for all. Raises `ConfigError`."""
+        """Return the function codes that the route applies to; empty for all. Raises `ConfigError`."""
         functions = self.parameters.functions
         if functions is None:
             return frozenset()
@@ -126,14 +126,12 @@ class RouteSection(OptionSection):
         return frozenset(code for code, _ in found)
 
     def asked_table(self) -> Table | None:
-        """The table that plain numbers in the route's addresses belong to. Raises `ConfigError`."""
+        """Return the table that plain numbers in the route's addresses belong to. Raises `ConfigError`."""
         table = self.parameters.table
         return None if table is None else parse_table(table)
 
     def asked_addresses(self) -> tuple[Table, int, int] | None:
-        """The addresses of the route: table, first offset and the one after the last; None for all. Raises
-        `ConfigError`.
-        """
+        """Return the route's addresses: table, first offset, offset after the last; None: all. Raises `ConfigError`."""
         addresses = self.parameters.addresses
         if addresses is None:
             if self.parameters.table is not None:
@@ -151,7 +149,7 @@ class GatewaySection(OptionSection):
     """``[gateway]``: options of the whole gateway."""
 
     def parameters(self) -> GatewayParameters:
-        """The options of the gateway, with defaults for those left out."""
+        """Return the options of the whole gateway, with defaults for those that the file leaves out."""
         return self.built(GatewayParameters)
 
 

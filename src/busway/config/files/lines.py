@@ -1,4 +1,4 @@
-"""Finds the line of each key in a TOML text, because ``tomllib`` does not report it.
+"""Finds the text line of each key in a TOML file, for error messages, because ``tomllib`` does not report it.
 
 Knows the grammar as far as it separates keys from values; judges nothing: the text has passed ``tomllib``.
 
@@ -18,14 +18,14 @@ _DELIMITERS: Final = ("'''", '"""', "'", '"')
 
 
 def key_lines(text: str) -> dict[Path, int]:
-    """The 1-based line of every key, table and array element in a valid TOML text."""
+    """Return the 1-based line of every key, table and array element in a valid TOML text."""
     reader = _Reader(text)
     reader.read_document()
     return reader.lines
 
 
 def line_of(lines: Mapping[Path, int], path: Path) -> int:
-    """The line of a path in the file; for a missing one, that of the innermost existing part."""
+    """Return the line of a path in the file; for a missing one, that of the innermost part that exists."""
     while path and path not in lines:
         path = path[:-1]
     return lines.get(path, 1)
@@ -85,7 +85,7 @@ class _Reader:
         self._read_value(path)
 
     def _read_key(self) -> list[str]:
-        """Read a dotted key and return its parts."""
+        """Read a TOML key with dots and return its parts."""
         keys = []
         while True:
             self._skip(_SPACE)

@@ -1,4 +1,4 @@
-"""The schema of listeners in files: their URLs and the options of their connections.
+"""Keys of files for listeners: their URLs and the options of their connections.
 
 Knows keys and what goes with which scheme; knows no server. The values of limits are checked by the
 server's own class when the configuration is put together (`busway.config`).
@@ -59,7 +59,7 @@ class ListenerSection(OptionSection):
 
 
 def clashes(places: Sequence[tuple[Path, str]]) -> Iterator[tuple[Path, str]]:
-    """Errors for listeners that use the same address and port: the path of the later one, and a sentence.
+    """Return errors for listeners that use the same address and port: the path of the later one, and a sentence.
 
     Args:
         places: where each URL stands in the file, and the URL.

@@ -1,4 +1,4 @@
-"""Keys of a file that are options of a component, generated from the declarations of the options.
+"""Keys of files that set options: generated from the declarations of the options.
 
 Knows declared options (`busway.options.declaration`) and pydantic; knows no particular option.
 
@@ -34,7 +34,7 @@ def _or_none(kind: Any) -> Any:  # a type, and the annotated type that pydantic 
 
 
 class OptionSection(Section):
-    """A section whose keys include the options of components."""
+    """Base of the sections whose keys are, or include, declared options."""
 
     kinds: ClassVar[tuple[type[Any], ...]] = ()  # parameter classes, which share no base
     """The classes that check the values."""
@@ -42,11 +42,11 @@ class OptionSection(Section):
     """Those that check when the section is combined with others."""
 
     def options(self) -> dict[str, Any]:  # of several types
-        """The options that this section sets, by name."""
+        """Return the options that this section sets, by name."""
         return self.options_of(*self.kinds)
 
     def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
-        """The options of some parameter classes that this section sets, by name."""
+        """Return the options of some parameter classes that this section sets, by name."""
         known = {name for kind in kinds for name in declared(kind)}
         return {name: value for name, value in self if name in known and name in self.model_fields_set}
 
@@ -96,7 +96,7 @@ def with_options_of(
 
 
 def _annotation(option: Option) -> Any:  # a type as annotations have it
-    """The type of the key for an option, for the schema."""
+    """Return the type that an option's key has in the schema."""
     kind = reduce(or_, [_plain(kind) for kind in option.kinds])
     if len(option.kinds) > 1:
         return Annotated[kind, BeforeValidator(_one_of(option), json_schema_input_type=kind), option]
@@ -112,7 +112,7 @@ def _plain(kind: Any) -> Any:  # both are types as annotations have them
 
 
 def _one_of(option: Option) -> Callable[[object], object]:
-    """A validator for an option of numbers and words, so that one sentence lists all of them."""
+    """Return a validator for an option of numbers and words, so that one sentence lists all of them."""
 
     def report(value: object) -> object:
         if value in option.choices or (isinstance(value, int | float) and not isinstance(value, bool)):

@@ -1,4 +1,4 @@
-"""The schema of points: ``[[unit.point]]`` and ``[[unit.group]]``, the same in every file that has devices.
+"""Keys of files for points: ``[[unit.point]]`` and ``[[unit.group]]``, the same in every file that has devices.
 
 Knows what can be written and what fits together within a point or a group; what a point then does is known by
 `busway.points`, and what fits together in a unit by `device`.
@@ -88,7 +88,7 @@ def _conversion(
 
 
 def checked(key: str, make: Callable[[], Result]) -> Result:
-    """The result of ``make``; an error of it is reported at ``key`` of the section that is being checked."""
+    """Return the result of ``make``; its error is reported at ``key`` of the section that is being checked."""
     try:
         return make()
     except (InvalidRequest, ConfigError) as error:
@@ -111,12 +111,12 @@ class LinearSection(Section):
         return self
 
     def described(self) -> Linear:
-        """The scale as a `Linear` conversion of `busway.points`."""
+        """Return the scale as a `Linear` conversion of `busway.points`."""
         return Linear((self.raw[0], self.raw[1]), (self.value[0], self.value[1]), self.clamp)
 
 
 class WriteSection(Section):
-    """``write``: how a point is written, and how the write is verified."""
+    """``write`` of a point: how it is written, and how the write is verified."""
 
     function: Literal[5, 6, 15, 16, 22] | None = None
     verify: str = "none"
@@ -126,7 +126,7 @@ class WriteSection(Section):
 
     @property
     def place(self) -> Literal["none", "read-back"] | Address:
-        """Where a write is verified: nowhere, by reading the point back, or at another address."""
+        """Return where a write is verified: nowhere, by reading the point back, or at another address."""
         if self.verify == "none":
             return "none"
         return "read-back" if self.verify == "read-back" else parse_address(self.verify)
@@ -153,7 +153,7 @@ def _as_deadband(value: object) -> object:
 
 
 class ReportSection(Section):
-    """``report``: which samples of a point are passed on, such as only after a change."""
+    """``report`` of a point: which samples are passed on, such as only after a change."""
 
     when: Literal["every", "change", "change_or_period"] = "every"
     period: Annotated[float, Field(gt=0, le=1e9)] | None = None
@@ -170,7 +170,7 @@ class ReportSection(Section):
         return self
 
     def described(self) -> ReportRule:
-        """The section as a `ReportRule` of `busway.points`."""
+        """Return the section as a `ReportRule` of `busway.points`."""
         percent = _DEADBAND.fullmatch(self.deadband.strip()) if isinstance(self.deadband, str) else None
         band = float(percent[1]) if percent else float(self.deadband)
         return _report_rule(self.when, self.period, band, percent is not None, self.max_silence)
@@ -180,7 +180,7 @@ Report = Annotated[ReportSection, BeforeValidator(_as_report, json_schema_input_
 
 
 class AlarmSection(Section):
-    """``alarm``: a limit of a point, or states of it that are an alarm."""
+    """``alarm`` of a point: a limit of its value, or values that are an alarm."""
 
     kind: Literal["HH", "H", "L", "LL", "state"]
     limit: Finite | None = None
@@ -200,7 +200,7 @@ class AlarmSection(Section):
         return self
 
     def described(self, names: Mapping[str, int], flags: Mapping[str, int]) -> AlarmRule:
-        """The section as an `AlarmRule` of `busway.points`; ``names`` and ``flags`` are those of the point."""
+        """Return the section as an `AlarmRule` of `busway.points`; ``names`` and ``flags`` are those of the point."""
         states = tuple(("on" if each else "off") if isinstance(each, bool) else each for each in self.states)
         numbers = frozenset(int(each) if isinstance(each, bool) else names.get(each, 0) for each in self.states)
         bits = sum(1 << flags[each] for each in set(map(str, self.states)) & flags.keys())
@@ -221,10 +221,10 @@ STAND_IN: Final = "0"
 
 
 class WholeSection(Section):
-    """A section that reports all its errors at once, also those between keys while one key is invalid."""
+    """Base of sections that report all errors at once, also those between keys while one key is invalid."""
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Errors between the keys of this section, each with its path and a sentence."""
+        """Return errors between the keys of this section, each with its path and a sentence."""
         yield from ()
 
     @model_validator(mode="wrap")
@@ -244,7 +244,7 @@ class WholeSection(Section):
     def _further(
         cls, data: Any, handler: ModelWrapValidatorHandler[Any], found: Sequence[tuple[Path, str]]
     ) -> Iterator[tuple[Path, str]]:
-        """Errors between valid keys, found by replacing the invalid ones with stand-ins."""
+        """Return errors between valid keys, found by replacing the invalid ones with stand-ins."""
         broken = {path[:2] if len(path) > 1 and isinstance(path[1], int) else path[:1] for path, _ in found if path}
         if not isinstance(data, dict) or not broken:
             return
@@ -264,14 +264,14 @@ class WholeSection(Section):
 
     @classmethod
     def _stand_in(cls, broken: Any) -> dict[str, Any]:  # Any: what TOML has
-        """A valid point or group in place of an invalid one, with its name."""
+        """Return a valid point or group, with the same name, in place of an invalid one."""
         name = broken.get("name") if isinstance(broken, dict) else None
         point = {"name": name if isinstance(name, str) and name else "?", "formula": STAND_IN}
         return {"name": "?", "point": [point]} if isinstance(broken, dict) and "point" in broken else point
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:  # Any: what TOML has
-        """Values for keys without a default, used while other keys are checked."""
+        """Return values for keys without a default, used while other keys are checked."""
         return {}
 
 
@@ -308,7 +308,7 @@ class PointSection(WholeSection):
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:
-        """Values for missing keys, so that the rest of a faulty point can be checked."""
+        """Return values for missing keys, so that the rest of a faulty point can be checked."""
         return {"name": "?", "address": "4x1"}
 
     @property
@@ -318,17 +318,17 @@ class PointSection(WholeSection):
 
     @cached_property
     def expression(self) -> Expression:
-        """The parsed formula of a computed point."""
+        """The parsed formula of a computed point; None for others."""
         return parse_expression(self.formula)
 
     @cached_property
     def place(self) -> Address:
-        """The address of the point."""
+        """The address of the point in its table."""
         return parse_address(self._bits[0])
 
     @cached_property
     def _bits(self) -> tuple[str, int, int]:
-        """The address of the point's register, and the first and last bit of a bit field; -1 and -1 if it is none."""
+        """Return the address of the point's register, and first and last bit of a bit field; -1 and -1 if none."""
         match = _FIELD.fullmatch(self.address)
         return (self.address, -1, -1) if match is None else (match["register"], int(match["low"]), int(match["high"]))
 
@@ -358,7 +358,7 @@ class PointSection(WholeSection):
 
     @cached_property
     def taken_bits(self) -> range:
-        """The bits that the point occupies in each of its registers."""
+        """Return the bits that the point occupies in each of its registers."""
         if self.place.bit is not None:
             return range(self.place.bit, self.place.bit + 1)
         kind = "" if self.form is None else self.form.name
@@ -384,7 +384,7 @@ class PointSection(WholeSection):
 
     @cached_property
     def conversion(self) -> Conversion:
-        """Conversion between raw numbers and values; one object for all points with the same scale."""
+        """The conversion between raw numbers and values of the point; one object for all with the same scale."""
         return _conversion(
             self.scale,
             self.offset,
@@ -398,7 +398,7 @@ class PointSection(WholeSection):
 
     @cached_property
     def described(self) -> Point:
-        """The section as a `busway.points.Point`; `UnitSection` adds what depends on the unit."""
+        """Return the point as a `busway.points.Point`; `UnitSection` adds what depends on the unit."""
         common: dict[str, Any] = {  # Any: arguments of different types
             "unit_of_measure": self.unit_of_measure,
             "poll_class": self.poll_class,
@@ -437,7 +437,7 @@ class PointSection(WholeSection):
         return _write_rule(write.function, write.place, self.minimum, self.maximum, write.step, write.on, write.off)
 
     def raw(self, value: Any) -> Any:
-        """The raw number for a value in the unit of measure, or for the name of a value.
+        """Return the raw number for a value in the unit of measure, or for the name of a value.
 
         Raises:
             InvalidRequest: it does not fit the type, the scale, the names or the range.
@@ -452,14 +452,14 @@ class PointSection(WholeSection):
         return raw
 
     def physical(self, raw: Any) -> Any:
-        """The value in the unit of measure for a raw number."""
+        """Return the value in the unit of measure for a raw number of the point."""
         if self._converter is None or isinstance(raw, bool):
             return raw
         return self._converter(raw)
 
     @cached_property
     def _converter(self) -> Callable[[float], float] | None:
-        """The function from raw numbers to values; None if they are the same."""
+        """Return the function from raw numbers to values of the point; None if they are the same."""
         if not self.is_number or not self.conversion.changes:
             return None
         return converter(self.conversion, whole=self.is_whole)
@@ -471,11 +471,11 @@ class PointSection(WholeSection):
             raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
 
     def names(self) -> str:
-        """The names of the point's values as text: ``off (0), auto (1)``."""
+        """Return the names of the point's values as text: ``off (0), auto (1)``."""
         return self.described.choices()
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Errors between the keys of this point, each with its path and a sentence."""
+        """Return errors between the keys of this point, each with its path and a sentence."""
         return self._computed_faults() if self.formula else self._stored_faults()
 
     def _computed_faults(self) -> Iterator[tuple[Path, str]]:
@@ -625,7 +625,7 @@ class PointSection(WholeSection):
                 yield ("enumeration", name), error.message
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "PointSection":
-        """A copy of the point at one place of its group, with its name and address adjusted.
+        """Return a copy of the point for one place of its group, with its name and address adjusted.
 
         Args:
             prefix: put before its name.
@@ -647,5 +647,5 @@ class PointSection(WholeSection):
 
 
 def resolved(name: str, known: Sequence[str]) -> str:
-    """The full name of a point that an expression refers to: with the innermost group prefix for which it exists."""
+    """Return the full name of a point in a formula: with the innermost group's prefix for which it exists."""
     return next((each for each in known if each == name or each.endswith(f".{name}")), name)

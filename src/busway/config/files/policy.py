@@ -1,4 +1,4 @@
-"""The schema of policies: who may connect, and rules for requests; a file of its own, or a section of another file.
+"""Keys of access policies: who may connect, and rules for requests; a file of its own, or a section of another file.
 
 Knows the keys; `busway.access` knows what they mean and what goes together.
 
@@ -80,7 +80,7 @@ class ValuesSection(Section):
         return self
 
     def limits(self) -> Limits:
-        """The section as `Limits` of a rule. Raises `ConfigError`."""
+        """Return the section as `Limits` of an access rule. Raises `ConfigError`."""
         least, most = (-0x8000, 0x7FFF) if self.signed else (0, 0xFFFF)
         return Limits(least if self.min is None else self.min, most if self.max is None else self.max, self.signed)
 
@@ -113,7 +113,7 @@ class RuleSection(Section):
         return self
 
     def rule(self) -> Rule:
-        """The section as a `Rule`. Raises `ConfigError` with the key at fault."""
+        """Return the section as an access `Rule`. Raises `ConfigError` with the key at fault."""
         return Rule.of(
             name=self.name,
             action=self.action,
@@ -176,15 +176,15 @@ class PolicySection(Section):
         return self
 
     def policy(self) -> Policy:
-        """The section as a `Policy`; it was checked when the file was read."""
+        """Return the section as an access `Policy`; it was checked when the file was read."""
         return Policy(tuple(each.rule() for each in self.rule), Action(self.default))
 
     def addresses(self) -> AddressList:
-        """The section's address lists. Raises `ConfigError` with the key at fault."""
+        """Return the section's lists of hosts that may connect. Raises `ConfigError` with the key at fault."""
         return AddressList(self.allow, self.deny, self.secure)
 
     def access_rules(self) -> AccessRules:
-        """The policy and the address lists of the section together."""
+        """Return the policy and the address lists of the section together."""
         return AccessRules(self.policy(), self.addresses())
 
 

@@ -68,7 +68,7 @@ Hole = Annotated[str | int, BeforeValidator(_as_hole, json_schema_input_type=Who
 
 
 class HolesSection(Section):
-    """``holes``: what is read at addresses between points, by table."""
+    """``holes`` of a simulated unit: what is read at addresses between its points, by table."""
 
     holding_registers: Hole = REFUSE
     input_registers: Hole = REFUSE
@@ -76,7 +76,7 @@ class HolesSection(Section):
     discrete_inputs: Hole = REFUSE
 
     def value(self, table: Table) -> int | None:
-        """The value read between the points of a table; None if reading there is refused."""
+        """Return the value read between the points of a table; None if reading there is refused."""
         declared = getattr(self, table.value)
         if not isinstance(declared, int):
             return None
@@ -92,12 +92,12 @@ class SimulatedPointSection(PointSection):
     behaviour: DeclaredBehaviour | None = None
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Errors between the keys of this point, each with its path and a sentence."""
+        """Return errors between the keys of this point, each with its path and a sentence."""
         faults = list(super().faults())
         yield from faults or self._behaviour_faults()
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "SimulatedPointSection":
-        """A copy of the point at one place of its group, with names in its behaviour adjusted too."""
+        """Return a copy of the point for one place of its group, with names in its behaviour adjusted too."""
         moved = super().moved(prefix, by, known)
         assert isinstance(moved, SimulatedPointSection)
         if moved.behaviour is None:
@@ -173,7 +173,7 @@ class IncludeSection(Section):
     with_: dict[str, Parameter] = Field(default_factory=dict, alias="with")
 
     def numbers(self) -> list[int] | None:
-        """The unit numbers that the include creates; None for those of the included file."""
+        """Return the unit numbers that the include creates; None for those of the included file."""
         return None if self.units is None else unit_numbers(self.units)
 
     @model_validator(mode="after")
@@ -212,7 +212,7 @@ class SimulationFile(SystemFile, ParameterKeys):
     unit: Sequence[SimulatedUnitSection] = Field(default_factory=list)
 
     def places(self) -> list[tuple[Path, str]]:
-        """The URLs to listen on, each with its path in the file."""
+        """Return the URLs to listen on, each with its path in the file."""
         return super().places() or ([(("include",), DEFAULT_LISTEN)] if self.include else [])
 
     def _whole_faults(self) -> Iterator[tuple[Path, str]]:
@@ -222,9 +222,7 @@ class SimulationFile(SystemFile, ParameterKeys):
 
 
 def simulation_schema(title: str) -> dict[str, Any]:  # Any: what JSON has
-    """The JSON Schema of simulation files and the profiles they include: a parameter may replace any number, and the
-    unit of a profile has no number.
-    """
+    """Return the JSON Schema of simulation files and the profiles they include."""
     document = json_schema(SimulationFile, title)
     document["$defs"]["SimulatedUnitSection"]["required"].remove("unit")
     found: dict[str, Any] = _or_parameter(document)
@@ -245,7 +243,7 @@ _OF_A_UNIT: Final = re.compile(r"(?P<part>unit\[\d+\]\.(point\[\d+\]\.)?)?(?P<ke
 
 
 def is_only_of_simulations(key: str) -> bool:
-    """Whether a key exists in simulation files alone: ``include``, ``unit[0].point[2].behaviour``."""
+    """Whether a key may be in simulation files alone: ``include``, ``unit[0].point[2].behaviour``."""
     found = _OF_A_UNIT.fullmatch(key)
     if found is None:
         return False

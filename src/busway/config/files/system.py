@@ -1,4 +1,4 @@
-"""The schema of configuration files: server, listeners, client, security, policy and units in one file.
+"""Keys of configuration files: server, listeners, client, security, policy and units in one file.
 
 Knows what can be written and what goes together; knows no component (`busway.config` makes them). Every device file
 is a configuration file too.
@@ -60,12 +60,12 @@ def _unchanged(value: object) -> object:
 
 @with_options_of(*LINKS, role="client")
 class LinkKeys(OptionSection):
-    """Keys for the options of a link; one that is left out stays unset."""
+    """Base of the sections with options of a link; one that the file leaves out stays unset."""
 
     preset: Literal["standard", "strict"] | None = None
 
     def options(self) -> dict[str, Any]:  # of several types
-        """The options of a link that the section sets, by name."""
+        """Return the options of a link that the section sets, by name."""
         return self.options_of(*LINKS) | ({"preset": self.preset} if "preset" in self.model_fields_set else {})
 
 
@@ -127,21 +127,21 @@ class SystemFile(DeviceFile):
 
     @property
     def audit_parameters(self) -> AuditParameters | None:
-        """Options of the audit log; None without one."""
+        """Return the options of the audit log; None without one."""
         return None if self.audit is None else self.audit.built(AuditParameters)
 
     @property
     def metrics_address(self) -> str | None:
-        """Address and port of the metrics; None without them."""
+        """Return address and port where metrics are served; None without them."""
         return None if self.metrics is None else self.metrics.built(MetricsParameters).listen
 
     @property
     def control_parameters(self) -> ControlParameters:
-        """Options of the control socket."""
+        """Return the options of the control socket."""
         return self.control.built(ControlParameters)
 
     def places(self) -> list[tuple[Path, str]]:
-        """The URLs to listen on, each with its path in the file."""
+        """Return the URLs to listen on, each with its path in the file."""
         given: list[tuple[Path, str]] = [(("listen", index), url) for index, url in enumerate(self.listen)]
         given += [(("listener", index, "url"), each.url) for index, each in enumerate(self.listener)]
         return given or ([(("unit",), DEFAULT_LISTEN)] if self.unit else [])
@@ -161,7 +161,7 @@ class SystemFile(DeviceFile):
 
 
 def twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
-    """Errors for equal names in sections of one kind: the path of the later one, and a sentence."""
+    """Return errors for equal names in sections of one kind: the path of the later one, and a sentence."""
     for index, name in enumerate(names):
         if name in names[:index]:
             yield (key, index, "name"), f"{name!r} is there already: {key}[{names.index(name)}]"

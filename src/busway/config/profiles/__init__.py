@@ -53,7 +53,7 @@ class ReadyMade:
 
 
 def ready_made(name: str) -> ReadyMade:
-    """The device profile with a given name. Raises `ConfigError` that lists all of them."""
+    """Return the device profile with this name. Raises `ConfigError` that lists all of them."""
     if name not in DEVICES:
         raise ConfigError(f"there is no such device, but {', '.join(DEVICES)}", key=name)
     file = f"{name}.toml"
@@ -61,7 +61,7 @@ def ready_made(name: str) -> ReadyMade:
 
 
 def read_profile(name: str) -> str:
-    """The text of a simulation file by its path, or of ``device:NAME``.
+    """Return the text of a simulation file by its path, or of ``device:NAME``.
 
     Raises:
         ConfigError: there is no such device, or the file cannot be read; names the file.
@@ -70,7 +70,7 @@ def read_profile(name: str) -> str:
 
 
 def read_included(name: str) -> str:
-    """The text of a file that a simulation file names: a regular file, not reached by another user's link."""
+    """Return the text of a file that a simulation file names: a regular file, not another user's link."""
     return _ready_made_text(name) if name.startswith(PREFIX) else read_named_text(name)
 
 

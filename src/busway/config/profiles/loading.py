@@ -1,4 +1,4 @@
-"""Loads a device file or profile, with its parameters filled in, as the description of one unit.
+"""Loads a device file or profile, with its parameters replaced by values, as the description of one unit.
 
 Knows files, parameters and the schema of units; includes and plays nothing (`busway.apps.simulator` does).
 """

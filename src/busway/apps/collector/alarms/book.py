@@ -1,4 +1,4 @@
-"""The alarms of all points of a collector, and which samples concern which of them.
+"""The alarms of all points of a collector, and which sample belongs to which alarm.
 
 Pure: knows devices, points and samples; knows no store and no clock.
 
@@ -21,7 +21,7 @@ _Places = tuple[tuple[int, tuple[AlarmMachine, ...]], ...]
 
 
 class AlarmBook:
-    """The alarm machines of a collector, by device, point and limit."""
+    """The states of all alarms of a collector, by device, point and limit."""
 
     def __init__(self) -> None:
         self.machines: dict[AlarmKey, AlarmMachine] = {}
@@ -61,9 +61,7 @@ class AlarmBook:
         return [AlarmEvent(*alarm.key, AlarmEventKind.REMOVED, at, text=alarm.text) for alarm in alarms.values()]
 
     def take(self, batch: SampleBatch, now: float) -> Sequence[AlarmEvent]:
-        """The alarm events that follow from the samples of a read; ``now`` is the monotonic time of its middle, in
-        seconds.
-        """
+        """Return the alarm events that the samples of a read cause; ``now``: monotonic seconds at its middle."""
         group = batch.group
         if group.device not in self._devices:
             return ()
@@ -88,6 +86,6 @@ class AlarmBook:
         return tuple((place, tuple(by_point[point])) for place, point in enumerate(group.points) if point in by_point)
 
     def acknowledge(self, key: AlarmKey, by: str, at: int) -> AlarmEvent | None:
-        """Acknowledge an alarm; None if it needs no acknowledgement."""
+        """Acknowledge an alarm and return its event; None if it needs no acknowledgement."""
         machine = self.machines.get(key)
         return None if machine is None else machine.acknowledge(by, at)

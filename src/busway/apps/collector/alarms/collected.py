@@ -1,4 +1,4 @@
-"""The alarms of a running collector, as programs and the page use them.
+"""The alarms of a running collector: what programs and the page can see of them and do with them.
 
 Knows the book, the committer and asyncio; for the thread of the event loop.
 
@@ -31,7 +31,7 @@ ACKNOWLEDGE_WITHIN: Final = 5.0
 
 
 class _EventReader:
-    """One consumer of alarm events, with its queue."""
+    """One program that follows alarm events, with the queue of those it has not read."""
 
     def __init__(self) -> None:
         self.waiting: deque[AlarmEvent] = deque(maxlen=MOST_WAITING)
@@ -46,7 +46,7 @@ class _EventReader:
 
 
 class CollectorAlarms:
-    """The alarms of a collector: ``collector.alarms``.
+    """The alarms of a running collector, as ``collector.alarms``: list, acknowledge, follow.
 
     Args:
         keep: makes events part of the journal; returns at once.
@@ -81,7 +81,7 @@ class CollectorAlarms:
         return [key for key, machine in self._book.machines.items() if machine.state is AlarmState.PENDING]
 
     def reason(self, key: AlarmKey) -> int:
-        """The reason code of the last sample of an alarm's point: 0 for good."""
+        """Return the reason code of the last sample of an alarm's point: 0 for a good one."""
         machine = self._book.machines.get(key)
         return 0 if machine is None else machine.reason
 
@@ -90,7 +90,7 @@ class CollectorAlarms:
         return list(self._journal)[: -limit - 1 : -1]
 
     def counts(self) -> tuple[int, int]:
-        """Number of active alarms, and of alarms that are not acknowledged."""
+        """Return the number of active alarms, and of alarms that are not acknowledged."""
         states = [alarm.state for alarm in self._raised.values()]
         return sum(each.is_active for each in states), sum(each.is_unacknowledged for each in states)
 
@@ -122,7 +122,7 @@ class CollectorAlarms:
         return event
 
     async def events(self) -> AsyncGenerator[AlarmEvent, None]:
-        """The events from now on, each after it is in the journal, until the collector ends."""
+        """Yield alarm events from now on, each after it is in the journal, until the collector ends."""
         reader = _EventReader()
         self._readers.append(reader)
         try:
@@ -138,13 +138,13 @@ class CollectorAlarms:
     # What the collector does.
 
     def begin(self, journal: Sequence[AlarmEvent], devices: Mapping[str, Sequence[Point]]) -> None:
-        """Restore the alarms from a journal at the start."""
+        """Take over, at the start, the alarms that a journal leaves active or unacknowledged."""
         self._raised = alarms_after(journal)
         self._journal.extend(journal)
         self._tell(self._book.configure(devices, self._wall(), self._raised))
 
     def configure(self, devices: Mapping[str, Sequence[Point]]) -> None:
-        """Continue with the alarm limits of a file that was read again."""
+        """Go on with the alarm limits of a configuration file that was read again."""
         there = {(device, point.name) for device, points in devices.items() for point in points}
         self._renamed = {
             (device, point.was): point.name
@@ -156,11 +156,11 @@ class CollectorAlarms:
         self._tell(self._book.configure(devices, self._wall()))
 
     def take(self, batch: SampleBatch) -> Sequence[AlarmEvent]:
-        """The alarm events that follow from the samples of a read; the caller stores both together."""
+        """Return the alarm events that the samples of a read cause; the caller stores both together."""
         return self._book.take(batch, self._now() - batch.half_width / NANOSECONDS)
 
     def committed(self, events: Sequence[AlarmEvent]) -> None:
-        """Note alarm events that are in the journal now."""
+        """Tell those who follow alarm events which ones are in the journal now."""
         for event in events:
             fold_event(self._raised, self._with_name(event))
             promised = self._promised.get(id(event))
@@ -171,18 +171,18 @@ class CollectorAlarms:
             reader.take(events)
 
     def mend(self, shift: int) -> None:
-        """Move times from before the wall clock was set."""
+        """Correct the times of alarms raised before the wall clock was set."""
         self._raised = {key: _moved(alarm, shift) for key, alarm in self._raised.items()}
         self._journal = deque((_moved(event, shift) for event in self._journal), maxlen=RECENT)
 
     def end(self) -> None:
-        """End all consumers of alarm events."""
+        """End the iteration of all programs that follow alarm events."""
         self._ended = True
         for reader in self._readers:
             reader.arrived.set()
 
     def _with_name(self, named: Named) -> Named:
-        """An alarm or event with the name that its point has now."""
+        """Return an alarm or event with the name that its point has now."""
         name = self._renamed.get((named.device, named.point))
         return named if name is None else replace(named, point=name)
 
@@ -192,7 +192,7 @@ class CollectorAlarms:
 
 
 def _moved(named: Named, shift: int) -> Named:
-    """An alarm or event whose times from before the wall clock was set are mended."""
+    """Return an alarm or event with times corrected that are from before the wall clock was set."""
     names = ("at",) if isinstance(named, AlarmEvent) else ("since", "acknowledged_at", "cleared_at")
     found = {name: getattr(named, name) for name in names}
     return replace(named, **{name: at + shift for name, at in found.items() if at is not None and at < EARLIEST})

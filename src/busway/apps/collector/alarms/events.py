@@ -23,7 +23,7 @@ class AlarmEventKind(StrEnum):
 
 
 class AlarmState(StrEnum):
-    """States of an alarm."""
+    """States of an alarm: whether its value is beyond the limit, and whether it is acknowledged."""
 
     NORMAL = "normal"
     PENDING = "pending"
@@ -36,12 +36,12 @@ class AlarmState(StrEnum):
 
     @property
     def is_active(self) -> bool:
-        """Whether the value is still beyond the limit."""
+        """Whether the value of the alarm is still beyond its limit."""
         return self in (AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED)
 
     @property
     def is_unacknowledged(self) -> bool:
-        """Whether the alarm still has to be acknowledged."""
+        """Whether somebody still has to acknowledge the alarm."""
         return self in (AlarmState.UNACKNOWLEDGED, AlarmState.CLEARED)
 
 
@@ -89,7 +89,7 @@ class AlarmEvent:
 
     @property
     def key(self) -> AlarmKey:
-        """Device, point and limit of the alarm that the event belongs to."""
+        """Device, point and limit of the alarm that had this event."""
         return self.device, self.point, self.limit
 
 
@@ -119,12 +119,12 @@ class RaisedAlarm:
 
     @property
     def key(self) -> AlarmKey:
-        """Device, point and limit of the alarm."""
+        """Device, point and limit that identify the alarm."""
         return self.device, self.point, self.limit
 
 
 def alarm_after(alarm: RaisedAlarm | None, event: AlarmEvent) -> RaisedAlarm | None:
-    """The alarm after an event; None if it is back to normal."""
+    """Return an alarm as it is after an event; None if it is back to normal."""
     before = AlarmState.NORMAL if alarm is None else alarm.state
     state = NEXT_STATE.get((before, event.kind))
     if state is None:
@@ -141,7 +141,7 @@ def alarm_after(alarm: RaisedAlarm | None, event: AlarmEvent) -> RaisedAlarm | N
 
 
 def alarms_after(journal: Iterable[AlarmEvent]) -> dict[AlarmKey, RaisedAlarm]:
-    """The alarms that remain after all events of a journal, in the order in which they were raised."""
+    """Return the alarms that remain after all events of a journal, in the order in which they were raised."""
     alarms: dict[AlarmKey, RaisedAlarm] = {}
     for event in journal:
         fold_event(alarms, event)
@@ -149,7 +149,7 @@ def alarms_after(journal: Iterable[AlarmEvent]) -> dict[AlarmKey, RaisedAlarm]:
 
 
 def fold_event(alarms: dict[AlarmKey, RaisedAlarm], event: AlarmEvent) -> None:
-    """Update the current alarms by one event."""
+    """Change a dict of current alarms by one event."""
     before = alarms.get(event.key)
     after = alarm_after(before, event)
     if after is before:

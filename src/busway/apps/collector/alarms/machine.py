@@ -18,7 +18,7 @@ from .events import AlarmEvent, AlarmEventKind, AlarmState, RaisedAlarm, alarm_a
 
 
 class AlarmMachine:
-    """The state machine of one alarm of one point.
+    """The state of one alarm of one point, which changes with the samples of the point.
 
     Args:
         device, point: names.
@@ -46,13 +46,13 @@ class AlarmMachine:
 
     @property
     def state(self) -> AlarmState:
-        """The current state of the alarm."""
+        """The state of the alarm now."""
         if self.alarm is not None:
             return self.alarm.state
         return AlarmState.NORMAL if self._beyond_since is None else AlarmState.PENDING
 
     def take(self, value: Value | None, reason: int, at: int, now: float) -> AlarmEvent | None:
-        """Process a sample of the point. Returns the alarm event that follows, or None.
+        """Change the alarm by a sample of its point. Returns the alarm event that follows, or None.
 
         Args:
             value: what the point is; None for nothing.
@@ -81,7 +81,7 @@ class AlarmMachine:
         return self._tell(AlarmEventKind.RAISED, at, value)
 
     def acknowledge(self, by: str, at: int) -> AlarmEvent | None:
-        """Acknowledge the alarm; None if it needs no acknowledgement."""
+        """Acknowledge the alarm and return its event; None if it needs no acknowledgement."""
         return self._tell(AlarmEventKind.ACKNOWLEDGED, at, by=by) if self.state.is_unacknowledged else None
 
     def _tell(self, kind: AlarmEventKind, at: int, value: Value | None = None, by: str = "") -> AlarmEvent:

@@ -1,4 +1,4 @@
-"""Formats audit lines, as JSON, for commands and for changes of the configuration.
+"""Audit lines, as JSON, for commands that write points and for changes of the configuration.
 
 Pure: knows what happened; writes nothing. `busway.access.audit_log` keeps the lines.
 
@@ -44,7 +44,7 @@ _LONGEST_LINE: Final = 300
 
 
 def command_line(result: CommandResult, time: str, repeated: int = 0) -> str:
-    """The audit line of a finished or refused command; ``repeated``: number of equal ones it stands for, 0 for one."""
+    """Return the audit line of a finished or refused command; ``repeated``: equal ones it stands for, else 0."""
     command = result.command
     more = {"repeated": repeated} if repeated else {}
     return _line(
@@ -69,7 +69,7 @@ def command_line(result: CommandResult, time: str, repeated: int = 0) -> str:
 def configuration_line(
     old: str, new: str, done: Sequence[str], *, is_applied: bool, by: str, origin: str, time: str
 ) -> str:
-    """The audit line of a changed configuration; ``old`` and ``new`` are the texts of its file."""
+    """Return the audit line of a changed configuration; ``old`` and ``new`` are the texts of its file."""
     lines = [
         each.rstrip("\n")[:_LONGEST_LINE]
         for each in difflib.unified_diff(old.splitlines(), new.splitlines(), "before", "after", n=0, lineterm="")
@@ -91,7 +91,7 @@ def configuration_line(
 
 
 def revision_of(text: str) -> str:
-    """The revision of a configuration: the first 16 hexadecimal digits of the SHA-256 of its text."""
+    """Return the revision of a configuration: the first 16 hexadecimal digits of the SHA-256 of its text."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -1,4 +1,4 @@
-"""Commands: a value to write to a point, who asked for it and until when, and its result.
+"""Commands: a value to be written to a point, who asked for it and until when, and its result.
 
 Pure: knows no device, no file and no clock.
 
@@ -46,7 +46,7 @@ class CommandState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class OldValue:
-    """The last known value of a point before a command.
+    """The last known value of a point before a command wrote it.
 
     Attributes:
         value: the value; None where it is not known.
@@ -124,13 +124,13 @@ def same_value(one: CommandValue, other: CommandValue) -> bool:
 
 
 def new_key(now: float) -> str:
-    """A unique key for a command: the time, so that keys sort by it, and 96 random bits."""
+    """Return a unique key for a command: the time, so that keys sort by it, and 96 random bits."""
     return f"{MADE}{int(now * 1000):013d}-{secrets.token_hex(12)}"
 
 
 @dataclass(frozen=True, slots=True)
 class CommandResult:
-    """The result of a command, or its state while it is not finished.
+    """The result of a command that writes a point, or its state while it is not finished.
 
     Attributes:
         command: what was asked for.
@@ -150,7 +150,7 @@ class CommandResult:
 
     @property
     def is_done(self) -> bool:
-        """Whether the value was written, and confirmed if the point's rule requires that."""
+        """Whether the value was written to the point, and read back if the point's rule requires that."""
         return self.state is CommandState.DONE
 
     def finished(
@@ -161,11 +161,11 @@ class CommandResult:
         read_back: CommandValue | None = None,
         old: OldValue | None = None,
     ) -> "CommandResult":
-        """A copy of the result with its final state."""
+        """Return a copy of the result with its final state."""
         return replace(self, state=state, reason=reason, read_back=read_back, old=old or self.old)
 
     def content(self) -> dict[str, Any]:  # JSON
-        """The result as JSON data, for responses and lists."""
+        """Return the result as JSON data, for responses and lists."""
         command = self.command
         return {
             "key": command.key,

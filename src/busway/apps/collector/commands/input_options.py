@@ -1,4 +1,4 @@
-"""``commands`` of a section ``[[sink]]`` → what receives commands from the same server.
+"""Reads the key ``commands`` of a sink's table: makes what receives commands from the sink's server.
 
 Knows sections; connects to nothing.
 
@@ -14,7 +14,7 @@ from .inputs import CommandInput, InputRights, overlap
 
 
 def make_input(section: SinkSection) -> CommandInput | None:
-    """Create the receiver of commands that a sink asks for; None if it asks for none.
+    """Make the receiver of commands that a sink's table asks for.
 
     Raises:
         ConfigError: values that do not go together; names the key.

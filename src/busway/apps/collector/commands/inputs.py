@@ -1,4 +1,4 @@
-"""Commands that arrive as messages: which points they may write, how a message is read, and what is replied.
+"""Commands that arrive as messages by MQTT or NATS: which points they may write, how they are read and answered.
 
 Knows messages and the runner of commands; knows no broker.
 
@@ -37,7 +37,7 @@ _log = logging.getLogger("busway.collector.commands")
 
 @dataclass(frozen=True, slots=True)
 class InputRights:
-    """Rights of the commands of one input: which points they may write.
+    """Which points the commands from one server may write.
 
     Attributes:
         where: topic or subject, with ``{device}`` and ``{point}`` as levels of their own.
@@ -52,7 +52,7 @@ class InputRights:
 
 @dataclass(frozen=True, slots=True)
 class InputMessage:
-    """A received message in the form of its protocol.
+    """A message with a command, in a form that all protocols share.
 
     Attributes:
         where: its topic or subject.
@@ -71,7 +71,7 @@ class InputMessage:
 
 @dataclass(frozen=True, slots=True)
 class InputStatus:
-    """The status of an input of commands.
+    """The status of one server that commands come from.
 
     Attributes:
         name: of the sink that it belongs to.
@@ -99,7 +99,7 @@ class DescribedDevice(Protocol):
 
 
 class DescribedPlant(Protocol):
-    """Interface of a collector's configuration, as commands see it: the devices that can be written to, by name."""
+    """Interface of a collector's configuration as commands need it: the devices with their points."""
 
     @property
     def devices(self) -> Mapping[str, DescribedDevice]:
@@ -107,21 +107,21 @@ class DescribedPlant(Protocol):
 
 
 class CommandInput(Protocol):
-    """Interface of a receiver of messages from one server."""
+    """Interface of what receives commands as messages from one server."""
 
     kind: str
     rights: InputRights
     separator: str
 
     def level(self, name: str) -> str:
-        """A name as one level of a topic or subject."""
+        """Return a name as one level of a topic or subject."""
 
     async def run(self, receiver: "CommandReceiver") -> None:
-        """Pass received messages to `CommandReceiver.take` until cancelled; reconnect after a while."""
+        """Receive messages and pass them to `CommandReceiver.take`, until cancelled; reconnects after pauses."""
 
 
 class CommandReceiver:
-    """Turns the messages of one input into commands.
+    """Turns the messages from one server into commands and answers them.
 
     Args:
         name: of the sink that it belongs to.
@@ -148,7 +148,7 @@ class CommandReceiver:
         self._repeats = Repeats()
 
     def status(self) -> InputStatus:
-        """The status of this input of commands."""
+        """Return the status of this server of commands."""
         return InputStatus(self._name, self._taken, self._refused, self._error)
 
     async def run(self) -> None:
@@ -156,17 +156,17 @@ class CommandReceiver:
         await self._input.run(self)
 
     def connected(self) -> None:
-        """Note that the input is connected to its server."""
+        """Note that the connection to the server of commands is open."""
         self._error = None
 
     def down(self, error: str) -> None:
-        """Note why the input is not connected."""
+        """Note why there is no connection to the server of commands."""
         if self._error != error:
             _log.warning("commands of %s: %s", self._name, error)
         self._error = error
 
     def is_for_commands(self, where: str) -> bool:
-        """Whether commands come on a topic: nothing is answered there."""
+        """Whether a topic is one on which commands come, so that no reply may go there."""
         return overlap(self._input.rights.where, where, self._input.separator)
 
     async def take(self, message: InputMessage) -> bytes:
@@ -211,7 +211,7 @@ class CommandReceiver:
         return PointCommand(key, *place, given["value"], name, self._input.kind, expires)
 
     def _place(self, where: str) -> tuple[str, str]:
-        """The device and point that a topic names. Raises `InvalidRequest`."""
+        """Return the device and point that a topic names. Raises `InvalidRequest`."""
         configuration = self._configuration()
         if self._places is None or self._places[0] is not configuration:
             self._places = configuration, self._places_of(configuration)
@@ -244,7 +244,7 @@ class CommandReceiver:
 
 
 def parsed(payload: bytes) -> dict[str, Any]:
-    """The contents of a message, with ``value`` at least. Raises `InvalidRequest`."""
+    """Return the contents of a message with a command; it has at least ``value``. Raises `InvalidRequest`."""
     if len(payload) > LONGEST_REQUEST:
         raise InvalidRequest(f"a command has at most {LONGEST_REQUEST} bytes, not {len(payload)}")
     try:

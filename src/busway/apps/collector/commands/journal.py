@@ -1,4 +1,4 @@
-"""The journal of commands: one SQLite file beside the manifest of the store.
+"""The journal of commands: a record of each command and its result, in one SQLite file beside the store's manifest.
 
 Knows commands and results; knows no device and no clock.
 
@@ -76,9 +76,7 @@ class CommandJournal:
             self._database.close()
 
     def end_cut_off(self) -> list[CommandResult]:
-        """Mark commands that an earlier process left unfinished as unknown (rule 2); returns them. Call it once, at the
-        start. Raises `OSError`.
-        """
+        """Mark commands that an earlier process left unfinished as unknown (rule 2); returns them. Call it once."""
         with self._in_use("written"):
             found = [_result(row) for row in self._rows("WHERE state = ?", (CommandState.OPEN.value,))]
             ended = [each.finished(CommandState.UNKNOWN, CUT_OFF) for each in found]
@@ -88,7 +86,7 @@ class CommandJournal:
         return ended
 
     def take(self, result: CommandResult) -> CommandResult | None:
-        """Record a command under its key, durably; if the key was used before, return the recorded result instead.
+        """Record a command under its key, durably; for a key used before, return the recorded result instead.
 
         Args:
             result: open for a command that will be sent, or finished for one that will not.
@@ -126,12 +124,12 @@ class CommandJournal:
             self._set(result)
 
     def find(self, key: str) -> CommandResult | None:
-        """The result recorded under a key; None without one. Raises `OSError`."""
+        """Return the result of the command recorded under a key; None without one."""
         with self._in_use():
             return self._found(key)
 
     def newest(self, limit: int) -> list[CommandResult]:
-        """The latest results, the newest first. Raises `OSError`."""
+        """Return the results of the latest commands, the newest first."""
         with self._in_use():
             return [_result(row) for row in self._rows("ORDER BY number DESC LIMIT ?", (limit,))]
 
@@ -180,7 +178,7 @@ class CommandJournal:
             self._drop_oldest()
 
     def _drop_oldest(self) -> None:
-        """Delete the oldest tenth of the results; keys of callers are remembered (rule 3)."""
+        """Delete the oldest tenth of the recorded commands; keys that callers gave are remembered (rule 3)."""
         surplus = self._kept - self._most + self._most // 10
         rows = self._database.execute(
             "SELECT number, key FROM commands WHERE state != ? ORDER BY number LIMIT ?",

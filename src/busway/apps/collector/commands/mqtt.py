@@ -1,4 +1,4 @@
-"""Receives commands by MQTT 5.
+"""Receives commands to write points from an MQTT 5 broker.
 
 Knows topics and properties; the protocol is aiomqtt's (``busway[mqtt]``).
 
@@ -64,7 +64,7 @@ class MqttCommands:
         self._address |= {"tls_context": tls, "identifier": client_id, "timeout": timeout}
 
     def level(self, name: str) -> str:
-        """A name as one level of a topic."""
+        """Return a name as one level of an MQTT topic."""
         return topic_level(name)
 
     async def run(self, receiver: CommandReceiver) -> None:

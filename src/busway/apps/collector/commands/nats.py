@@ -1,4 +1,4 @@
-"""Receives commands by NATS request and reply.
+"""Receives commands to write points by NATS request and reply.
 
 Knows subjects and headers; the protocol is nats-py's (``busway[nats]``). The header ``by`` says who sends.
 
@@ -58,7 +58,7 @@ class NatsCommands:
         self._cause = ""
 
     def level(self, name: str) -> str:
-        """A name as one token of a subject."""
+        """Return a name as one token of a NATS subject."""
         return subject_token(name)
 
     async def run(self, receiver: CommandReceiver) -> None:
@@ -96,7 +96,7 @@ class NatsCommands:
             wait = min(2 * wait, PAUSE_LIMIT)
 
     async def _note(self, error: Exception) -> None:
-        """Remember why a connection failed: the error of `connect` does not tell it."""
+        """Remember why a connection to NATS failed: the error of `connect` does not tell it."""
         self._cause = str(error) or type(error).__name__
 
     async def _subscribe(self, client: Any, tasks: MessageTasks, receiver: CommandReceiver) -> None:

@@ -1,4 +1,4 @@
-"""The request that reads one point alone, as its device lets itself be read.
+"""The request that reads one point alone, before or after a command, within what its device allows.
 
 Pure: knows points, rules and requests; knows no link.
 
@@ -26,7 +26,7 @@ _READS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class PointRead:
-    """A read of one point.
+    """How one point is read alone: the request, and where the point is in the reply.
 
     Attributes:
         point: the point.
@@ -38,11 +38,11 @@ class PointRead:
 
     @property
     def request(self) -> Request:
-        """The request."""
+        """Return the request that reads the point."""
         return _READS[self.point.table](self.span.start, self.span.width)
 
     def own(self, data: bytes) -> bytes:
-        """The items of the point in the data of a reply. Raises `InvalidRequest` for another number of bytes."""
+        """Return the point's registers or bits from a reply. Raises `InvalidRequest` for a wrong number of bytes."""
         first, bits = self.point.start - self.span.start, self.point.table.holds_bits
         size = (self.span.width + 7) // 8 if bits else 2 * self.span.width
         if len(data) != size:
@@ -53,7 +53,7 @@ class PointRead:
 
 
 def point_read(point: Point, rules: ReadRules) -> PointRead:
-    """The read of one point.
+    """Return how a point is read alone.
 
     Args:
         point: the point.

@@ -1,4 +1,4 @@
-"""Builds the request that writes a value to a point, and checks whether the device shows the value afterwards.
+"""The request that writes a value to a point, and the check whether the device shows the value afterwards.
 
 Pure: knows points, requests and replies; knows no link and no clock.
 
@@ -50,7 +50,7 @@ _FUNCTIONS: Final[Mapping[Table, frozenset[int]]] = {
 
 @dataclass(frozen=True, slots=True)
 class PointWrite:
-    """A checked write of a value to a point.
+    """A checked value with the request that writes it to a point.
 
     Attributes:
         point: the point.
@@ -69,7 +69,7 @@ class PointWrite:
     shown: PointRead | None = None
 
     def request(self, held: bytes = b"") -> Request:
-        """The request that writes the value; ``held`` is what the register holds, where it is read before.
+        """Return the request that writes the value; ``held``: what the register holds, if it had to be read before.
 
         Raises:
             InvalidRequest: the value does not fit.
@@ -93,13 +93,13 @@ class PointWrite:
         return self.point.encode(self.value, held, exponent)
 
     def held_value(self, held: bytes) -> CommandValue | None:
-        """What the point holds by what its register holds."""
+        """Return the value that the point has if its register holds these bytes."""
         return plain(decode_point(self.point, held, self.exponents).value)
 
     # Confirming.
 
     def shows(self, data: bytes) -> tuple[bool, Reading]:
-        """Whether the items at `shown` are the value, and what they say."""
+        """Whether the registers read back hold the written value, and which value they hold."""
         assert self.shown is not None
         place = self.shown.point
         found = decode_point(place, data, self.exponents)
@@ -108,14 +108,14 @@ class PointWrite:
         return found.value is not None and expected == found.value, found
 
     def reading(self) -> Reading:
-        """The reading of the point that follows from the write."""
+        """Return the value that the point has after the write, as a reading."""
         return decode_point(self.point, self._encoded(b""), self.exponents)
 
 
 def point_write(
     point: Point, value: CommandValue, exponents: Mapping[str, int], rules: ReadRules | None = None
 ) -> PointWrite:
-    """A value that may be written to a point.
+    """Check a value for a point and return how it is written.
 
     Args:
         point: the point.
@@ -183,12 +183,12 @@ def _function_of(point: Point) -> int:
 
 
 def plain(value: Any) -> CommandValue | None:  # what the point's type says
-    """A decoded value as a command has it."""
+    """Return a decoded value in the form in which commands show it."""
     return list(value) if isinstance(value, tuple) else value
 
 
 def _moved(point: Point, address: Address) -> Point:
-    """A copy of a point at another address."""
+    """Return a copy of a point at another address."""
     table = address.table or point.table
     if table.holds_bits:
         return Point(point.name, table, address.offset)
@@ -200,13 +200,14 @@ def _moved(point: Point, address: Address) -> Point:
 
 
 def _own_bits(over_zeros: bytes, over_ones: bytes) -> int:
-    """The bits of its register that belong to a point: those that do not depend on the register's old content."""
+    """Return the bits of a register that belong to a point."""
     kept = int.from_bytes(over_zeros, "big") ^ int.from_bytes(over_ones, "big")
     return 0xFFFF & ~kept
 
 
 def judged(outcome: object) -> tuple[CommandState, str]:
-    """The state of a command after a write: `CommandState.DONE` if the device answered; else with the reason.
+    """Return the state of a command after its write: `CommandState.DONE` if the device answered; else with the
+    reason.
 
     Args:
         outcome: a reply, or the error that came instead of one.

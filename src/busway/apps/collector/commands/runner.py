@@ -1,4 +1,4 @@
-"""Commands of a running collector: checked, recorded, sent, confirmed, told.
+"""Executes commands that write points of a running collector: checks, records, sends, reads back, reports.
 
 Knows the journal, the audit log and the pollers of links; decides by `point_write`. Runs in one event loop.
 
@@ -61,16 +61,16 @@ _T = TypeVar("_T")
 
 
 class NoSuchPoint(InvalidRequest):
-    """There is no such device, or no such point of it."""
+    """Error: the collector has no such device, or the device no such point."""
 
 
 class NoSuchCommand(InvalidRequest):
-    """There is no command with this key."""
+    """Error: no command with this key is armed or recorded."""
 
 
 @dataclass(frozen=True, slots=True)
 class WriteTarget:
-    """A point that is polled, and who polls it.
+    """A point that a command can write, and the poller of its link.
 
     Attributes:
         point: the point.
@@ -88,18 +88,18 @@ class WriteTarget:
 
 
 class CommandTargets(Protocol):
-    """What commands need of a collector."""
+    """Interface through which commands find points of a collector."""
 
     def target(self, device: str, point: str) -> WriteTarget:
-        """Where a point is. Raises `NoSuchPoint`."""
+        """Return a point and the poller of its link. Raises `NoSuchPoint`."""
 
     def last(self, device: str, point: str) -> OldValue | None:
-        """The last value of a point that is known; None where none is."""
+        """Return the last known value of a point; None if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArmedCommand:
-    """A command that was checked and waits to be confirmed. Nothing was sent.
+    """A command that was checked and waits for confirmation. Nothing was sent to the device.
 
     Attributes:
         command: the command; ``expires`` is until when it may be confirmed.
@@ -113,7 +113,7 @@ class ArmedCommand:
 
 
 class _LinkEnded(Exception):
-    """The link ended before the turn, or in it."""
+    """Error: polling of the link has ended before or while the command was sent."""
 
 
 @dataclass(slots=True)
@@ -123,11 +123,11 @@ class _Running:
 
 
 def _ignore_step(name: str) -> None:
-    """Do nothing at a step; tests end the process there."""
+    """Do nothing at a step of a command; tests end the process there instead."""
 
 
 class CommandRunner:
-    """Takes commands for the points of a collector.
+    """Executes commands for the points of a running collector.
 
     Args:
         targets: where points are.
@@ -163,7 +163,7 @@ class CommandRunner:
         self._subscribers.append(told)
 
     async def close(self) -> None:
-        """Take no more commands, and record the ends of those that run; their links have ended before."""
+        """Accept no more commands, and record the results of those in progress; their links have ended before."""
         self._closed = True
         self._armed.clear()
         await asyncio.gather(*(each.task for each in self._running.values()), return_exceptions=True)
@@ -184,7 +184,7 @@ class CommandRunner:
         expires: float | None = None,
         key: str | None = None,
     ) -> CommandResult:
-        """Write a value to a point.
+        """Write a value to a point by a command, and return its result.
 
         Args:
             device, point: whose value.
@@ -216,7 +216,7 @@ class CommandRunner:
         return await self._submit(command)
 
     def arm(self, device: str, point: str, value: CommandValue, *, by: str, origin: str) -> ArmedCommand:
-        """Check a command, and keep it for `ARMED_SECONDS` until `confirm`. Nothing is sent.
+        """Check a command, and keep it for `ARMED_SECONDS` until `confirm`. Nothing is sent to the device.
 
         Raises:
             NoSuchPoint: there is no such point.
@@ -241,7 +241,7 @@ class CommandRunner:
         return armed
 
     async def confirm(self, key: str, *, by: str) -> CommandResult:
-        """Send an armed command; the same key again gives the result of the first time.
+        """Send an armed command; the same key again returns the result of the first time.
 
         Raises:
             NoSuchCommand: nothing is armed or recorded under this key.
@@ -263,7 +263,7 @@ class CommandRunner:
         return self._unrecorded.get(key, found)
 
     async def newest(self, limit: int) -> list[CommandResult]:
-        """The commands recorded last, the newest first. Raises `OSError`."""
+        """Return the results of the latest commands, the newest first."""
         found = await self._in_thread(self._journal.newest, limit)
         return [self._unrecorded.get(each.command.key, each) for each in found]
 
@@ -294,7 +294,7 @@ class CommandRunner:
             del self._devices[command.device]
 
     async def _take(self, command: PointCommand, lock: asyncio.Lock) -> CommandResult:
-        """Record a command, send it, record its end (rules 1 and 2)."""
+        """Record a command, send it, and record its result (rules 1 and 2)."""
         until = asyncio.get_running_loop().time() + command.expires - self._now()
         result = self._result(command)
         refusal = self._refusal(command)
@@ -339,7 +339,7 @@ class CommandRunner:
         self._journal.finish(result)
 
     def _record_again(self) -> None:
-        """Record the ends that could not be recorded before. In the journal's thread."""
+        """Record results of commands that could not be recorded before. In the journal's thread."""
         for key, result in list(self._unrecorded.items()):
             try:
                 self._journal.finish(result)
@@ -351,7 +351,7 @@ class CommandRunner:
         return await asyncio.get_running_loop().run_in_executor(self._thread, function, *values)
 
     def _append(self, result: CommandResult) -> None:
-        """Append the line of a result to the audit log, at once."""
+        """Append the line of a command's result to the audit log, at once."""
         self._audit.append(command_line(result, self._audit.timestamp()))
         self._audit.flush()
 
@@ -361,7 +361,7 @@ class CommandRunner:
         return result
 
     def refused(self, result: CommandResult, reason: str) -> CommandResult:
-        """Refuse a command without a record. The audit log counts those that one origin repeats."""
+        """Return the result of a refused command, not recorded. The audit log counts repetitions of one origin."""
         refused = result.finished(CommandState.REFUSED, reason)
         about = (result.command.origin, result.command.by, result.command.device)
         time = self._audit.timestamp()
@@ -371,7 +371,7 @@ class CommandRunner:
     # Deciding.
 
     def _refusal(self, command: PointCommand) -> str:
-        """Why a command cannot be sent, as a sentence; empty where it can."""
+        """Say why a command cannot be sent; empty if it can."""
         try:
             self._planned(command)
         except InvalidRequest as error:
@@ -381,7 +381,7 @@ class CommandRunner:
         return ""
 
     def _planned(self, command: PointCommand) -> tuple[PointWrite, LinkPoller]:
-        """The write of a command, and who makes it. Raises `InvalidRequest`."""
+        """Return how a command is written, and the poller that sends it. Raises `InvalidRequest`."""
         target = self._targets.target(command.device, command.point)
         if target.is_broadcast:
             raise InvalidRequest(f"{command.device} has unit 0, which all devices of a line obey; nothing was sent")
@@ -429,7 +429,7 @@ class CommandRunner:
         return None if turn.before is None else OldValue(turn.before, Quality.GOOD.label, self._now())
 
     async def _confirmed(self, result: CommandResult, write: PointWrite, poller: LinkPoller) -> CommandResult:
-        """Look whether the device shows the value (rule 5)."""
+        """Read back whether the device shows the written value (rule 5)."""
         value: CommandValue | None = None
         problem: ModbusError | None = None
         turn = _ReadTurn(write, poller, result.command.device)
@@ -459,7 +459,7 @@ class CommandRunner:
 
 
 class _WriteTurn:
-    """The turn in which a write is sent: reads the register before, where the point is a part of it."""
+    """The poller's turn in which a command's write is sent, after reading a register that is only partly written."""
 
     def __init__(self, write: PointWrite, poller: LinkPoller, device: str, until: float) -> None:
         self._write, self._poller, self._device, self._until = write, poller, device, until
@@ -467,7 +467,7 @@ class _WriteTurn:
         self.before: CommandValue | None = None
 
     async def make(self) -> tuple[CommandState, str]:
-        """Send it; gives what became of it."""
+        """Send the write of a command; returns the result."""
         held = b""
         if self._left <= 0:
             return CommandState.EXPIRED, "its time was over before it was its turn; nothing was sent"
@@ -491,13 +491,13 @@ class _WriteTurn:
 
 
 class _ReadTurn:
-    """The turn in which it is read what the device shows."""
+    """The poller's turn in which a written point is read back."""
 
     def __init__(self, write: PointWrite, poller: LinkPoller, device: str) -> None:
         self._write, self._poller, self._device = write, poller, device
 
     async def make(self) -> tuple[bool, CommandValue | None]:
-        """Whether the device shows the value, and what it shows. Raises `ModbusError`."""
+        """Return whether the device shows the written value, and what it shows. Raises `ModbusError`."""
         write = self._write
         assert write.shown is not None
         began = asyncio.get_running_loop().time()
@@ -508,7 +508,7 @@ class _ReadTurn:
 
 
 async def _read(poller: LinkPoller, device: str, read: PointRead, seconds: float) -> bytes:
-    """The items of a point. Raises `ModbusError`."""
+    """Read the registers or bits of one point. Raises `ModbusError`."""
     reply = await _asked(poller, device, read.request, seconds)
     if isinstance(reply, ModbusError):
         raise reply
@@ -516,7 +516,7 @@ async def _read(poller: LinkPoller, device: str, read: PointRead, seconds: float
 
 
 async def _asked(poller: LinkPoller, device: str, request: Request, seconds: float) -> Any:  # a reply or an error
-    """What a device says to one request, which is sent once at most and within some seconds."""
+    """Return a device's reply to one request, which is sent once at most and within some seconds."""
     # `idempotent` with no retries: else `write_retries` of the link would repeat a write.
     options: dict[str, Any] = {"timeout": poller.schedule.timeout, "retries": 0, "idempotent": True}
     if seconds < math.inf:
@@ -531,7 +531,7 @@ async def _asked(poller: LinkPoller, device: str, request: Request, seconds: flo
 
 
 async def _in_turn(poller: LinkPoller, device: str, make: Callable[[], Awaitable[_T]]) -> _T:
-    """Do something in a turn of the poller, before its reads.
+    """Have the poller of a link call a function before its next reads, and wait for the result.
 
     Raises:
         Overloaded: too many wait for the link.
@@ -562,7 +562,7 @@ def _fail(future: "asyncio.Future[_T]", error: Exception) -> None:
 
 
 def _text(value: CommandValue | None, unit: str) -> str:
-    """A value for a person."""
+    """Return a value as text for people."""
     if value is None or isinstance(value, bool):
         return "unknown" if value is None else "on" if value else "off"
     text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)

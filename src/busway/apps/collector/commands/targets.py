@@ -32,7 +32,7 @@ class CollectedTargets:
         self._configuration, self._poller_of, self._values = configuration, poller_of, values
 
     def target(self, device: str, point: str) -> WriteTarget:
-        """The point to write, and the poller of its link. Raises `NoSuchPoint`."""
+        """Return the point to write, and the poller of its link. Raises `NoSuchPoint`."""
         configuration = self._configuration()
         found = configuration.devices.get(device)
         if found is None:
@@ -51,7 +51,7 @@ class CollectedTargets:
         )
 
     def last(self, device: str, point: str) -> OldValue | None:
-        """The last committed value of a point."""
+        """Return the last committed value of a point."""
         found = self._values.last(device, point)
         if found is None:
             return None
@@ -60,7 +60,7 @@ class CollectedTargets:
 
 
 def _obeys_broadcasts(configuration: CollectorConfiguration, device: CollectedDevice) -> bool:
-    """Whether a device has unit 0, the broadcast address on a serial line or behind a gateway."""
+    """Whether a device has unit 0, the broadcast address on a serial line or in a gateway."""
     if device.unit != 0:
         return False
     endpoint = configuration.links[device.link].settings.endpoint

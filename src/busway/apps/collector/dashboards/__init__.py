@@ -9,7 +9,7 @@ KINDS: Final = ("prometheus", "postgresql")
 
 
 def dashboard(kind: str) -> str:
-    """The JSON that Grafana imports. Raises `ConfigError` where there is no such dashboard."""
+    """Return a dashboard as JSON that Grafana imports. Raises `ConfigError` for an unknown name."""
     if kind not in KINDS:
         raise ConfigError(f"there are dashboards for {' and '.join(KINDS)}, not for {kind!r}", key="dashboard")
     return files(__name__).joinpath(f"{kind}.json").read_text("utf-8")

@@ -30,8 +30,7 @@ from .waves import Constant, Ramp, Sine, Square
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a behaviour gets beside its section: the point's range and first value, the seed, and readers of other
-    points.
+    """What a behaviour needs beside its section: range and first value of the point, seed, other points.
 
     Attributes:
         key: of the point, ``UNIT/NAME``.

@@ -16,12 +16,12 @@ _TO_UNIT: Final = 2.0**-53
 
 
 def stream_of(seed: int, key: str) -> int:
-    """The number that starts a point's own sequence of random numbers."""
+    """Return the number that starts a point's own sequence of random numbers."""
     return int.from_bytes(blake2b(f"{seed}/{key}".encode(), digest_size=8).digest())
 
 
 def drawn(stream: int, index: int) -> float:
-    """Random number ``index`` of a sequence, 0 ≤ x < 1, uniform: SplitMix64 by position."""
+    """Return random number ``index`` of a sequence, 0 ≤ x < 1, uniform: SplitMix64 by position."""
     word = (stream + index * _GOLDEN) & _WORD
     word = ((word ^ word >> 30) * 0xBF58476D1CE4E5B9) & _WORD
     word = ((word ^ word >> 27) * 0x94D049BB133111EB) & _WORD
@@ -41,7 +41,7 @@ class Noise:
         self._stream = stream
 
     def value(self, time: float) -> float:
-        """The random value of the step that a time is in."""
+        """Return the random value of the step that a time is in."""
         step = round(time / self._every)
         if not self._is_normal:
             return self._mean + self._spread * (2 * drawn(self._stream, step) - 1)
@@ -50,10 +50,10 @@ class Noise:
         return self._mean + self._spread * radius * math.cos(2 * math.pi * drawn(self._stream, 2 * step + 1))
 
     def resume(self, time: float, value: float) -> None:
-        """Do nothing: no value depends on the one before."""
+        """Do nothing: no value of the noise depends on the one before."""
 
     def state(self, time: float) -> float | None:
-        """None: noise has no state to keep."""
+        """Return None, as noise has no state to keep."""
         return None
 
 
@@ -81,7 +81,7 @@ class RandomWalk:
         self._step = 0
 
     def value(self, time: float) -> float:
-        """The value at a time; steps that the engine skipped are made first."""
+        """Return the value of the walk at a time; steps that the engine skipped are made first."""
         last = round(time / self._every)
         value = self._value
         for step in range(self._step + 1, last + 1):
@@ -100,5 +100,5 @@ class RandomWalk:
         self._step = math.floor(time / self._every + 1e-9)
 
     def state(self, time: float) -> float | None:
-        """The current value of the walk."""
+        """Return the current value of the walk."""
         return self._value

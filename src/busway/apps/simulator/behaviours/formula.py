@@ -4,7 +4,7 @@ from ....points.expression import Bound
 
 
 class Formula:
-    """Behaviour of a point whose value is an expression.
+    """Behaviour ``formula``: the point's value is computed from other points and the time.
 
     Args:
         compute: the expression, bound to its points.
@@ -16,8 +16,8 @@ class Formula:
         self.value: Bound = compute
 
     def resume(self, time: float, value: float) -> None:
-        """Do nothing: the value follows from other points."""
+        """Do nothing: the value follows from other points, not from the one before."""
 
     def state(self, time: float) -> float | None:
-        """None: a formula has no state to keep."""
+        """Return None, as a formula has no state to keep."""
         return None

@@ -23,7 +23,7 @@ _STATES: Final = {"on": 1.0, "true": 1.0, "off": 0.0, "false": 0.0}
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Recorded values over time.
+    """Recorded values of a point over time, to be replayed.
 
     Attributes:
         times: seconds since the first of them, rising, the first 0.
@@ -102,7 +102,7 @@ def _is_heading(line: str) -> bool:
 
 
 class Replay:
-    """Behaviour of a point that replays a recording.
+    """Behaviour ``replay``: the point takes recorded values, again and again.
 
     Args:
         recording: the values.
@@ -121,7 +121,7 @@ class Replay:
         self._length = recording.length
 
     def value(self, time: float) -> float:
-        """The recorded value at a time."""
+        """Return the recorded value at a time."""
         times, values = self._recording.times, self._recording.values
         if self._repeats:
             time %= self._length
@@ -132,8 +132,8 @@ class Replay:
         return values[at] + part * (values[at + 1] - values[at])
 
     def resume(self, time: float, value: float) -> None:
-        """Do nothing: the value follows from the time."""
+        """Do nothing: the replayed value follows from the time."""
 
     def state(self, time: float) -> float | None:
-        """None: a replay has no state to keep."""
+        """Return None, as a replay has no state to keep."""
         return None

@@ -13,7 +13,7 @@ from ....points.expression import Bound
 
 
 class SteadyCounter:
-    """Behaviour ``counter`` with a constant rate.
+    """Behaviour ``counter`` with a constant rate: the value is a sum over time.
 
     Args:
         rate: per second.
@@ -30,7 +30,7 @@ class SteadyCounter:
         self._since = 0.0
 
     def value(self, time: float) -> float:
-        """The count at a time."""
+        """Return the count at a time."""
         value = self._start + self._rate * max(time - self._since, 0.0)
         return value if self._rollover is None else value % self._rollover
 
@@ -40,12 +40,12 @@ class SteadyCounter:
         self._start = value
 
     def state(self, time: float) -> float | None:
-        """The count at a time."""
+        """Return the count at a time, to continue from after a restart."""
         return self.value(time)
 
 
 class Counter:
-    """Behaviour ``counter`` whose rate is an expression.
+    """Behaviour ``counter`` whose rate is a formula: the value is a sum over time.
 
     Args:
         rate: per second.
@@ -63,14 +63,14 @@ class Counter:
         self._seen = 0.0
 
     def value(self, time: float) -> float:
-        """The count at a time."""
+        """Return the count at a time."""
         value = self._value + self._seen * max(time - self._time, 0.0)
         self._value = value if self._rollover is None else value % self._rollover
         self._time = max(time, self._time)
         return self._value
 
     def observe(self, time: float) -> None:
-        """Note the rate at a time, for counting until the next moment."""
+        """Note the value of the rate at a time, by which to count until the next moment."""
         rate = self._rate(time)
         self._seen = rate if math.isfinite(rate) else 0.0
 
@@ -80,12 +80,12 @@ class Counter:
         self._value = value
 
     def state(self, time: float) -> float | None:
-        """The current count."""
+        """Return the current count, to continue from after a restart."""
         return self._value
 
 
 class SteadyLag:
-    """Behaviour ``lag`` with a constant target: an exponential approach.
+    """Behaviour ``lag`` with a constant target, which the value approaches exponentially.
 
     Args:
         target: where it goes.
@@ -102,22 +102,22 @@ class SteadyLag:
         self._since = 0.0
 
     def value(self, time: float) -> float:
-        """The value at a time."""
+        """Return the value at a time, on its way to the target."""
         way = self._start - self._target
         return self._target + way * math.exp(min(self._since - time, 0.0) / self._time_constant)
 
     def resume(self, time: float, value: float) -> None:
-        """Continue approaching the target from a value at a time."""
+        """Continue from a value at a time towards the target."""
         self._since = time
         self._start = value
 
     def state(self, time: float) -> float | None:
-        """The value at a time."""
+        """Return the value at a time, to continue from after a restart."""
         return self.value(time)
 
 
 class Lag:
-    """Behaviour ``lag`` whose target is an expression: an exponential approach.
+    """Behaviour ``lag`` whose target is a formula; the value approaches it exponentially.
 
     Args:
         target: where it goes.
@@ -135,7 +135,7 @@ class Lag:
         self._seen = math.nan
 
     def value(self, time: float) -> float:
-        """The value at a time."""
+        """Return the value at a time, on its way to the target."""
         if math.isfinite(self._seen):
             way = self._value - self._seen
             self._value = self._seen + way * math.exp(min(self._time - time, 0.0) / self._time_constant)
@@ -143,14 +143,14 @@ class Lag:
         return self._value
 
     def observe(self, time: float) -> None:
-        """Note the target at a time, for the approach until the next moment."""
+        """Note the value of the target at a time, to approach it until the next moment."""
         self._seen = self._target(time)
 
     def resume(self, time: float, value: float) -> None:
-        """Continue approaching the target from a value at a time."""
+        """Continue from a value at a time towards the target."""
         self._time = time
         self._value = value
 
     def state(self, time: float) -> float | None:
-        """The current value of the approach."""
+        """Return the current value, to continue from after a restart."""
         return self._value

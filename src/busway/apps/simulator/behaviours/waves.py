@@ -10,15 +10,15 @@ from ....config.files.behaviours import ConstantSection, RampSection, SineSectio
 
 
 class _Timeless:
-    """Base of behaviours without a state."""
+    """Base of behaviours that keep no state between two moments."""
 
     __slots__ = ()
 
     def resume(self, time: float, value: float) -> None:
-        """Do nothing: the value follows from the time."""
+        """Do nothing: the value follows from the time alone."""
 
     def state(self, time: float) -> float | None:
-        """None: there is no state to keep."""
+        """Return None, as there is no state to keep."""
         return None
 
 
@@ -31,7 +31,7 @@ class Constant(_Timeless):
         self._value = float(section.value)
 
     def value(self, time: float) -> float:
-        """The constant value, whatever the time."""
+        """Return the constant value, whatever the time."""
         return self._value
 
 
@@ -47,7 +47,7 @@ class Ramp(_Timeless):
         self._at_end = section.at_end
 
     def value(self, time: float) -> float:
-        """The value of the ramp at a time."""
+        """Return the value of the ramp at a time."""
         duration = self._duration
         if self._at_end == "hold":
             part = min(time / duration, 1.0)
@@ -72,7 +72,7 @@ class Sine(_Timeless):
         self._phase = math.radians(section.phase)
 
     def value(self, time: float) -> float:
-        """The value of the sine wave at a time."""
+        """Return the value of the sine wave at a time."""
         return self._mean + self._amplitude * math.sin(time % self._period * self._factor + self._phase)
 
 
@@ -89,5 +89,5 @@ class Square(_Timeless):
         self._shift = section.phase / 360 * section.period
 
     def value(self, time: float) -> float:
-        """The value of the square wave at a time."""
+        """Return the value of the square wave at a time."""
         return self._high if (time + self._shift) % self._period < self._duty else self._low
