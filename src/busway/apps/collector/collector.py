@@ -398,9 +398,7 @@ class Collector:
         ]
 
     def loads(self) -> Mapping[str, tuple[float, float]]:
-        """Return by link the part of its time that it was busy since the start, and that with probes of silent
-        devices.
-        """
+        """Return by link the part of its time spent on requests since the start, and on probes of silent devices."""
         elapsed = max(asyncio.get_running_loop().time() - self._started, 1e-9)
         return {
             name: (running.poller.schedule.busy / elapsed, running.poller.schedule.probing / elapsed)
@@ -568,9 +566,7 @@ class Collector:
             )
 
     async def _apply(self, configuration: CollectorConfiguration) -> list[str]:
-        """Use another configuration: stop the links that change, rename points behind all samples so far, start
-        links.
-        """
+        """Use another configuration: end links that change, rename points behind all samples so far, start links."""
         assert self._committer is not None
         self.configuration = configuration
         self.alarms.configure(self._points())

@@ -161,7 +161,7 @@ class Knowledge:
         return iter(sorted(self._devices.items()))
 
     def of(self, name: str, profile: str = "", firmware: str = "", place: str = "") -> DeviceKnowledge:
-        """Return what is known about a device: from itself at this place, or from others of its kind (rules 1 and 2)."""
+        """Return what is known about a device: from itself at this place, or from its kind (rules 1 and 2)."""
         known = self._devices.get(name)
         if known is None:
             return replace(self.offered(profile, firmware), place=place)

@@ -200,9 +200,7 @@ class LinkPoller:
         self._latencies: deque[float] = deque(maxlen=KEPT_LATENCIES)
 
     def latencies(self, parts: Sequence[float]) -> list[float]:
-        """Return the seconds within which these parts (0…1) of the last requests were answered; empty before the
-        first.
-        """
+        """Return the seconds within which these parts (0…1) of the last requests were answered; empty at first."""
         kept = sorted(self._latencies)
         return [kept[min(int(part * len(kept)), len(kept) - 1)] for part in parts] if kept else []
 

@@ -1,4 +1,4 @@
-"""Access control of a page: checks host, origin, caller and size of every request before the application sees it.
+"""Access control of a web page: checks host, origin, caller and size of every request before the application.
 
 Knows headers, roles and sizes; knows no resource. It wraps the whole application, HTTP and WebSocket.
 
@@ -56,7 +56,7 @@ _log = logging.getLogger("busway.apps.web")
 
 
 class Role(IntEnum):
-    """Roles of callers of a page; each role may do what those before it may."""
+    """Roles of callers of a web page; each role may do what those before it may."""
 
     VIEW = 1
     """See values, history and states."""
@@ -77,7 +77,7 @@ ROLES: Final = MappingProxyType({role.label: role for role in Role})
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """The caller of a request: its name and role.
+    """Who sends a request to a web page: name and role.
 
     Attributes:
         name: name of the token, subject of the certificate, or ``loopback``; for records of what was changed.
@@ -90,7 +90,7 @@ class Caller:
 
 @dataclass(frozen=True, slots=True)
 class AccessToken:
-    """An access token of a caller, stored as its digest alone.
+    """A token that gives a caller access to a web page; only its digest is kept.
 
     Attributes:
         caller: whose it is, and what it permits.
@@ -108,7 +108,7 @@ class AccessToken:
 
 @dataclass(frozen=True, slots=True)
 class PageAccessRules:
-    """Access rules of one listener of a page.
+    """Which hosts, origins and callers may use a web page on one address.
 
     Attributes:
         tokens: gives all that are taken now.
@@ -124,12 +124,12 @@ class PageAccessRules:
 
 
 class Refused(HTTPException):
-    """Error of a refused request: an HTTP status and a sentence."""
+    """Error that the page answers with an HTTP status and a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
 class RequiredRole:
-    """Dependency of a route: refuses callers whose role is less, and gives the caller to the route.
+    """FastAPI dependency of a route: refuses callers with too low a role, and gives the caller to the route.
 
     Attributes:
         role: the least role.
@@ -138,7 +138,7 @@ class RequiredRole:
     role: Role
 
     async def __call__(self, connection: HTTPConnection) -> Caller:
-        """The caller of a request, if its role suffices. Raises `Refused`."""
+        """Return the caller of a request if its role suffices. Raises `Refused`."""
         return _permitted(caller_of(connection.scope), self.role)
 
 
@@ -152,7 +152,7 @@ def require(role: Role) -> RequiredRole:
 
 
 def caller_of(scope: Scope) -> Caller:
-    """The caller of a request that `PageAccess` has let in. Raises `Refused` for any other."""
+    """Return the caller of a request that `PageAccess` has let in. Raises `Refused` for any other."""
     found = scope.get(_CALLER)
     if not isinstance(found, Caller):
         raise Refused(401, "the caller is not known")
@@ -181,7 +181,7 @@ class PageAccess:
         self._wrong_tokens = Repeats()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle one ASGI connection."""
+        """Check one HTTP request or WebSocket, and pass it on to the application."""
         if scope["type"] not in ("http", "websocket"):
             await self._inner(scope, receive, send)
             return
@@ -215,7 +215,7 @@ class PageAccess:
                 raise Refused(415, f"the body must be {' or '.join(_BODY_KINDS)}")
 
     def _caller(self, scope: Scope, headers: dict[str, list[str]]) -> Caller:
-        """The caller of a request by its token, certificate or address (rule 5)."""
+        """Return the caller of a request by its token, certificate or address (rule 5)."""
         given, tokens = _token(scope, headers), self._rules.tokens()
         if given is not None and tokens:
             return self._holder(given, tokens, scope)
@@ -266,7 +266,7 @@ def _names_loopback(host: str) -> bool:
 
 
 def _token(scope: Scope, headers: dict[str, list[str]]) -> str | None:
-    """The token in a request; None if there is none."""
+    """Return the token in a request; None if there is none."""
     if scope["type"] == "websocket":
         for protocol in scope.get("subprotocols", ()):
             if protocol.startswith(BEARER_PROTOCOL):

@@ -1,4 +1,4 @@
-"""The HTTP resources of the control API of a simulation.
+"""The HTTP API of a simulation's page: points, faults, connections, traffic.
 
 Knows a simulation by `busway.apps.web.subject`; knows no socket and no page.
 
@@ -59,7 +59,7 @@ _NO_FAULT: Final[_Responses] = {404: {"model": Failure, "description": "There is
 
 @dataclass(slots=True)
 class Api:
-    """The HTTP resources of one simulation.
+    """The HTTP API of one simulation.
 
     Attributes:
         subject: the simulation.
@@ -87,7 +87,7 @@ class Api:
         return cast("ServedUnits", inner)
 
     def add_to(self, application: FastAPI) -> None:
-        """Add the resources to a FastAPI application."""
+        """Add the routes of the API to a FastAPI application."""
         get, put, post, patch, delete = ([name] for name in ("GET", "PUT", "POST", "PATCH", "DELETE"))
         add = application.add_api_route
         add("/api/simulation", self.get_simulation, methods=get, summary="The simulation")
@@ -127,7 +127,7 @@ class Api:
         return self.simulation()
 
     def simulation(self) -> SimulationAnswer:
-        """Name, size, time and speed of the simulation."""
+        """Return name, size, time and speed of the simulation."""
         subject = self.subject
         status = self.server.status()
         return SimulationAnswer(
@@ -183,7 +183,7 @@ class Api:
                 yield index
 
     def shown(self, index: int) -> PointAnswer:
-        """The message about the point with this index."""
+        """Return the message about the point with this index."""
         point = self.order[index]
         return PointAnswer(
             index=index,

@@ -25,7 +25,7 @@ class _Question(BaseModel):
 
 
 class AcknowledgementQuestion(_Question):
-    """Which alarm is acknowledged."""
+    """Request to acknowledge an alarm: which one."""
 
     device: str = Field(max_length=200)
     point: str = Field(max_length=200)
@@ -33,21 +33,21 @@ class AcknowledgementQuestion(_Question):
 
 
 class MaintenanceQuestion(_Question):
-    """Whether maintenance begins or ends, and why."""
+    """Request to begin or end the maintenance of a device, and why."""
 
     on: bool
     reason: str = Field(min_length=1, max_length=500)
 
 
 class AcknowledgedAnswer(Answer):
-    """Who acknowledged an alarm, and when."""
+    """Response: who acknowledged an alarm, and when."""
 
     by: str
     at: int
 
 
 class AlarmAnswer(Answer):
-    """An alarm that is active, or that nobody has acknowledged. Times are milliseconds since 1970 UTC."""
+    """Response: an alarm that is active or not acknowledged. Times are milliseconds since 1970 UTC."""
 
     device: str
     point: str
@@ -64,7 +64,7 @@ class AlarmAnswer(Answer):
 
 
 class AlarmEventAnswer(Answer):
-    """A line of the journal."""
+    """Response: a line of the journal of alarms."""
 
     at: int
     device: str
@@ -77,14 +77,14 @@ class AlarmEventAnswer(Answer):
 
 
 class AlarmsAnswer(Answer):
-    """Alarms, the one raised last first, and the newest lines of the journal."""
+    """Response: alarms, the one raised last first, and the newest lines of their journal."""
 
     active: list[AlarmAnswer]
     journal: list[AlarmEventAnswer]
 
 
 class MaintenanceAnswer(Answer):
-    """Whether a device is in maintenance."""
+    """Response: whether a device is in maintenance, since when, by whom and why."""
 
     device: str
     on: bool
@@ -94,13 +94,13 @@ class MaintenanceAnswer(Answer):
 
 
 class AlarmApi:
-    """Routes of alarms and maintenance."""
+    """Routes of the collector's page for alarms and the maintenance of devices."""
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector
 
     def add_to(self, application: FastAPI) -> None:
-        """Add the resources to an application."""
+        """Add the routes for alarms and maintenance to an application."""
         add = application.add_api_route
         refused = {"model": Failure, "description": "There is no such alarm or device, or the store cannot be written."}
         add("/api/alarms", self.list_alarms, methods=["GET"], summary="Alarms, and the newest lines of the journal")
@@ -121,7 +121,7 @@ class AlarmApi:
         )
 
     async def list_alarms(self, limit: Annotated[int, Query(ge=0, le=MOST_EVENTS)] = 100) -> AlarmsAnswer:
-        """What is active or not acknowledged, and what happened last."""
+        """Return the alarms that are active or not acknowledged, and the newest alarm events."""
         alarms = self._collector.alarms
         return AlarmsAnswer(
             active=[_alarm(each, alarms.reason(each.key)) for each in reversed(alarms.active())],
@@ -131,7 +131,7 @@ class AlarmApi:
     async def acknowledge(
         self, question: AcknowledgementQuestion, caller: Annotated[Caller, Depends(require(Role.OPERATE))]
     ) -> AlarmEventAnswer:
-        """Acknowledge an alarm; it is in the journal when the answer comes."""
+        """Acknowledge an alarm; the journal has it when the response comes."""
         try:
             event = await self._collector.alarms.acknowledge(
                 question.device, question.point, question.limit, caller.name
@@ -143,13 +143,13 @@ class AlarmApi:
         return _event(event)
 
     async def list_maintenance(self) -> list[MaintenanceAnswer]:
-        """Since when, by whom, and why."""
+        """Return the devices in maintenance: since when, by whom, and why."""
         return [self._maintenance_of(device) for device in self._collector.in_maintenance()]
 
     async def set_maintenance(
         self, device: str, question: MaintenanceQuestion, caller: Annotated[Caller, Depends(require(Role.OPERATE))]
     ) -> MaintenanceAnswer:
-        """Leave a device alone, or poll it again."""
+        """Begin the maintenance of a device, so that it is not polled, or end it."""
         if device not in self._collector.configuration.devices:
             raise HTTPException(404, f"there is no device {device}")
         try:

@@ -1,4 +1,4 @@
-"""Commands and the configuration over HTTP: arm and confirm, write in one step, list; read and replace the file.
+"""HTTP API of the collector's page for commands (arm, confirm, write, list) and for the configuration file.
 
 Knows a running collector and the roles of callers; judges no value.
 
@@ -37,7 +37,7 @@ Name = Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME)]
 
 
 class NewCommand(Asked):
-    """A value for a point."""
+    """Request to prepare a command: a value for a point."""
 
     device: Name
     point: Name
@@ -45,14 +45,14 @@ class NewCommand(Asked):
 
 
 class DirectCommand(NewCommand):
-    """A value for a point, to be written at once."""
+    """Request to write a value to a point at once."""
 
     key: str | None = Field(None, max_length=100, description="Names the command for ever; none: a new one is made.")
     expires: float = Field(description="Until when it may be sent, seconds since 1970 UTC.")
 
 
 class OldAnswer(Answer):
-    """What a point was known to be."""
+    """Response: the value that a point had before a command."""
 
     value: Plain
     quality: str
@@ -60,7 +60,7 @@ class OldAnswer(Answer):
 
 
 class ArmedAnswer(Answer):
-    """A command that waits to be confirmed."""
+    """Response: a command that was checked and waits to be confirmed."""
 
     key: str
     device: str
@@ -72,7 +72,7 @@ class ArmedAnswer(Answer):
 
 
 class CommandAnswer(Answer):
-    """What became of a command."""
+    """Response: the result of a command."""
 
     key: str
     at: float = Field(description="When it was taken, seconds since 1970 UTC.")
@@ -88,27 +88,27 @@ class CommandAnswer(Answer):
 
 
 class CommandsAnswer(Answer):
-    """Commands, the newest first."""
+    """Response: results of commands, the newest first."""
 
     commands: list[CommandAnswer]
 
 
 class ConfigurationAnswer(Answer):
-    """The configuration that holds."""
+    """Response: the text of the configuration in force, and its revision."""
 
     revision: str
     text: str = Field(description="The file, in TOML. Secrets are in other files.")
 
 
 class ReplacedAnswer(Answer):
-    """A configuration that holds now."""
+    """Response: the configuration was replaced by this revision."""
 
     revision: str
     done: list[str] = Field(description="What changed, each a sentence.")
 
 
 class ProblemAnswer(Answer):
-    """Something that is wrong with a configuration."""
+    """Response: one error in a configuration, with its line."""
 
     file: str | None
     line: int | None
@@ -117,19 +117,19 @@ class ProblemAnswer(Answer):
 
 
 class ProblemsAnswer(Failure):
-    """Why a configuration was refused as a whole."""
+    """Response: all errors for which a configuration was refused."""
 
     problems: list[ProblemAnswer]
 
 
 class CommandsApi:
-    """The resources for commands and the configuration of one collector."""
+    """Routes of the collector's page for commands and the configuration."""
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector
 
     def add_to(self, application: FastAPI) -> None:
-        """Add the resources to an application."""
+        """Add the routes for commands and the configuration to an application."""
         add = application.add_api_route
         missing: dict[int | str, dict[str, Any]] = {
             404: {"model": Failure, "description": "There is no such point or command."}
@@ -193,14 +193,14 @@ class CommandsApi:
         )
 
     async def confirm_command(self, key: Annotated[str, InPath(max_length=100)], caller: Operator) -> CommandAnswer:
-        """Send an armed command, and wait for what becomes of it."""
+        """Send an armed command to its device, and wait for the result."""
         try:
             return _answer(await self._collector.commands.confirm(key, by=caller.name))
         except NoSuchCommand as error:
             raise HTTPException(404, error.message) from error
 
     async def send_command(self, asked: DirectCommand, caller: Operator) -> CommandAnswer:
-        """Check a command, send it, and wait for what becomes of it."""
+        """Check a command, send it to its device, and wait for the result."""
         try:
             result = await self._collector.write(
                 asked.device,
@@ -218,11 +218,11 @@ class CommandsApi:
     async def list_commands(
         self, caller: Viewer, limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100
     ) -> CommandsAnswer:
-        """Commands that were recorded, with what became of them."""
+        """Return recorded commands with their results, the newest first."""
         return CommandsAnswer(commands=[_answer(each) for each in await self._collector.commands.newest(limit)])
 
     async def get_configuration(self, caller: Configurer) -> ConfigurationAnswer:
-        """The text that holds, and its revision."""
+        """Return the text of the configuration in force, and its revision."""
         return ConfigurationAnswer(revision=self._collector.revision, text=self._collector.configuration.text)
 
     async def replace_configuration(
@@ -233,7 +233,7 @@ class CommandsApi:
             str | None, Query(max_length=64, description="Of the text that it is a change of; none: any.")
         ] = None,
     ) -> Response | ReplacedAnswer:
-        """Replace the file, link by link: links that are the same miss no round."""
+        """Replace the configuration file; links that are the same in both miss no polling round."""
         try:
             text = (await request.body()).decode("utf-8")
         except UnicodeDecodeError as error:

@@ -49,7 +49,7 @@ class CollectorLog(logging.Handler):
         logger.setLevel(self._level_before)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep a record. Where nothing else would show a warning, this handler does not hide it either (rule 4)."""
+        """Keep a log message for the page. A warning that nothing else would show still reaches stderr (rule 4)."""
         if not logging.getLogger().handlers and logging.lastResort and record.levelno >= logging.lastResort.level:
             logging.lastResort.handle(record)
         try:
@@ -69,7 +69,7 @@ class CollectorLog(logging.Handler):
             self._kept.append(line)
 
     def lines(self, limit: int, level: LogLevel, search: str) -> LogAnswer:
-        """The newest lines first.
+        """Return the kept log messages, the newest first.
 
         Args:
             limit: how many at most.

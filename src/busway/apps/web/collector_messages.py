@@ -1,4 +1,4 @@
-"""What the API of a collector's page answers.
+"""Responses of the HTTP API of a collector's page, as data classes.
 
 Knows shapes alone. Times of samples are milliseconds since 1970 UTC, those of trends seconds, as the chart has them.
 """
@@ -11,14 +11,14 @@ from .messages import Answer, Plain
 
 
 class CallerAnswer(Answer):
-    """The caller."""
+    """Response: who asks, and what that role may do."""
 
     name: str
     role: str = Field(description="view, operate or configure; each includes those before it.")
 
 
 class CollectorAnswer(Answer):
-    """A collector and its store."""
+    """Response: name, size and store of a collector."""
 
     name: str
     store: str
@@ -30,7 +30,7 @@ class CollectorAnswer(Answer):
 
 
 class CollectedPoint(Answer):
-    """A point that is collected."""
+    """Response: one point that is collected, with its type and unit of measure."""
 
     device: str
     point: str
@@ -40,14 +40,14 @@ class CollectedPoint(Answer):
 
 
 class CollectedPoints(Answer):
-    """All points."""
+    """Response: all points that are collected."""
 
     revision: int = Field(description="How often they became others since the start; the stream has the same number.")
     points: list[CollectedPoint]
 
 
 class CollectedValues(Answer):
-    """Last committed values, in columns with an entry for each point."""
+    """Response: last committed values, in columns with an entry for each point."""
 
     now: int = Field(description="Time of the answer; the age of a value is the difference.")
     value: list[Plain | None]
@@ -57,7 +57,7 @@ class CollectedValues(Answer):
 
 
 class DeviceAnswer(Answer):
-    """How a device does."""
+    """Response: the status of a polled device."""
 
     name: str
     link: str
@@ -71,21 +71,21 @@ class DeviceAnswer(Answer):
 
 
 class CollectedDevices(Answer):
-    """All devices."""
+    """Response: the status of all polled devices."""
 
     now: int
     devices: list[DeviceAnswer]
 
 
 class SilentDevice(Answer):
-    """A device that is not polled, and since when."""
+    """Response: a device that is not polled, and since when."""
 
     device: str
     since: int
 
 
 class LinkAnswer(Answer):
-    """A link: seconds of reads per second."""
+    """Response: the load of a link, in seconds of reads per second."""
 
     name: str
     planned: float
@@ -97,7 +97,7 @@ class LinkAnswer(Answer):
 
 
 class ReadAnswer(Answer):
-    """A read as it is planned."""
+    """Response: one planned read request."""
 
     link: str
     device: str
@@ -109,7 +109,7 @@ class ReadAnswer(Answer):
 
 
 class LinksAnswer(Answer):
-    """All links, and their reads."""
+    """Response: the load of all links, and their planned reads."""
 
     now: int
     links: list[LinkAnswer]
@@ -118,7 +118,7 @@ class LinksAnswer(Answer):
 
 
 class SinkAnswer(Answer):
-    """How a sink does."""
+    """Response: the status of a sink."""
 
     name: str
     behind: int = Field(description="Commits that it has not taken yet.")
@@ -129,7 +129,7 @@ class SinkAnswer(Answer):
 
 
 class SinksAnswer(Answer):
-    """All sinks."""
+    """Response: the status of all sinks."""
 
     sinks: list[SinkAnswer]
     prometheus: list[str] = Field(description="URLs of pages for Prometheus.")
@@ -139,7 +139,7 @@ LogLevel = Literal["debug", "info", "warning", "error"]
 
 
 class LogLine(Answer):
-    """A message of the collector."""
+    """Response: one log message of the collector."""
 
     number: int = Field(description="Greater than that of every message before.")
     at: int
@@ -149,14 +149,14 @@ class LogLine(Answer):
 
 
 class LogAnswer(Answer):
-    """The last messages."""
+    """Response: the latest log messages of the collector."""
 
     lines: list[LogLine]
     dropped: int = Field(description="Older messages that are no longer kept.")
 
 
 class TrendAnswer(Answer):
-    """History of a point; null where nothing is known."""
+    """Response: the history of a point for a chart; null where nothing is known."""
 
     begin: float
     end: float

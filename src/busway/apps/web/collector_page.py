@@ -1,4 +1,4 @@
-"""The page of a collector, and the read-only API below it.
+"""The web page of a collector, and the HTTP API below it.
 
 Knows a running collector, its store and HTTP; asks no device.
 
@@ -75,7 +75,7 @@ _FILES: Final = {
 
 
 class CollectorPage(HostedPage):
-    """The API and the page of a running collector while the ``async with`` block lasts.
+    """The web page of a running collector with its API, while the ``async with`` block lasts.
 
     Tokens, TLS and subjects of client certificates are those of ``[page_access]`` in its file.
 
@@ -112,7 +112,7 @@ class CollectorPage(HostedPage):
         return self.api.log
 
     def resources(self) -> FastAPI:
-        """The API without its access rules."""
+        """Return the API as an application without access rules."""
         inner = page_application("busway collector", "Last values, history, links, devices and sinks of a collector.")
         self.api.add_to(inner)
         self.commands.add_to(inner)
@@ -120,12 +120,12 @@ class CollectorPage(HostedPage):
         return inner
 
     def application(self, rules: PageAccessRules) -> Application:
-        """The ASGI application, with these rules of access."""
+        """Return the ASGI application of page and API, with these access rules."""
         return guarded(self.resources(), _FILES, rules)
 
 
 def _tls_of(configuration: CollectorConfiguration) -> TlsParameters | None:
-    """Certificate, key and authority of its page; None for HTTP."""
+    """Return certificate, key and authority of the page; None for HTTP."""
     access = configuration.file.page_access
     if access.certificate is None:
         return None
@@ -143,7 +143,7 @@ def _tls_of(configuration: CollectorConfiguration) -> TlsParameters | None:
 
 
 class CollectorApi:
-    """The resources of one collector."""
+    """Routes of a collector's page that only read: points, values, devices, links, sinks, log, trends."""
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector
@@ -159,7 +159,7 @@ class CollectorApi:
         self._newest = commit.number
 
     def add_to(self, application: FastAPI) -> None:
-        """Add the resources to an application."""
+        """Add the reading routes to an application."""
         add = application.add_api_route
         add("/api/caller", self.get_caller, methods=["GET"], summary="The caller and its role")
         add("/api/collector", self.get_collector, methods=["GET"], summary="The collector and its store")
@@ -179,11 +179,11 @@ class CollectorApi:
         )
 
     async def get_caller(self, caller: Annotated[Caller, Depends(require(Role.VIEW))]) -> CallerAnswer:
-        """Who asks, and what it may do."""
+        """Return who asks, and what that role may do."""
         return CallerAnswer(name=caller.name, role=caller.role.label)
 
     async def get_collector(self) -> CollectorAnswer:
-        """Name, size and store of the collector."""
+        """Return name, size and store of the collector."""
         configuration, store = self._collector.configuration, self._collector.store_status()
         return CollectorAnswer(
             name=Path(configuration.name).stem,
@@ -196,7 +196,7 @@ class CollectorApi:
         )
 
     async def list_points(self) -> CollectedPoints:
-        """All points, in the order of `list_values`."""
+        """Return all points, in the order of `list_values`."""
         self.stream.refresh()
         return CollectedPoints(
             revision=self.stream.revision,
@@ -214,7 +214,7 @@ class CollectorApi:
         )
 
     async def list_values(self) -> CollectedValues:
-        """Columns with an entry for each point; nothing for a point that was not read since the start."""
+        """Return last values in columns with an entry for each point; null for one not read since the start."""
         values, reasons, times = await asyncio.to_thread(self.stream.refresh().columns)
         return CollectedValues(
             now=time.time_ns() // _MILLION,
@@ -227,7 +227,7 @@ class CollectorApi:
         )
 
     async def list_devices(self) -> CollectedDevices:
-        """How each device does."""
+        """Return the status of each device."""
         return CollectedDevices(
             now=time.time_ns() // _MILLION,
             devices=[
@@ -247,7 +247,7 @@ class CollectorApi:
         )
 
     async def list_links(self) -> LinksAnswer:
-        """Load planned and real, and the reads with what each costs."""
+        """Return the planned and the real load of each link, and its reads with what each costs."""
         planned, real = await self._plan(), self._collector.loads()
         latencies, silent = self._collector.latencies(PERCENTILES), self._silent()
         devices = self._collector.configuration.devices
@@ -298,7 +298,7 @@ class CollectorApi:
             return self._planned[1]
 
     async def list_sinks(self) -> SinksAnswer:
-        """How each sink does."""
+        """Return the status of each sink."""
         return SinksAnswer(
             sinks=[
                 SinkAnswer(
@@ -320,7 +320,7 @@ class CollectorApi:
         level: Annotated[LogLevel, Query(description="The least level.")] = "info",
         search: Annotated[str, Query(max_length=200)] = "",
     ) -> LogAnswer:
-        """The last lines of a level or above that have all of the searched words."""
+        """Return the latest log messages of a level or above that contain all of the searched words."""
         return self.log.lines(limit, level, search)
 
     async def get_trend(
@@ -330,7 +330,7 @@ class CollectorApi:
         seconds: Annotated[float, Query(ge=1, le=_LONGEST, description="How far back.")] = 3600.0,
         buckets: Annotated[int, Query(ge=10, le=MOST_BUCKETS)] = 600,
     ) -> TrendAnswer:
-        """Minimum, maximum and mean for each bucket. A null stands where nothing is known."""
+        """Return minimum, maximum and mean of a point for each bucket; null where nothing is known."""
         configuration = self._collector.configuration
         known = configuration.devices.get(device)
         if known is None or all(each.name != point for each in known.points):
@@ -346,7 +346,7 @@ class CollectorApi:
 
 
 def _kind(point: Point) -> Literal["number", "state", "text"]:
-    """What a value of a point is for those who type one."""
+    """Return what kind of value people type for a point: a number, a state, or a text."""
     if point.type.startswith("bit"):
         return "state"
     return "text" if point.type.startswith(("string", "ip", "eui")) else "number"
@@ -357,7 +357,7 @@ def _read(folder: str, point: str, since: int, bucket: float) -> BucketTable:
 
 
 def _trend(table: BucketTable, now: int, seconds: float, longest: float) -> TrendAnswer:
-    """Columns for a chart. Times that are further apart than ``longest`` seconds have a gap between them."""
+    """Return columns for a chart, with a gap between times further apart than ``longest`` seconds."""
     answer = TrendAnswer(
         begin=now / NANOSECONDS - seconds, end=now / NANOSECONDS, time=[], minimum=[], maximum=[], mean=[]
     )

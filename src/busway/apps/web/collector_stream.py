@@ -1,4 +1,4 @@
-"""``/stream`` of a collector's page: a WebSocket that tells changed values, alarms and commands to all viewers.
+"""``/stream`` of a collector's page: a WebSocket that sends changed values, alarms and commands to all viewers.
 
 Knows viewers and what they look at; knows no store. Values come from `live_values`.
 
@@ -44,13 +44,13 @@ _MILLION: Final = 1_000_000
 
 
 class Shown(Asked):
-    """A viewer's message that says which points it shows from now on, by their places in ``/api/points``."""
+    """Message of a viewer: which points it shows from now on, by their positions in ``/api/points``."""
 
     shown: Annotated[list[Annotated[int, Field(ge=0)]], Field(max_length=MOST_SHOWN)]
 
 
 class Viewer:
-    """One WebSocket of the page: what it was sent, and which points it shows."""
+    """One open page in a browser: what it was sent, and which points it shows."""
 
     def __init__(self) -> None:
         self.seen: int = 0
@@ -65,7 +65,7 @@ class Viewer:
 
 
 class CollectorStream:
-    """The WebSockets of all viewers of one collector.
+    """The WebSockets of all open pages of one collector.
 
     Args:
         collector: it has begun.
@@ -95,7 +95,7 @@ class CollectorStream:
         self.values.update(commit)
 
     def refresh(self) -> LiveValues:
-        """The current values; a new object if a reload of the file has changed the points."""
+        """Return the last values of all points; a new object if a reload of the file has changed the points."""
         if self._collector.configuration is not self._configuration:
             self._configuration = self._collector.configuration
             points = _points_of(self._collector)
@@ -106,7 +106,7 @@ class CollectorStream:
         return self.values
 
     def tell(self, kind: str, content: Mapping[str, Any]) -> None:  # Any: JSON
-        """Tell all viewers of an event, such as ``command``. From the thread of the event loop."""
+        """Send an event, such as ``command``, to all viewers. From the event loop's thread."""
         if self._viewers:
             text = json.dumps({kind: content}, ensure_ascii=False, separators=(",", ":"))
             for viewer in self._viewers:
@@ -129,7 +129,7 @@ class CollectorStream:
         )
 
     def _tell_alarms(self) -> None:
-        """Send the number of alarms to viewers, if it has changed, and to new viewers."""
+        """Send the number of alarms to all viewers if it has changed, and to new viewers."""
         counts = self._collector.alarms.counts()
         content = {"alarms": {"active": counts[0], "unacknowledged": counts[1]}}
         for viewer in self._viewers:
@@ -139,7 +139,7 @@ class CollectorStream:
                 viewer.wake.set()
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve one WebSocket until it ends."""
+        """Serve the WebSocket of one viewer until it ends."""
         if len(self._viewers) >= CLIENTS:
             await socket.close(_TRY_AGAIN_LATER, f"there are {CLIENTS} already")
             return
@@ -204,7 +204,7 @@ class CollectorStream:
     # What is shown.
 
     def _raw(self, viewer: Viewer) -> dict[int, str]:
-        """Registers of the points that a viewer shows, if they differ from those it was sent."""
+        """Return the registers of the points that a viewer shows, if they differ from those it was sent."""
         found: dict[int, str] = {}
         for device, places in self._by_device(viewer.shown).items():
             try:
@@ -229,7 +229,7 @@ class CollectorStream:
         return found
 
     def _lease(self) -> None:
-        """Keep reading the points that viewers show (rule 2), every few seconds and after each change."""
+        """Have the points that viewers show read more often (rule 2), renewed every few seconds."""
         now = time.monotonic()
         if now - self._leased_at < _LEASE_EVERY:
             return

@@ -1,4 +1,4 @@
-"""Limits the connections of a page: their number, and the time each has to send a request.
+"""Limits the HTTP connections of a page: their number, and the time each has to send a request.
 
 Knows connections of uvicorn and their limits; knows no request. uvicorn limits neither the number of connections that
 have sent nothing, nor the time of a head, so that is here.
@@ -35,14 +35,14 @@ _log = logging.getLogger("busway.apps.web")
 
 
 class Throttle(logging.Filter):
-    """Log filter that passes each sentence once a minute, with the number of those it dropped."""
+    """Log filter that passes each message once a minute, with the number of those it dropped."""
 
     def __init__(self) -> None:
         super().__init__()
         self._repeats = Repeats()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether a record is logged now."""
+        """Whether a log message is written now."""
         sentence = record.getMessage()
         repeated = self._repeats.again(sentence, time.monotonic())
         if repeated is None:
@@ -57,7 +57,7 @@ _http_log.addFilter(Throttle())
 
 
 class SharedConnections:
-    """State that all connections of one page share.
+    """What all HTTP connections of one page share: limits and counts.
 
     Attributes:
         waiting: connections that have not sent their request, the oldest first.
@@ -68,7 +68,7 @@ class SharedConnections:
         self._repeats = Repeats()
 
     def protocols(self, tls: Callable[[], ssl.SSLContext] | None = None) -> Callable[..., asyncio.Protocol]:
-        """The factory that uvicorn calls for each accepted connection: one of the page's connections.
+        """Return the factory that uvicorn calls for each accepted connection of the page.
 
         Args:
             tls: gives the TLS context of a connection that begins; None for connections without TLS.
@@ -76,7 +76,7 @@ class SharedConnections:
         return partial(PageConnection, self) if tls is None else partial(SecuringConnection, self, tls)
 
     def admits(self, transport: asyncio.Transport, connections: "set[Any]") -> bool:
-        """Whether an accepted connection, which is among ``connections``, may stay; else it is closed."""
+        """Whether an accepted connection, one of ``connections``, may stay; otherwise it is closed."""
         accepted = transport.get_extra_info("socket")
         if accepted is not None and is_reserved(accepted.fileno()):
             self.say("a connection to the page is closed: the last file descriptors are reserved for Modbus")
@@ -93,7 +93,7 @@ class SharedConnections:
         return True
 
     def say(self, sentence: str, *arguments: object) -> None:
-        """Log an event that may repeat."""
+        """Log an event of the page that may repeat, once a minute."""
         repeated = self._repeats.again(sentence, time.monotonic())
         if repeated is not None:
             _log.warning(f"{sentence}%s", *arguments, so_often(repeated))
@@ -114,7 +114,7 @@ class PageConnection(H11Protocol):
         self._timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Keep an accepted connection if there is room."""
+        """Keep an accepted connection if the page's limit allows it."""
         super().connection_made(transport)
         secured = transport.get_extra_info("ssl_object")
         if secured is not None:
@@ -123,7 +123,7 @@ class PageConnection(H11Protocol):
             self._wait()
 
     def data_received(self, data: bytes) -> None:
-        """Handle received bytes."""
+        """Process bytes that the connection has received."""
         super().data_received(data)
         if self.transport.is_closing() or self.conn.their_state is not h11.IDLE:
             self._heard()
@@ -136,7 +136,7 @@ class PageConnection(H11Protocol):
         super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget a connection that has ended."""
+        """Forget a connection of the page that has ended."""
         self._heard()
         super().connection_lost(exc)
 
@@ -162,7 +162,7 @@ class PageConnection(H11Protocol):
 
 
 class SecuringConnection(asyncio.Protocol):
-    """An accepted connection during its TLS handshake; then a `PageConnection` takes its place.
+    """A connection of the page during its TLS handshake; a `PageConnection` takes its place then.
 
     Args:
         shared: state shared with the other connections.
@@ -182,7 +182,7 @@ class SecuringConnection(asyncio.Protocol):
         self._handshake: asyncio.Task[None] | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begin the handshake of an accepted connection if there is room."""
+        """Begin the TLS handshake of an accepted connection if the page's limit allows it."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         self._connections.add(self)
@@ -219,7 +219,7 @@ class SecuringConnection(asyncio.Protocol):
         self._early.append(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget a connection that has ended."""
+        """Forget a connection that has ended during its TLS handshake."""
         self._has_ended = True
         self._shared.waiting.pop(self, None)
         self._connections.discard(self)
@@ -233,12 +233,12 @@ class SecuringConnection(asyncio.Protocol):
             self._transport.abort()
 
     def shutdown(self) -> None:
-        """Close the connection because the page is stopped."""
+        """Close the connection, because the page is being stopped."""
         self.close_unheard()
 
 
 def subject_of(certificate: bytes | None) -> str:
-    """The subject of a certificate in DER, as RFC 4514 writes it: ``CN=anna,O=plant``; empty without one."""
+    """Return the subject of a certificate in DER as RFC 4514 writes it: ``CN=anna,O=plant``; empty without one."""
     if not certificate:
         return ""
     from cryptography import x509

@@ -1,4 +1,4 @@
-"""Faults of a simulation as the API shows and changes them.
+"""Faults of a simulation as its HTTP API shows and changes them.
 
 Knows a board of faults and the fault profiles they are made of; knows no HTTP.
 """
@@ -14,22 +14,22 @@ from .subject import Board
 
 
 def all_faults(board: Board) -> list[FaultAnswer]:
-    """All faults that were added, in the order in which they act."""
+    """Return all faults that were added to a simulation, in the order in which they act."""
     return [_fault(one) for one in board.list()]
 
 
 def all_fault_profiles(board: Board) -> list[FaultyAnswer]:
-    """All fault profiles that can be added."""
+    """Return all fault profiles from which a fault can be made."""
     return [_fault_profile(one) for one in board.fault_profiles.values()]
 
 
 def fault_named(board: Board, name: str) -> FaultAnswer:
-    """The fault with this name. Raises `ConfigError` for an unknown name."""
+    """Return the fault with this name. Raises `ConfigError` for an unknown name."""
     return _fault(board.status(name))
 
 
 def add_fault_to(board: Board, wanted: NewFault) -> FaultAnswer:
-    """Add a fault. Raises `ConfigError` for an invalid name, parameter or address range."""
+    """Add a fault to a simulation. Raises `ConfigError` for an invalid name, parameter or address range."""
     name = board.add(
         wanted.fault_profile,
         name=wanted.name,
@@ -69,7 +69,7 @@ def _addresses(first: int | None, last: int | None) -> range | None:
 
 
 def _selection(selection: Selection) -> dict[str, Any]:  # Any: values of several types
-    """The filters of a fault, without those that select everything."""
+    """Return the filters of a fault, without those that select everything."""
     shown: dict[str, Any] = {}
     if selection.units is not None:
         shown["units"] = sorted(selection.units)

@@ -1,4 +1,4 @@
-"""Starts and stops the control API and its page on one address, in the running event loop.
+"""Serves a web page and its HTTP API on one address, in the running event loop.
 
 Knows sockets, the files of the page and the HTTP server; knows no resource.
 
@@ -96,7 +96,7 @@ _HEADERS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """A file of the page."""
+    """One file of the web page, with its type."""
 
     content: bytes
     kind: str
@@ -104,7 +104,7 @@ class _File:
 
 
 class HostedPage(ABC):
-    """An API and its page while the ``async with`` block lasts.
+    """Base of web pages with an API: serves them while the ``async with`` block lasts.
 
     Args:
         at: host and port; port 0 takes a free one.
@@ -136,24 +136,24 @@ class HostedPage(ABC):
 
     @abstractmethod
     def application(self, rules: PageAccessRules) -> Application:
-        """The ASGI application, with these rules of access."""
+        """Return the ASGI application of page and API, with these access rules."""
 
     def _lasting(self) -> contextlib.AbstractContextManager[object]:
-        """What lasts from before the first request until after the last one; nothing unless a page has something."""
+        """Context manager around all requests, for what a page needs meanwhile; by default nothing."""
         return contextlib.nullcontext()
 
     @property
     def page_url(self) -> str:
-        """URL of the page for a person, with the token if there is one: it gives access to the API."""
+        """Return the URL of the page for people, with the token, if there is one, which gives access."""
         return f"{self.url}#token={self.token}" if self.token else self.url
 
     @property
     def announced_url(self) -> str:
-        """URL of the page for logs and terminals: with the token only if it was made here and stands nowhere else."""
+        """Return the URL of the page for logs: with the token only if it was made here and is nowhere else."""
         return self.url if self._given is not None else self.page_url
 
     def _rules(self, *, local: bool) -> PageAccessRules:
-        """Who may ask, on loopback or elsewhere: a single token, of all roles; on loopback all without it."""
+        """Return who may use the page: by default any caller on loopback, else those who have the one token."""
         self.token = self._given if self._given is not None else "" if local else new_token()
         if not self.token:
             return PageAccessRules(without_token=Role.CONFIGURE, is_loopback=local)
@@ -161,7 +161,7 @@ class HostedPage(ABC):
         return PageAccessRules(lambda: tokens, is_loopback=local)
 
     async def start(self) -> None:
-        """Listen.
+        """Begin to serve the page and its API.
 
         Raises:
             LinkDown: the address cannot be bound.
@@ -191,7 +191,7 @@ class HostedPage(ABC):
             self._opened = unless_started.pop_all()
 
     async def stop(self) -> None:
-        """Stop listening and close all connections."""
+        """Stop serving the page and close all connections."""
         task, self._task = self._task, None
         if task is not None and self._server is not None:
             self._server.should_exit = True
@@ -256,7 +256,7 @@ class ControlPage(HostedPage):
             self.traffic.stop()
 
     def application(self, rules: PageAccessRules) -> Application:
-        """The ASGI application, with these rules of access."""
+        """Return the ASGI application of the simulation's page and API, with these access rules."""
         inner = page_application(
             "busway simulator",
             "Values, faults and traffic of a simulated plant. The WebSocket /stream reports events as they happen.",
@@ -271,12 +271,12 @@ class ControlPage(HostedPage):
 
 
 def page_application(title: str, description: str) -> FastAPI:
-    """An application without routes that logs what it cannot answer."""
+    """Return a FastAPI application without routes that logs errors which it cannot answer."""
     return new_application(title, description, {Exception: _failed})
 
 
 def guarded(inner: FastAPI, shown: FilesByPath, rules: PageAccessRules) -> Application:
-    """An application with the files of its page, under rules of access."""
+    """Return an application with the files of its page added, under access rules."""
     page = _read_files(shown)
 
     async def show_file(request: Request) -> Response:
@@ -292,7 +292,7 @@ def guarded(inner: FastAPI, shown: FilesByPath, rules: PageAccessRules) -> Appli
 
 
 class _Server(uvicorn.Server):
-    """The HTTP server. It leaves signals to the program, and reports when it listens."""
+    """The HTTP server of the page (uvicorn). It leaves signals to the program, and reports when it listens."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
@@ -300,11 +300,11 @@ class _Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Leave signals to the program."""
+        """Leave signals such as Ctrl-C to the program."""
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen."""
+        """Begin to listen."""
         await super().startup(sockets)
         self.answering.set()
 
@@ -328,7 +328,7 @@ def _configured(application: Application, context: WatchedContext | None) -> uvi
 
 
 def _read_files(shown: FilesByPath) -> dict[str, _File]:
-    """The files of a page by path."""
+    """Return the files of a page by path."""
     place = files(__package__) / "page"
     found = {}
     for path, (name, kind) in shown.items():
@@ -360,6 +360,6 @@ async def _failed(request: Request, error: Exception) -> Response:
 
 
 def _reachable_name(bound: socket.socket) -> str:
-    """Host and port for a browser: the name of this machine if it listens on every interface."""
+    """Return host and port for a browser: the name of this machine if the page listens everywhere."""
     host, port = bound.getsockname()[:2]
     return f"{socket.gethostname()}:{port}" if host in ("0.0.0.0", "::") else bound_name(bound)

@@ -1,4 +1,4 @@
-"""The last committed value of each point, and the changes since a tick as one JSON text for all viewers.
+"""The last committed value of each point, and what changed between two ticks as one JSON text for all viewers.
 
 Knows commits and places of points; knows no request and no WebSocket. `LiveValues.update` is called by the thread of
 the store, everything else by any other.
@@ -26,7 +26,7 @@ _MILLION: Final = 1_000_000
 
 
 class LiveValues:
-    """The last committed values of all points, by their place in the list of points.
+    """The last committed values of all points, by their positions in the list of points.
 
     Args:
         points: device and name of each point, in the order in which viewers have them.
@@ -56,7 +56,7 @@ class LiveValues:
         self._texts: dict[int, str] = {}
 
     def update(self, commit: Commit) -> None:
-        """Add the samples of a commit."""
+        """Take over the samples of a commit."""
         with self._lock:
             for batch in commit.batches:
                 self._waiting[batch.group] = batch
@@ -68,7 +68,7 @@ class LiveValues:
                 self._advance()
 
     def advance(self) -> bool:
-        """Start a new tick with the samples committed since the last one; False, and no tick, without any."""
+        """Begin a new tick with the samples committed since the last one; returns False if there are none."""
         with self._lock:
             if not self._waiting and not self._unapplied:
                 return False
@@ -86,7 +86,7 @@ class LiveValues:
             self._apply(self._intervals[device])
 
     def _apply(self, interval: StateInterval) -> None:
-        """Rule 3."""
+        """Change last values by the samples of a commit, by rule 3."""
         always = interval.end is None and interval.reason == Reason.MAINTENANCE
         begin = interval.begin // _MILLION
         for place in self._by_device.get(interval.device, ()):
@@ -117,13 +117,13 @@ class LiveValues:
         return found
 
     def columns(self) -> tuple[list[Value | None], list[int], list[int]]:
-        """The current values, reasons and times of all points."""
+        """Return current values, reasons and times of all points as columns."""
         self.advance()
         with self._lock:
             return self.values.copy(), self.reasons.copy(), self.times.copy()
 
     def since(self, seen: int) -> str:
-        """The changes since a tick, as JSON without its outer braces; computed once for viewers at the same tick.
+        """Return the changes since a tick, as JSON without its outer braces; made once for all viewers.
 
         ``read`` has a first place, a number of places and a time for each run of points; ``changed`` a first place, and
         values and reasons of a run; ``reasons`` the quality and text of the reasons among them.
@@ -150,7 +150,7 @@ class LiveValues:
         return {"read": read, "changed": changed, "reasons": {str(reason): reason_shown(reason) for reason in used}}
 
     def _runs(self, seen: int) -> tuple[list[Any], set[int]]:
-        """Runs of changed points, each as first place, values and reasons; a single reason if all are equal."""
+        """Return runs of changed points, each as first position, values and reasons; one reason if all are equal."""
         runs: list[Any] = []
         used: set[int] = set()
         end, values, reasons = -1, list[Any](), list[int]()
@@ -172,5 +172,5 @@ class LiveValues:
 
 
 def reason_shown(reason: int) -> list[str]:
-    """The quality and the reason of a sample as texts."""
+    """Return quality and reason of a sample as texts."""
     return [quality_of(reason).label, reason_text(reason) if reason else ""]

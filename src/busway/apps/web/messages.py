@@ -1,4 +1,4 @@
-"""Requests and responses of the API as JSON. Durations are seconds; times are seconds since 1970.
+"""Requests and responses of a simulation's HTTP API, as data classes. Durations are seconds; times since 1970.
 
 Knows shapes; knows no simulation.
 
@@ -22,23 +22,23 @@ _NOT_IN_JSON: Final = ("NaN", "Infinity", "-Infinity")
 
 
 class Asked(BaseModel):
-    """Body or query of a request."""
+    """Base of data classes for the body or query of a request."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
 
 class Answer(BaseModel):
-    """Body of a response."""
+    """Base of data classes for the body of a response."""
 
 
 class Failure(Answer):
-    """Why a request failed."""
+    """Response: why a request failed."""
 
     error: str = Field(description="A sentence.")
 
 
 class Nothing(Answer):
-    """The request was done; there is nothing to return."""
+    """Response: the request was executed, and there is nothing to return."""
 
     done: bool = True
 
@@ -47,7 +47,7 @@ class Nothing(Answer):
 
 
 class PointAnswer(Answer):
-    """A point and its value."""
+    """Response: a point and its value."""
 
     index: int = Field(description="its place among all points, as the stream numbers them")
     key: str = Field(description="UNIT/NAME")
@@ -73,14 +73,14 @@ class PointAnswer(Answer):
 
 
 class PointsMessage(Answer):
-    """Points, in the order of the file."""
+    """Response: points, in the order of the file."""
 
     points: list[PointAnswer]
     total: int = Field(description="how many there are with these filters, without the limit")
 
 
 class PointsQuery(Asked):
-    """Filters of points."""
+    """Query: which points are wanted."""
 
     unit: Annotated[int, Field(ge=0, le=255)] | None = Field(None, description="only this unit")
     search: str | None = Field(None, description="only where key, description or unit of measure has this")
@@ -89,32 +89,32 @@ class PointsQuery(Asked):
 
 
 class NewValue(Asked):
-    """Body of a request to write one point: a value in its unit of measure, or the name of a named value."""
+    """Request to write one point: a value in its unit of measure, or the name of a value."""
 
     value: Plain
 
 
 class Values(Answer):
-    """Body of a request to write several points: values by key of the point."""
+    """Response: values by key of the point."""
 
     values: dict[str, Plain]
 
 
 class NewValues(Asked):
-    """Body of a request to write several points: values by key of the point."""
+    """Request to write several points: values by key of the point."""
 
     values: Annotated[dict[str, Plain], Field(max_length=100_000)]
 
 
 class Written(Answer):
-    """Result of setting many values."""
+    """Response: how many of several values were set, and why others were not."""
 
     written: int
     refused: dict[str, str] = Field(default_factory=dict, description="sentences by key")
 
 
 class UnitAnswer(Answer):
-    """A unit."""
+    """Response: a unit of the simulation."""
 
     unit: int
     name: str = ""
@@ -122,7 +122,7 @@ class UnitAnswer(Answer):
 
 
 class Units(Answer):
-    """The units."""
+    """Response: the units of the simulation."""
 
     units: list[UnitAnswer]
 
@@ -131,7 +131,7 @@ class Units(Answer):
 
 
 class ParameterAnswer(Answer):
-    """A parameter of a fault profile, with its default."""
+    """Response: a parameter of a fault profile, with its default."""
 
     name: str
     default: Plain = None
@@ -141,7 +141,7 @@ class ParameterAnswer(Answer):
 
 
 class FaultyAnswer(Answer):
-    """A fault profile."""
+    """Response: a fault profile that can be added."""
 
     name: str
     happens: str
@@ -151,7 +151,7 @@ class FaultyAnswer(Answer):
 
 
 class FaultAnswer(Answer):
-    """A fault that was added."""
+    """Response: a fault that was added."""
 
     name: str
     fault_profile: str
@@ -163,14 +163,14 @@ class FaultAnswer(Answer):
 
 
 class FaultsMessage(Answer):
-    """Faults that were added, and fault profiles that can be."""
+    """Response: the faults that were added, and the fault profiles that can be."""
 
     faults: list[FaultAnswer]
     fault_profiles: list[FaultyAnswer]
 
 
 class NewSchedule(Asked):
-    """When a fault is on, in seconds since it was switched on."""
+    """Request: when a new fault is active, in seconds since it was switched on."""
 
     after: Annotated[float, Field(ge=0)] = 0.0
     lasts: Annotated[float, Field(ge=0)] | None = None
@@ -180,7 +180,7 @@ class NewSchedule(Asked):
 
 
 class NewFault(Asked):
-    """A fault to add; a filter that is left out selects everything."""
+    """Request to add a fault; a filter that is left out selects everything."""
 
     fault_profile: str
     name: str = Field("", max_length=100, description="what to call it; by default as its fault profile")
@@ -195,7 +195,7 @@ class NewFault(Asked):
 
 
 class Switch(Asked):
-    """On or off."""
+    """Request to switch a fault on or off."""
 
     on: bool
 
@@ -204,19 +204,19 @@ class Switch(Asked):
 
 
 class Connections(Answer):
-    """Connections, the oldest first."""
+    """Response: the open Modbus connections, the oldest first."""
 
     connections: list[dict[str, Any]] = Field(description="as `busway status` shows them")
 
 
 class LinesMessage(Answer):
-    """Listeners, with their status indicators and diagnostic counters."""
+    """Response: listeners, with their status indicators and diagnostic counters."""
 
     lines: list[dict[str, Any]]
 
 
 class CountersMessage(Answer):
-    """Counters since the start or the last reset."""
+    """Response: counters of the server since the start or the last reset."""
 
     counters: dict[str, Any]
 
@@ -225,7 +225,7 @@ class CountersMessage(Answer):
 
 
 class FieldAnswer(Answer):
-    """A field of a PDU."""
+    """Response: one field of a PDU."""
 
     name: str
     data: str = Field(description="hexadecimal")
@@ -234,7 +234,7 @@ class FieldAnswer(Answer):
 
 
 class FrameAnswer(Answer):
-    """A frame on the wire."""
+    """Response: one frame of the Modbus traffic."""
 
     number: int = Field(description="counts up by one")
     at: float
@@ -253,7 +253,7 @@ class FrameAnswer(Answer):
 
 
 class TrafficMessage(Answer):
-    """Frames, the oldest first."""
+    """Response: frames of the Modbus traffic, the oldest first."""
 
     frames: list[FrameAnswer]
     last: int = Field(description="number of the last frame that passed; ask with `after` for what comes next")
@@ -261,7 +261,7 @@ class TrafficMessage(Answer):
 
 
 class TrafficQuery(Asked):
-    """Filters of frames."""
+    """Query: which frames of the Modbus traffic are wanted."""
 
     limit: Annotated[int, Field(ge=1, le=2000)] = 100
     after: Annotated[int, Field(ge=0)] | None = Field(None, description="only those with a higher number")
@@ -271,7 +271,7 @@ class TrafficQuery(Asked):
 
 
 class SimulationAnswer(Answer):
-    """State of the simulation."""
+    """Response: the state of the simulation."""
 
     name: str
     version: str
@@ -286,14 +286,14 @@ class SimulationAnswer(Answer):
 
 
 class SimulationChange(Asked):
-    """New settings of the simulation; those left out stay."""
+    """Request to change settings of the simulation; those left out stay."""
 
     speed: Annotated[float, Field(gt=0, le=100_000)] | None = None
     paused: bool | None = None
 
 
 def plain_value(value: Any) -> Plain:
-    """A value as JSON can represent it (`Plain`)."""
+    """Return a value as JSON can represent it (`Plain`)."""
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return value
     if isinstance(value, int):
@@ -310,10 +310,10 @@ def plain_value(value: Any) -> Plain:
 
 
 def plain_values(values: Mapping[str, Any]) -> dict[str, Plain]:
-    """Several values as JSON can represent them (`Plain`)."""
+    """Return several values as JSON can represent them (`Plain`)."""
     return {str(name): plain_value(value) for name, value in values.items()}
 
 
 def given_value(value: Plain) -> Plain:
-    """A value of a request; texts for numbers that JSON does not have become those numbers."""
+    """Return the value in a request; texts for numbers that JSON does not have become those numbers."""
     return float(value) if isinstance(value, str) and value in _NOT_IN_JSON else value

@@ -1,4 +1,4 @@
-"""The FastAPI application of the API: how errors are answered, and its OpenAPI document.
+"""The FastAPI application of a page's API: how errors are answered, and its OpenAPI document.
 
 Knows FastAPI, JSON and HTTP; knows no simulation. FastAPI makes routes, checks and document from functions of `api`.
 
@@ -32,7 +32,7 @@ ErrorHandler = Callable[[Request, Any], Coroutine[Any, Any, Response]]  # Any: t
 
 
 def new_application(title: str, description: str, handlers: Mapping[Any, ErrorHandler]) -> FastAPI:
-    """An application without routes. ``handlers`` answer further exceptions, by class."""
+    """Return a FastAPI application without routes. ``handlers`` answer further exceptions, by class."""
     return FastAPI(
         title=title,
         version=__version__,
@@ -58,7 +58,7 @@ def secure_document(application: FastAPI) -> None:
 
 
 def failed(status: int, sentence: str) -> Response:
-    """A `Failure`. Text of a client in it may not be Unicode: half of a surrogate pair is escaped."""
+    """Return the response for a failed request; characters that are no Unicode in a client's text are escaped."""
     sentence = sentence.encode("utf-8", "backslashreplace").decode()
     return Response(Failure(error=sentence).model_dump_json(), status, media_type="application/json")
 
@@ -88,5 +88,5 @@ async def _not_possible(request: Request, error: ModbusError) -> Response:
 
 
 def _place(path: tuple[int | str, ...]) -> str:
-    """The key in a request that an error is about, without FastAPI's prefix."""
+    """Return the key in a request that an error is about, without FastAPI's prefix."""
     return ".".join(str(part) for part in path[1:]) or "the body"

@@ -40,17 +40,17 @@ _log = logging.getLogger("busway.apps.web")
 
 
 def new_token() -> str:
-    """A random token: 32 characters."""
+    """Return a random access token of 32 characters."""
     return secrets.token_urlsafe(_TOKEN_BYTES)
 
 
 def is_token(text: str) -> bool:
-    """Whether a text is long enough as a token, and valid in a header, in a subprotocol and behind ``#``."""
+    """Whether a text is long enough for an access token, and valid in a header, a subprotocol and a URL fragment."""
     return len(text) >= SHORTEST_TOKEN and text.isascii() and all(one.isalnum() or one in "-._~" for one in text)
 
 
 class KeptTokens:
-    """The access tokens in a file.
+    """The access tokens of a page in a file.
 
     Args:
         path: the file; where there is none it is made, with a token for each role.
@@ -66,7 +66,7 @@ class KeptTokens:
         self._tokens = read_tokens(path)
 
     def current(self) -> tuple[AccessToken, ...]:
-        """The current access tokens; never raises."""
+        """Return the current access tokens; never raises."""
         state = self._look()
         if state != self._state:
             self._state = state

@@ -1,4 +1,4 @@
-"""The WebSocket ``/stream``: reports changes of a simulation to clients as JSON texts.
+"""``/stream`` of a simulation's page: a WebSocket that sends changes to viewers as JSON texts.
 
 Knows clients and what they subscribed to; knows no page.
 
@@ -45,7 +45,7 @@ Index = Annotated[int, Field(ge=0)]
 
 
 class Wish(Asked):
-    """A client's message that selects what it is sent from now on; a key that is left out stays unchanged.
+    """Message of a viewer: what it wants to be sent from now on; a key that is left out stays unchanged.
 
     Attributes:
         points: their numbers, as ``/api/points`` gives them, or ``all``.
@@ -59,7 +59,7 @@ class Wish(Asked):
 
 
 class Client:
-    """One WebSocket client: what it has selected, and the changes that it was not sent yet."""
+    """One viewer's WebSocket: what it wants, and the changes that it was not sent yet."""
 
     def __init__(self, api: Api) -> None:
         self._api = api
@@ -74,7 +74,7 @@ class Client:
         self.skipped: int = 0
 
     def wish(self, wish: Wish) -> str:
-        """Apply a client's selection. Returns the reason if it is impossible, else an empty text."""
+        """Apply the message in which a viewer says what it wants. Returns why it is impossible, or an empty text."""
         count = len(self._api.order)
         if wish.points == "all":
             if count > MOST_POINTS:
@@ -102,7 +102,7 @@ class Client:
     # What happens, told by the hub.
 
     def changed(self, indices: Sequence[int]) -> None:
-        """Note points that have changed."""
+        """Note points that have changed and must be sent to the viewer."""
         if self._wants_all:
             self._changed.update(dict.fromkeys(indices))
         else:
@@ -112,19 +112,19 @@ class Client:
             self._wake.set()
 
     def passed(self) -> None:
-        """Note that a frame was recorded."""
+        """Note a Modbus frame that must be sent to the viewer."""
         if self._wants_traffic:
             self._wake.set()
 
     def switched(self) -> None:
-        """Note that a fault was added, removed or switched."""
+        """Note that a fault was added, removed or switched, which must be sent to the viewer."""
         self._has_switched = True
         self._wake.set()
 
     # What is sent.
 
     async def next(self) -> dict[str, Any]:  # Any: JSON
-        """Wait for the next message to send to the client."""
+        """Wait for the next message to send to the viewer."""
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(self._status_due - time.monotonic(), 0.0)):
@@ -176,7 +176,7 @@ class Client:
 
 
 class Streams:
-    """All WebSocket clients of the page.
+    """The WebSockets of all viewers of the page.
 
     Args:
         api: the resources that they watch.
@@ -193,7 +193,7 @@ class Streams:
         return len(self._clients)
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve one WebSocket until it ends."""
+        """Serve the WebSocket of one viewer until it ends."""
         if len(self._clients) >= CLIENTS:
             await socket.close(_TRY_AGAIN_LATER, f"there are {CLIENTS} already")
             return
@@ -274,7 +274,7 @@ class Streams:
         self._tell(Client.switched)
 
     def _tell(self, say: Callable[[Client], None]) -> None:
-        """Call a function with each WebSocket client, in the thread of the event loop."""
+        """Call a function for each viewer's WebSocket, in the thread of the event loop."""
         if threading.get_ident() == self._thread:
             self._say(say)
         elif self._loop is not None and not self._loop.is_closed():

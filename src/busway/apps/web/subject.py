@@ -1,4 +1,4 @@
-"""The interface of a simulation that the API needs.
+"""The interface of a simulation, as its page and HTTP API use it.
 
 Knows the shape of a simulation; knows no implementation. `busway.apps.simulator.simulation` has it.
 """
@@ -13,7 +13,7 @@ from ...server.status import ServerStatus
 
 
 class ShownPoint(Protocol):
-    """A named value of a unit; `busway.apps.simulator.simulated.SimulatedPoint` says what each of these is."""
+    """Interface of a simulated point as the page shows it; `SimulatedPoint` says what each attribute is."""
 
     @property
     def key(self) -> str: ...
@@ -58,7 +58,7 @@ class ShownPoint(Protocol):
 
 
 class PageUnit(Protocol):
-    """A simulated device."""
+    """Interface of a simulated device as the page shows it."""
 
     @property
     def unit(self) -> int: ...
@@ -69,32 +69,32 @@ class PageUnit(Protocol):
 
 
 class PointChange(Protocol):
-    """A new value of a point."""
+    """Interface of a change of a point's value."""
 
     @property
     def key(self) -> str:
-        """``UNIT/NAME``."""
+        """Key of the changed point: ``UNIT/NAME``."""
 
 
 class ServedUnits(Protocol):
-    """The server in front of the units."""
+    """Interface of the Modbus server that serves the simulated devices."""
 
     @property
     def endpoints(self) -> list[str]:
-        """URLs as they are bound."""
+        """URLs of the server's listeners as they are bound."""
 
     def status(self) -> ServerStatus:
-        """Present state: listeners, connections, counters."""
+        """Return the state of the server: listeners, connections, counters."""
 
     def reset_counters(self) -> None:
-        """Set the counters to zero."""
+        """Set the counters of the server to zero."""
 
 
 Watcher = Callable[[Sequence[Any]], None]  # Any: `PointChange`
 
 
 class Board(Protocol):
-    """Faults by name; `busway.faults.switchboard.FaultSwitchboard` says what each of these does."""
+    """Interface of the simulation's faults by name; `FaultSwitchboard` says what each method does."""
 
     @property
     def fault_profiles(self) -> FaultProfileTable: ...
@@ -125,32 +125,32 @@ class Board(Protocol):
 
 
 class PageSubject(Protocol):
-    """A simulation."""
+    """Interface of a simulation, as its page needs it."""
 
     @property
     def units(self) -> Mapping[int, PageUnit]:
-        """The units by number."""
+        """The simulated devices by unit number."""
 
     @property
     def points(self) -> Mapping[str, Any]:  # Any: `ShownPoint`
-        """The points by key."""
+        """The simulated points by key."""
 
     @property
     def server(self) -> ServedUnits:
-        """The Modbus server."""
+        """The Modbus server of the simulation."""
 
     @property
     def board(self) -> Board:
-        """The switchboard of faults."""
+        """The faults of the simulation."""
 
     def set(self, key: str, value: Any, who: str) -> Any:  # Any: what the point's type says
-        """Set a point; the value holds against its behaviour until `release`. Raises `InvalidRequest`."""
+        """Set a point; it keeps the value, whatever its behaviour, until `release`. Raises `InvalidRequest`."""
 
     def release(self, key: str) -> Any:
-        """Let the behaviour of a point continue."""
+        """Let a point that was set follow its behaviour again."""
 
     def watch(self, callback: Watcher) -> Any:
-        """Call ``callback`` with each group of changes. Returns a function that ends it."""
+        """Have ``callback`` called with each group of changed values. Returns a function that ends it."""
 
     # Time.
 
@@ -160,13 +160,13 @@ class PageSubject(Protocol):
 
     @property
     def time(self) -> float:
-        """Seconds since the simulation began."""
+        """Seconds of simulated time since the simulation began."""
 
     def change_speed(self, speed: float) -> None:
-        """Set the seconds of the simulation per second."""
+        """Set how many simulated seconds pass in one second."""
 
     def pause(self) -> None:
-        """Stop the time of the simulation."""
+        """Stop the simulated time."""
 
     def resume(self) -> None:
-        """Let the time of the simulation continue."""
+        """Let the simulated time continue."""

@@ -1,4 +1,4 @@
-"""Keeps the last frames on the wire for the page; they are dissected only when shown.
+"""Keeps the latest Modbus frames of a simulation for its page; they are explained only when shown.
 
 Knows frames and times; knows no page. It takes the place of a capture file (`busway.observe.trace`), and passes
 everything on to the file if there is one.
@@ -35,7 +35,7 @@ _ASKED: Final = 16
 
 
 class Passed:
-    """A recorded frame, or damaged bytes.
+    """One recorded frame, or damaged bytes.
 
     Attributes:
         number: counts up by one.
@@ -87,7 +87,7 @@ class Passed:
 
 
 class Traffic:
-    """Records the last frames, from `start` to `stop`.
+    """Records the latest Modbus frames, from `start` to `stop`.
 
     Args:
         ports: returns the ports that the server listens on; called for each new connection.
@@ -117,7 +117,7 @@ class Traffic:
         self._is_on = False
 
     def start(self) -> None:
-        """Record connections opened from now on. Raises `ConfigError` if it is recording already."""
+        """Record frames of connections opened from now on. Raises `ConfigError` if it is recording already."""
         if self._is_on:
             raise ConfigError("the traffic is recorded already", key="traffic")
         self._is_on = True
@@ -125,7 +125,7 @@ class Traffic:
         TRACE.capture_into(self)
 
     def stop(self) -> None:
-        """Stop recording; the recorded frames stay."""
+        """Stop recording frames; those recorded stay."""
         self._is_on = False
         if TRACE.capture is self:
             below = self._before
@@ -134,7 +134,7 @@ class Traffic:
             TRACE.capture_into(below)
 
     def watch(self, passed: Callable[[], None]) -> Callable[[], None]:
-        """Call ``passed`` after each frame. Returns a function that ends it."""
+        """Have ``passed`` called after each frame. Returns a function that ends it."""
         self._watchers = (*self._watchers, passed)
 
         def unwatch() -> None:
@@ -145,7 +145,7 @@ class Traffic:
     # What was seen.
 
     def after(self, number: int, limit: int) -> list[Passed]:
-        """The last frames with a higher number, at most ``limit``, the oldest first."""
+        """Return the latest frames with a number above this one, at most ``limit``, the oldest first."""
         found: list[Passed] = []
         for one in reversed(self._tail):
             if one.number <= number or len(found) == limit:
@@ -155,11 +155,11 @@ class Traffic:
 
     @property
     def first(self) -> int:
-        """Number of the oldest frame kept; one more than the last if there is none."""
+        """Return the number of the oldest frame kept; one more than the last if there is none."""
         return self._tail[0].number if self._tail else self.last + 1
 
     def shown(self, passed: Passed) -> FrameAnswer:
-        """A recorded frame, dissected for the page."""
+        """Return a recorded frame, explained field by field, for the page."""
         if passed.shown is None:
             passed.shown = self._described(passed)
         return passed.shown
@@ -167,7 +167,7 @@ class Traffic:
     # The interface of a recorder of the trace.
 
     def connection(self, ends: SocketAddresses) -> "ConnectionRecorder":
-        """Start to record a connection between these addresses."""
+        """Return a recorder for a connection between these addresses."""
         onward = None if self._before is None else self._before.connection(ends)
         local = ends.local
         port = local[1] if isinstance(local, tuple) and len(local) > 1 else None
@@ -176,7 +176,7 @@ class Traffic:
         return _Connection(self, peer_name(ends.peer), onward)
 
     def line(self, name: str) -> "LineRecorder":
-        """Start to record a serial line, or a connection with its framing."""
+        """Return a recorder for a serial line, or for a connection with serial framing."""
         onward = None if self._before is None else self._before.line(name)
         if not self._is_on:
             return onward if onward is not None else _NOTHING
@@ -193,7 +193,7 @@ class Traffic:
         reason: str = "",
         at: float | None = None,
     ) -> Passed:
-        """Record a frame."""
+        """Record one frame."""
         self.last += 1
         passed = Passed(
             self.last,
@@ -251,7 +251,7 @@ class Traffic:
 
 
 class _Requests:
-    """The unanswered requests of one connection, to match their replies."""
+    """The unanswered requests of one connection, by which its replies are explained."""
 
     __slots__ = ("_asked",)
 
@@ -271,7 +271,7 @@ class _Requests:
 
 
 class _Connection:
-    """Recorder of a connection of Modbus over TCP, TLS or UDP."""
+    """Records the frames of one Modbus connection over TCP, TLS or UDP."""
 
     __slots__ = ("_incoming", "_onward", "_outgoing", "_peer", "_requests", "_traffic")
 
@@ -284,14 +284,14 @@ class _Connection:
         self._requests = _Requests()
 
     def received(self, data: bytes) -> None:
-        """Record received bytes."""
+        """Record bytes that the connection received."""
         if self._onward is not None:
             self._onward.received(data)
         for passed in self._frames(self._incoming, data, is_reply=False):
             self._requests.asked(passed.transaction, passed)
 
     def sent(self, data: bytes) -> None:
-        """Record sent bytes."""
+        """Record bytes that the connection sent."""
         if self._onward is not None:
             self._onward.sent(data)
         for passed in self._frames(self._outgoing, data, is_reply=True):
@@ -312,7 +312,7 @@ class _Connection:
 
 
 class _Line:
-    """Recorder of a serial line, or of a connection with its framing."""
+    """Records the frames of one serial line, or of a connection with serial framing."""
 
     __slots__ = ("_onward", "_peer", "_requests", "_traffic")
 
@@ -323,7 +323,7 @@ class _Line:
         self._requests = _Requests()
 
     def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
-        """Record a frame or damaged chunk."""
+        """Record a frame or damaged bytes of the line."""
         if self._onward is not None:
             self._onward.heard(found, at=at, is_outgoing=is_outgoing)
         if isinstance(found, Damaged):
@@ -339,7 +339,7 @@ class _Line:
 
 
 class _Nothing:
-    """Recorder that records nothing."""
+    """Recorder that records nothing, once recording has stopped."""
 
     __slots__ = ()
 
@@ -350,7 +350,7 @@ class _Nothing:
         """Ignore sent bytes."""
 
     def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
-        """Ignore a frame or damaged chunk."""
+        """Ignore a frame or damaged bytes."""
 
 
 _NOTHING: Final = _Nothing()

@@ -152,7 +152,7 @@ class CollectorFile(SystemFile):
     listener: Annotated[list[ListenerSection], BeforeValidator(_none_here)] = Field(default_factory=list)
 
     def class_of(self, device: CollectedDeviceSection) -> str:
-        """The poll class of a device's points that name none; empty if the device names none and there are several."""
+        """Return the poll class of a device's points that name none; empty if it is not clear which."""
         return device.poll_class or (next(iter(self.poll_class)) if len(self.poll_class) == 1 else "")
 
     def _whole_faults(self) -> Iterator[tuple[Path, str]]:

@@ -104,7 +104,7 @@ def _option(name: str, field: Any) -> Option:  # as pydantic has it
 
 
 class FileProblems(ValueError):
-    """Error of a validator with all problems inside its section: for each the path and a sentence.
+    """Error of a check inside a file's section, with all problems found there: path and sentence of each.
 
     pydantic gives an error of a whole section the section's place; this carries the places inside.
     """
@@ -119,7 +119,7 @@ File = TypeVar("File", bound=Section)
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A parsed TOML text: its data, and the line of each key.
+    """A parsed TOML file: its data, and the line of each key.
 
     Attributes:
         name: of the file, for the sentences.
@@ -132,12 +132,12 @@ class Source:
     lines: Mapping[Path, int]
 
     def problem(self, path: Path, sentence: str) -> ConfigError:
-        """Build the error for a problem at a path, with file, line and key."""
+        """Return the error for a problem at a path of the file, with file, line and key."""
         standing = _standing(path, self.lines)
         return ConfigError(sentence, file=self.name, line=line_of(self.lines, standing), key=_written(standing))
 
     def checked(self, schema: type[File], *at: str | int) -> File:
-        """The data, or the part at a path, checked by a schema class. Raises `FileError` with all problems."""
+        """Return the data as a checked object of a schema class. Raises `FileError` with all problems."""
         part: Any = self.data  # what TOML has
         for key in at:
             part = part[key]
@@ -159,7 +159,7 @@ def read_source(text: str, name: str) -> Source:
 
 
 def parse_with_source(text: str, schema: type[File], name: str) -> tuple[File, Source]:
-    """Parse a TOML text and check it by a schema class; the file, and where everything in it stands.
+    """Parse a TOML text and check it by a schema class; returns the checked file, and the line of each key.
 
     Args:
         text: the file's text, in TOML.
@@ -174,18 +174,18 @@ def parse_with_source(text: str, schema: type[File], name: str) -> tuple[File, S
 
 
 def parse_file(text: str, schema: type[File], name: str) -> File:
-    """As `parse_with_source`, the file alone."""
+    """Parse a TOML text and check it by a schema class; returns the checked file."""
     return parse_with_source(text, schema, name)[0]
 
 
 def in_order(problems: Iterable[ConfigError]) -> list[ConfigError]:
-    """Problems sorted by line, without duplicates."""
+    """Return problems of a file sorted by line, without duplicates."""
     once = {(each.line, each.key, each.message): each for each in problems}
     return sorted(once.values(), key=lambda each: each.line or 0)
 
 
 def _syntax_problem(text: str, error: tomllib.TOMLDecodeError, name: str) -> ConfigError:
-    """The error for invalid TOML; ``tomllib`` gives the line in words: ``… (at line 3, column 5)``."""
+    """Return the error for invalid TOML; ``tomllib`` gives the line in words: ``… (at line 3, column 5)``."""
     message = str(error)
     match = re.search(r" ?\(at (?:line (\d+), column (\d+)|end of document)\)$", message)
     if match is None:
@@ -197,7 +197,7 @@ def _syntax_problem(text: str, error: tomllib.TOMLDecodeError, name: str) -> Con
 
 
 def _exhausting_problem(text: str, error: Exception, name: str) -> ConfigError:
-    """The error for a text that exhausts the parser: nested too deeply, or with a number too long for Python."""
+    """Return the error for a text that exhausts the parser: nested too deeply, or with too long a number."""
     if isinstance(error, RecursionError):
         return ConfigError("it is nested too deeply", file=name, line=_densest_line(text))
     longest = _LONG_NUMBER.search(text)
@@ -212,7 +212,7 @@ _LONG_NUMBER = re.compile(r"(?<![\w.])[0-9][0-9_]{4299,}")
 
 
 def _densest_line(text: str) -> int:
-    """The line that most likely exhausts the parser: that with most brackets, or the longest."""
+    """Return the line that most likely exhausts the parser: that with most brackets, or the longest."""
     lines = text.split("\n")
     return 1 + max(range(len(lines)), key=lambda at: (lines[at].count("[") + lines[at].count("{"), len(lines[at])))
 
@@ -242,9 +242,7 @@ def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
 
 
 def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
-    """The path of a value as it is written in the file, where one value may replace a list of one, or a list a
-    table.
-    """
+    """Return the path of a value as it is written in the file, where one value may stand for a list of one."""
     if path in lines:
         return path
     shorter = (path[:at] + path[at + 1 :] for at in reversed(range(len(path))))
@@ -252,7 +250,7 @@ def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
 
 
 def _written(path: Path) -> str | None:
-    """A path as text: ``unit[0].point[3].type``."""
+    """Return the path of a key as text: ``unit[0].point[3].type``."""
     text = ""
     for each in path:
         text += f"[{each}]" if isinstance(each, int) else f".{each}" if text else each
@@ -311,7 +309,7 @@ def _unknown_key(key: str, section: type[Section] | None) -> str:
 
 
 def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
-    """The schema class of the table at a path; None if the table has no schema class."""
+    """Return the schema class of the table at a path; None if the table has no schema class."""
     for key in path:
         if isinstance(key, int):
             continue
@@ -324,7 +322,7 @@ def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
 
 
 def _sections_in(annotation: Any) -> Iterator[type[Section]]:
-    """The schema classes in a type annotation, however deep."""
+    """Return the schema classes in a type annotation, however deep."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         yield annotation
     for each in get_args(annotation):
@@ -332,7 +330,7 @@ def _sections_in(annotation: Any) -> Iterator[type[Section]]:
 
 
 def json_schema(schema: type[Section], title: str) -> dict[str, Any]:  # Any: what JSON has
-    """The JSON Schema (draft 2020-12) of a file, for editors and other programs.
+    """Return the JSON Schema (draft 2020-12) of a file, for editors and other programs.
 
     It knows names, types and plain ranges; what goes together is only known to the reader of the file.
     """
@@ -341,7 +339,7 @@ def json_schema(schema: type[Section], title: str) -> dict[str, Any]:  # Any: wh
 
 
 def _plain(node: Any) -> Any:
-    """Part of a JSON Schema without the titles and empty defaults that only repeat key names."""
+    """Return a part of a JSON Schema without the titles and empty defaults that only repeat key names."""
     if isinstance(node, list):
         return [_plain(each) for each in node]
     if not isinstance(node, dict):

@@ -41,7 +41,7 @@ class AlarmState(StrEnum):
 
     @property
     def is_unacknowledged(self) -> bool:
-        """Whether somebody still has to acknowledge the alarm."""
+        """Whether the alarm must still be acknowledged."""
         return self in (AlarmState.UNACKNOWLEDGED, AlarmState.CLEARED)
 
 

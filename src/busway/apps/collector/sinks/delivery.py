@@ -1,4 +1,4 @@
-"""Delivery of samples to one sink: reads after its cursor, sends, then moves the cursor.
+"""Delivery of a store's samples to one sink: reads after the sink's cursor, sends, then moves the cursor.
 
 Knows when to send, to wait, to drop and to set aside; knows no receiver.
 
@@ -46,7 +46,7 @@ _log = logging.getLogger("busway.sinks")
 
 @dataclass(frozen=True, slots=True)
 class SinkStatus:
-    """The status of a delivery.
+    """The status of one sink: what it has got, how far behind it is, and what is wrong.
 
     Attributes:
         name: of the sink.
@@ -66,7 +66,7 @@ class SinkStatus:
 
 
 class Delivery:
-    """Delivers samples to one sink until it is cancelled."""
+    """Sends the samples of a store to one sink, until it is cancelled."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class Delivery:
         monotonic: Callable[[], float] = time.monotonic,
         pause: Callable[[float], Awaitable[object]] = asyncio.sleep,
     ) -> None:
-        """Continue at the sink's cursor; a new sink begins with the oldest samples of the store.
+        """Continue where the sink's cursor is; a new sink begins with the oldest samples of the store.
 
         Args:
             name: of the sink; its cursor has this name.
@@ -110,19 +110,19 @@ class Delivery:
         self._is_open = False
 
     def note_defect(self, error: Exception) -> None:
-        """Show in the status why the delivery ended unexpectedly."""
+        """Show in the sink's status why its delivery ended unexpectedly."""
         self._error = f"failed unexpectedly: {str(error) or type(error).__name__}"
 
     def set_point_rules(self, rules: Mapping[tuple[str, str], ReportRule]) -> None:
-        """Go on with the rules of a file that was read again. Safe from any thread."""
+        """Use the report rules of a configuration that was read again. Safe from any thread."""
         self._point_rules = rules
 
     def status(self) -> SinkStatus:
-        """The status of this delivery. Safe from any thread."""
+        """Return the status of the sink. Safe from any thread."""
         return SinkStatus(self.name, self._cursor, self._sent, self._lost, self._aside, self._error)
 
     async def run(self) -> None:
-        """Deliver existing and new samples until cancelled."""
+        """Send stored and new samples to the sink until cancelled."""
         wait = PAUSE
         try:
             while True:
@@ -141,7 +141,7 @@ class Delivery:
             await self._sink.close()
 
     async def step(self) -> bool:
-        """Deliver one batch. Returns whether there may be more already. Raises `SinkDown`."""
+        """Send one batch to the sink. Returns whether there may be more already. Raises `SinkDown`."""
         await asyncio.to_thread(self._drop_old)
         found = await asyncio.to_thread(self._reader.read, self._cursor, self.options.most)
         if found is None:
@@ -166,7 +166,7 @@ class Delivery:
         return len(found.samples) >= self.options.most or not found.samples
 
     def _waits_for_the_clock(self, samples: Sequence[CommittedSample]) -> bool:
-        """Whether samples wait to be mended (rule 6)."""
+        """Whether the next samples must wait because their time will still be corrected (rule 6)."""
         if all(sample.time >= EARLIEST for sample in samples):
             self._unset_since = None
             return False
@@ -194,7 +194,7 @@ class Delivery:
                 )
 
     def _wanted(self, samples: Sequence[CommittedSample]) -> list[CommittedSample]:
-        """The samples that this sink gets: of its points, if its report rules permit them."""
+        """Return the samples that this sink gets: of its points, if its report rules permit them."""
         wanted = []
         before = dict[tuple[str, str], CommittedSample]()
         for sample in samples:
@@ -224,7 +224,7 @@ class Delivery:
         return all(rule.is_due(last.value, sample.value, silence) for rule in rules)
 
     async def _send(self, samples: Sequence[CommittedSample]) -> None:
-        """Send samples; those that the sink refuses are found and set aside."""
+        """Send samples to the sink; those that it refuses are found and set aside."""
         try:
             await self._sink.send(samples)
             self._sent += len(samples)
@@ -241,7 +241,7 @@ class Delivery:
             await asyncio.to_thread(self._set_aside, samples[0], str(error))
 
     async def _send_alarms(self, sink: AlarmSink, alarms: Sequence[CommittedAlarm]) -> None:
-        """Send events of alarms; those that are refused are set aside."""
+        """Send alarm events to the sink; those that it refuses are set aside."""
         try:
             await sink.send_alarms(alarms)
         except SinkRefused as error:

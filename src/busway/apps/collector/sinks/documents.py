@@ -29,12 +29,12 @@ class Document:
     content: dict[str, Any]
 
     def encode(self) -> bytes:
-        """The document as JSON."""
+        """Return the document as JSON bytes."""
         return json.dumps(self.content, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
 
 
 def documents(samples: Sequence[CommittedSample]) -> Iterator[Document]:
-    """A document for each commit and device, in the order of commits.
+    """Return one document for each commit and device, in the order of commits.
 
     ``reads`` has one entry for each time: ``time`` (nanoseconds since 1970 UTC), ``values`` by point, and where there
     are any, ``uncertain`` and ``bad`` with the reason by point.
@@ -60,7 +60,7 @@ def _read(moment: int, samples: list[CommittedSample]) -> dict[str, Any]:
 
 
 def sample_document(sample: CommittedSample) -> dict[str, Any]:
-    """One sample as JSON data."""
+    """Return one sample as JSON data."""
     return {
         "time": sample.time,
         "half_width": sample.half_width,
@@ -71,7 +71,7 @@ def sample_document(sample: CommittedSample) -> dict[str, Any]:
 
 
 def alarm_document(alarm: CommittedAlarm) -> Document:
-    """An event of an alarm: ``event`` is raised, acknowledged, cleared or removed; times are nanoseconds since 1970."""
+    """Return an alarm event as JSON data: ``event`` is raised, acknowledged, cleared or removed."""
     event = alarm.event
     key = f"alarm-{alarm.commit}-{alarm.place}"
     content = {
@@ -89,5 +89,5 @@ def alarm_document(alarm: CommittedAlarm) -> Document:
 
 
 def json_number(value: Any) -> Any:  # whatever a sample can be
-    """A value as JSON can represent it; infinities and NaN become texts."""
+    """Return a value as JSON can represent it; infinities and NaN become texts."""
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value

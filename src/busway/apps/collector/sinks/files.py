@@ -34,7 +34,7 @@ class FileSink:
     """Sink that writes samples to files."""
 
     def __init__(self, path: str | os.PathLike[str], kind: FileFormat | str | None = None) -> None:
-        """Set the path of the files; nothing is opened yet.
+        """Set the path of the files to write; nothing is opened yet.
 
         Args:
             path: the file, with ``{date}`` for one a day; for Parquet a folder.
@@ -61,7 +61,7 @@ class FileSink:
         """Do nothing: no file stays open."""
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Write a batch of samples durably. Raises `SinkDown`."""
+        """Append a batch of samples to the files, durably. Raises `SinkDown`."""
         try:
             await asyncio.to_thread(self._write, samples)
         except OSError as error:

@@ -25,7 +25,7 @@ _REFUSED: Final = (400, 413, 422)
 
 
 class InfluxSink:
-    """Sink that posts samples as lines of InfluxDB line protocol."""
+    """Sink that posts samples over HTTP in InfluxDB line protocol."""
 
     def __init__(
         self,
@@ -36,7 +36,7 @@ class InfluxSink:
         tls: ssl.SSLContext | None = None,
         timeout: float = 10.0,
     ) -> None:
-        """Set the server; nothing is sent yet.
+        """Set the server of the database; nothing is sent yet.
 
         Args:
             url: where lines are posted, with its query: ``http://host:8086/api/v2/write?org=o&bucket=b`` or
@@ -73,7 +73,7 @@ class InfluxSink:
             await client.aclose()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Post samples to the server. Raises `SinkDown`, `SinkRefused`."""
+        """Post samples to the database. Raises `SinkDown`, `SinkRefused`."""
         httpx = import_module("httpx")
         body = "\n".join(line_of(sample, self._measurement) for sample in samples).encode()
         try:
@@ -87,7 +87,7 @@ class InfluxSink:
 
 
 def line_of(sample: CommittedSample, measurement: str) -> str:
-    """A sample in line protocol; ``measurement`` is escaped already."""
+    """Return a sample in line protocol; ``measurement`` is escaped already."""
     fields = [f"reason={sample.reason}i"]
     value = sample.value
     if isinstance(value, str):

@@ -1,4 +1,4 @@
-"""The interface of sinks. Knows samples and errors; knows no store and no receiver."""
+"""The interface of sinks, which send samples to other systems, and their errors."""
 
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
@@ -8,15 +8,15 @@ from ..store.committed_samples import CommittedAlarm, CommittedSample
 
 
 class SinkDown(ModbusError):
-    """Error: the receiver cannot be reached or accepts nothing now. The same samples are sent again later."""
+    """Error: a sink's receiver cannot be reached or accepts nothing now. The same samples are sent again later."""
 
 
 class SinkRefused(ModbusError):
-    """Error: the receiver refuses these samples for good. They are set aside; others are sent."""
+    """Error: a sink's receiver refuses these samples for good. They are set aside; others are sent."""
 
 
 class Sink(Protocol):
-    """Interface of a sink, which sends samples to one receiver.
+    """Interface of a sink, which sends samples to one other system, its receiver.
 
     Each call is for one task. Samples may come again after a failure, with the same device, point, time and commit.
     """
@@ -38,7 +38,7 @@ class Sink(Protocol):
 
 @runtime_checkable
 class AlarmSink(Protocol):
-    """A sink that takes events of alarms too. They come after the samples of their commit, and again like those."""
+    """Interface of a sink that takes alarm events too: after the samples of their commit, and repeated like these."""
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Send events; when it returns, the receiver has taken them. Raises `SinkDown`, `SinkRefused`."""
+        """Send alarm events; when it returns, the receiver has taken them. Raises `SinkDown`, `SinkRefused`."""

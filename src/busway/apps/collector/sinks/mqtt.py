@@ -1,4 +1,4 @@
-"""Sink for MQTT 5, with discovery by Home Assistant.
+"""Sink that publishes samples by MQTT 5, with discovery by Home Assistant.
 
 Knows topics and payloads; the protocol is aiomqtt's (``busway[mqtt]``).
 
@@ -50,7 +50,7 @@ class MqttSink:
         client_id: str | None = None,
         timeout: float = 10.0,
     ) -> None:
-        """Set the broker; nothing is sent yet.
+        """Set the MQTT broker; nothing is sent yet.
 
         Args:
             host, port: the broker.
@@ -108,7 +108,7 @@ class MqttSink:
             await client.__aexit__(None, None, None)
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Publish samples, and wait for the acknowledgements. Raises `SinkDown`."""
+        """Publish samples, and wait until the broker has acknowledged them. Raises `SinkDown`."""
         messages = self._messages(samples)
         if self._discovery is not None:
             messages = [*self._discoveries(samples), *messages]
@@ -120,7 +120,7 @@ class MqttSink:
             raise SinkDown(f"the broker {self._where} does not answer: {error}") from error
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Publish events of alarms, and wait for the acknowledgements. Raises `SinkDown`."""
+        """Publish alarm events, and wait until the broker has acknowledged them. Raises `SinkDown`."""
         mqtt = import_module("aiomqtt")
         try:
             for document in map(alarm_document, alarms):
@@ -166,7 +166,7 @@ class MqttSink:
         return found
 
     def _entity(self, sample: CommittedSample) -> tuple[str, dict[str, Any]]:
-        """The kind of entity, and its configuration as Home Assistant wants it."""
+        """Return the kind of Home Assistant entity for a point, and its configuration."""
         topic = self._name(sample.device, sample.point)
         content: dict[str, Any] = {
             "name": sample.point,
@@ -195,7 +195,7 @@ class MqttSink:
 
 
 def topic_level(name: str) -> str:
-    """A name as one level of an MQTT topic: separators and wildcards become ``_``."""
+    """Return a name as one level of an MQTT topic: separators and wildcards become ``_``."""
     return re.sub(r"[/+#\x00]", "_", name)
 
 

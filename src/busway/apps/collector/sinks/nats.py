@@ -1,4 +1,4 @@
-"""Sink for NATS JetStream.
+"""Sink that publishes samples to a stream of NATS JetStream.
 
 Knows subjects and messages; the protocol is nats-py's (``busway[nats]``).
 
@@ -44,7 +44,7 @@ class NatsSink:
         tls: ssl.SSLContext | None = None,
         timeout: float = 5.0,
     ) -> None:
-        """Set the server; nothing is sent yet.
+        """Set the NATS server; nothing is sent yet.
 
         Args:
             url: ``nats://host:4222``.
@@ -71,7 +71,7 @@ class NatsSink:
         self._cause = ""
 
     async def open(self) -> None:
-        """Connect to the server, and create the stream if that was configured. Raises `SinkDown`."""
+        """Connect to the NATS server, and create the stream if that was configured. Raises `SinkDown`."""
         nats = import_module("nats")
         self._cause = ""
         self._client = nats.NATS()  # `close` ends it also where connecting fails or is given up
@@ -94,7 +94,7 @@ class NatsSink:
             raise SinkDown(f"the server cannot be used: {self._cause or error or type(error).__name__}") from error
 
     async def _note(self, error: Exception) -> None:
-        """Remember why a connection failed: the error of `connect` does not tell it."""
+        """Remember why a connection to NATS failed: the error of `connect` does not tell it."""
         self._cause = str(error) or type(error).__name__
 
     async def _make_stream(self, stream: str) -> None:
@@ -108,14 +108,14 @@ class NatsSink:
             await self._jetstream.add_stream(name=stream, subjects=subjects)
 
     async def close(self) -> None:
-        """Disconnect from the server."""
+        """Disconnect from the NATS server."""
         client, self._client, self._jetstream = self._client, None, None
         if client is not None and (client.is_connecting or client.is_connected):
             with contextlib.suppress(import_module("nats").errors.Error, OSError, TimeoutError):  # it may be gone
                 await client.close()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Publish samples, and wait for the acknowledgements. Raises `SinkDown`."""
+        """Publish samples, and wait until the server has acknowledged them. Raises `SinkDown`."""
         nats = import_module("nats")
         messages = list(documents(samples))
         try:
@@ -134,7 +134,7 @@ class NatsSink:
             raise SinkDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Publish events of alarms, and wait for the acknowledgements. Raises `SinkDown`, `SinkRefused`."""
+        """Publish alarm events, and wait for the acknowledgements. Raises `SinkDown`, `SinkRefused`."""
         nats = import_module("nats")
         no_stream = import_module("nats.js.errors").NoStreamResponseError
         try:
@@ -148,5 +148,5 @@ class NatsSink:
 
 
 def subject_token(name: str) -> str:
-    """A name as one token of a NATS subject: separators and wildcards become ``_``."""
+    """Return a name as one token of a NATS subject: separators and wildcards become ``_``."""
     return re.sub(r"[.*>\s]", "_", name)

@@ -1,4 +1,4 @@
-"""Builds a sink, and the options of its delivery, from its section of a file.
+"""Makes a sink, and the options of its delivery, from a table ``[[sink]]`` of the collector file.
 
 Knows sections and sinks; knows no store.
 
@@ -36,7 +36,7 @@ _LONGEST_SECRET: Final = 4096
 
 
 def make_sink(section: SentSection, folder: Path | None = None) -> tuple[Sink, DeliveryOptions]:
-    """Build a sink and its delivery options from its section.
+    """Make a sink and its delivery options from its table.
 
     Args:
         section: of the sink, with paths that can be opened.
@@ -111,7 +111,7 @@ def tls(section: SentSection, wanted: bool) -> ssl.SSLContext | None:
 
 
 def tls_context(authority: str | None = None, certificate: str | None = None, key: str | None = None) -> ssl.SSLContext:
-    """A TLS context that checks the server's certificate against an authority, by default those of the system.
+    """Return a TLS context that checks a server's certificate, by default against the system's authorities.
 
     Raises:
         ConfigError: a file cannot be used.

@@ -1,4 +1,4 @@
-"""Sink for PostgreSQL and TimescaleDB: COPY into a temporary table, then one upsert.
+"""Sink that writes samples to PostgreSQL or TimescaleDB: COPY into a temporary table, then one upsert.
 
 Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 
@@ -127,7 +127,7 @@ def _record(sample: CommittedSample) -> tuple[Any, ...]:  # as asyncpg wants it
 
 
 def number_and_text(value: Value | None) -> tuple[float | None, str | None]:
-    """A value as a float and a text: the text of a text, or the digits of an integer that no float holds exactly."""
+    """Return a value as float and text: the text of a text, or the digits of an integer that no float holds."""
     if value is None or isinstance(value, str):
         return None, value
     number = float(value)

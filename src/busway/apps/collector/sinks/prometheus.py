@@ -1,4 +1,4 @@
-"""Last values for Prometheus to scrape. A scrape never polls a device.
+"""The last values of points for Prometheus to scrape. A scrape never polls a device.
 
 Knows what was committed last; the format is prometheus-client's (``busway[metrics]``).
 
@@ -28,7 +28,7 @@ _FORGET_ABOVE: Final = 10_000
 
 
 class LastValues:
-    """The last committed samples of all points, one batch for each group. Subscribe `update` to a committer."""
+    """The last committed sample of each point. A store's committer calls `update`."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -37,7 +37,7 @@ class LastValues:
         self._intervals: dict[str, StateInterval] = {}
 
     def update(self, commit: Commit) -> None:
-        """Take in a commit."""
+        """Take over the samples of a commit."""
         with self._lock:
             for batch in commit.batches:
                 self._batches[batch.group] = batch
@@ -49,7 +49,7 @@ class LastValues:
                 self._forget_above = max(_FORGET_ABOVE, 2 * len(self._batches))
 
     def _forget_covered(self) -> None:
-        """Forget batches all of whose points have a later sample. The lock is held."""
+        """Forget stored batches of which every point has a later sample. The lock is held."""
         latest = self._latest()
         used = {id(batch) for batch, _ in latest.values()}
         self._batches = {group: batch for group, batch in self._batches.items() if id(batch) in used}
@@ -64,7 +64,7 @@ class LastValues:
         return found
 
     def _reason(self, device: str, reason: int, time: int) -> int:
-        """The reason of a last value: rule 3. The lock is held."""
+        """Return the reason to show for a last value, by rule 3. The lock is held."""
         interval = self._intervals.get(device)
         if interval is None or (interval.end is not None and time > interval.begin):
             return reason
@@ -72,18 +72,18 @@ class LastValues:
         return reason if keeps else interval.reason
 
     def reason_of(self, device: str) -> int:
-        """Why a device is not read now; 0 while it is."""
+        """Return the reason why a device is not read now; 0 while it is."""
         with self._lock:
             interval = self._intervals.get(device)
         return 0 if interval is None or interval.end is not None else interval.reason
 
     def intervals(self) -> dict[str, StateInterval]:
-        """By device, the last time in which it was not read; it may last."""
+        """Return by device the last interval in which it was not read; it may still last."""
         with self._lock:
             return dict(self._intervals)
 
     def last(self, device: str, point: str) -> tuple[Value | None, int, int] | None:
-        """Value, reason and time of the last sample of one point; None where there was none."""
+        """Return value, reason and time of the last sample of one point; None if there is none."""
         found: tuple[Value | None, int, int] | None = None
         with self._lock:
             for batch in self._batches.values():
@@ -94,7 +94,7 @@ class LastValues:
         return found
 
     def samples(self) -> Iterator[tuple[str, str, Value | None, int, int]]:
-        """Device, point, value, reason and time of the last sample of each point."""
+        """Return device, point, value, reason and time of the last sample of each point."""
         with self._lock:
             found = []
             for (device, point), (batch, index) in sorted(self._latest().items()):
@@ -104,7 +104,7 @@ class LastValues:
 
 
 class PrometheusPage:
-    """An HTTP service that shows last values to Prometheus at ``http://HOST:PORT/metrics``, in a thread of its own."""
+    """HTTP service with the last values for Prometheus, ``http://HOST:PORT/metrics``, in a thread of its own."""
 
     def __init__(
         self,
@@ -116,7 +116,7 @@ class PrometheusPage:
         alarms: Callable[[], Sequence[RaisedAlarm]] = tuple,
         now: Callable[[], int] = time.time_ns,
     ) -> None:
-        """Listen.
+        """Begin to listen for scrapes.
 
         Args:
             where: ``127.0.0.1:9503``; port 0 takes a free one. Every host that reaches it can read the values.
@@ -142,7 +142,7 @@ class PrometheusPage:
         self._service.start()
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop listening for scrapes."""
         self._service.stop()
 
     def _answer(self, request: HttpRequest) -> HttpResponse:
@@ -190,7 +190,7 @@ class PrometheusPage:
 
 
 class _Collected:
-    """A collector of prometheus-client: asks a function for the metric families at each scrape."""
+    """What the Prometheus client library asks for metric families at each scrape."""
 
     def __init__(self, families: Callable[[], Iterator[Any]]) -> None:
         self._families = families

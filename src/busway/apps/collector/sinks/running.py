@@ -20,7 +20,7 @@ _log = logging.getLogger("busway.sinks")
 
 
 class SinkThread:
-    """The thread that delivers to all sinks, until `close`."""
+    """The thread that sends samples to all sinks, until `close`."""
 
     def __init__(
         self,
@@ -28,7 +28,7 @@ class SinkThread:
         sinks: Mapping[str, tuple[Sink, DeliveryOptions]],
         point_rules: Mapping[tuple[str, str], ReportRule] | None = None,
     ) -> None:
-        """Start the thread and the deliveries.
+        """Start the thread and the delivery to each sink.
 
         Args:
             writer: the open store; cursors are in its manifest.
@@ -52,7 +52,7 @@ class SinkThread:
         self._thread.start()
 
     def set_point_rules(self, rules: Mapping[tuple[str, str], ReportRule]) -> None:
-        """Go on with the rules of a file that was read again."""
+        """Use the report rules of a configuration that was read again."""
         for delivery in self._deliveries:
             delivery.set_point_rules(rules)
 
@@ -61,7 +61,7 @@ class SinkThread:
         return [delivery.status() for delivery in self._deliveries]
 
     def close(self, timeout: float = 10.0) -> None:
-        """End all deliveries within ``timeout`` seconds; unsent samples are sent after the next start."""
+        """Stop sending to all sinks within ``timeout`` seconds; unsent samples are sent after the next start."""
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._cancel)
         self._thread.join(timeout)
@@ -85,7 +85,7 @@ class SinkThread:
 
     @staticmethod
     async def _guarded(delivery: Delivery) -> None:
-        """Run one delivery; after an unexpected error, which is logged, start it again, so that no sink ends others."""
+        """Run the delivery to one sink; after an unexpected error, which is logged, start it again."""
         while True:
             try:
                 await delivery.run()

@@ -1,4 +1,4 @@
-"""Sparkplug B 3.0 as a sink: the collector is an edge node of a group, each of its devices a device of it.
+"""Sink for Sparkplug B 3.0: the collector is an edge node of a group, and each of its devices a device of that.
 
 Knows topics, births, deaths and their order (Sparkplug 3.0 §5, §6); the payload is `sparkplug_payload`'s, the protocol
 is aiomqtt's (``busway[sparkplug]``).
@@ -49,7 +49,7 @@ _log = logging.getLogger("busway.sinks")
 
 
 class _Device:
-    """A device of the edge node: the last sample and the type of each metric, and whether it is born."""
+    """A device as Sparkplug shows it: the last sample and type of each metric, and whether its birth was published."""
 
     def __init__(self) -> None:
         self.last: dict[str, CommittedSample] = {}
@@ -57,7 +57,7 @@ class _Device:
         self.is_born = False
 
     def learn(self, sample: CommittedSample) -> bool:
-        """Take in a sample; whether the device needs a birth for it."""
+        """Take over a sample. Returns whether the device needs a new birth message for it."""
         known = self.kinds.get(sample.point)
         kind = known or DataType.DOUBLE if sample.value is None else _wider(known, type_of(sample.value))
         self.kinds[sample.point] = kind
@@ -65,12 +65,12 @@ class _Device:
 
 
 def _wider(known: DataType | None, new: DataType) -> DataType:
-    """The type of a metric: whole numbers of a metric that had fractions are written as such too."""
+    """Return the type of a metric, which stays a floating-point one if it ever had fractions."""
     return known if (known, new) == (DataType.DOUBLE, DataType.INT64) and known is not None else new
 
 
 class SparkplugSink:
-    """Publishes samples as an edge node of Sparkplug B."""
+    """Sink that publishes samples as a Sparkplug B edge node."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class SparkplugSink:
         timeout: float = 10.0,
         now: Callable[[], int] = time.time_ns,
     ) -> None:
-        """Name the broker and the edge node; nothing is sent yet.
+        """Set the broker and the edge node's names; nothing is sent yet.
 
         Args:
             host, port: the broker.
@@ -129,7 +129,7 @@ class SparkplugSink:
     # Life
 
     async def open(self) -> None:
-        """Connect, wait for the primary host, and be born with all devices known. Raises `SinkDown`."""
+        """Connect, wait for the primary host, and publish births of all known devices. Raises `SinkDown`."""
         mqtt = import_module("aiomqtt")
         self._number = await asyncio.to_thread(self._next_number)
         will = mqtt.Will(self._topic("NDEATH"), self._death(), qos=1, retain=False)
@@ -153,7 +153,7 @@ class SparkplugSink:
             raise SinkDown(f"the broker {self._where} cannot be reached: {error}") from error
 
     async def close(self) -> None:
-        """Say that the edge node dies, and disconnect."""
+        """Publish the death of the edge node, and disconnect."""
         listener, self._listener = self._listener, None
         if listener is not None:
             listener.cancel()
@@ -184,7 +184,7 @@ class SparkplugSink:
         self._check_host()
 
     async def _publish_acknowledged(self) -> None:
-        """Return when the broker has taken all messages so far: it acknowledges one that came after them."""
+        """Wait until the broker has taken all messages so far: it acknowledges one that came after them."""
         topic = f"busway/sparkplug/{self._group}/{self._node}/delivered"
         await self._connected().publish(topic, b"", qos=1, timeout=self._timeout)
 
@@ -200,7 +200,7 @@ class SparkplugSink:
     # Births, deaths, data; the lock is held
 
     async def _births(self) -> None:
-        """Publish the birth of the edge node, then those of its living devices."""
+        """Publish the birth message of the edge node, then those of devices that answer."""
         self._sequence = 0
         self._born_at = self._now()
         self._last_birth = time.monotonic()
@@ -261,7 +261,7 @@ class SparkplugSink:
         return encode_payload([Metric("bdSeq", now, DataType.INT64, self._number)], now, None)
 
     def _next_number(self) -> int:
-        """The number of this connection, one above the last, which the file keeps."""
+        """Return the number of this connection (bdSeq), one more than the last, which a file keeps."""
         file = self._number_file
         if file is None:
             return (self._number + 1) % _NUMBERS
@@ -284,7 +284,7 @@ class SparkplugSink:
     # What hosts say
 
     async def _listen(self, client: Any) -> None:
-        """Follow the state of the primary host, and answer requests for a rebirth."""
+        """Follow messages about the state of the primary host, and answer requests for a rebirth."""
         mqtt = import_module("aiomqtt")
         with contextlib.suppress(mqtt.MqttError):  # sending finds that out
             async for message in client.messages:
@@ -333,7 +333,7 @@ def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
 
 
 def _metric(sample: CommittedSample, kind: DataType, *, is_historical: bool = False, unit: bool = False) -> Metric:
-    """A sample as a metric: what is not good says so by its properties."""
+    """Return a sample as a Sparkplug metric; properties tell that it is not good."""
     properties: list[tuple[str, str | SparkplugQuality]] = []
     if sample.quality is not Quality.GOOD:
         properties += [("Quality", _QUALITIES[sample.quality]), ("reason", reason_text(sample.reason))]

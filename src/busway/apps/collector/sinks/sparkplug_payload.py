@@ -1,4 +1,4 @@
-"""Payloads of Sparkplug B 3.0: metrics with type, time, quality, as bytes and back.
+"""Payloads of Sparkplug B 3.0: metrics with type, time and quality, as protobuf bytes.
 
 Knows names, field numbers and types of the payload (Sparkplug 3.0 §6.4); knows no topic and no broker. The encoding is
 protobuf's (``busway[sparkplug]``).
@@ -28,7 +28,7 @@ _VALUES: Final = {
 
 
 class DataType(IntEnum):
-    """Numbers of the types of metrics that samples have."""
+    """Numbers of the Sparkplug types that samples can have."""
 
     INT32 = 3
     INT64 = 4
@@ -39,7 +39,7 @@ class DataType(IntEnum):
 
 
 class SparkplugQuality(IntEnum):
-    """Values of the property ``Quality``."""
+    """Values of the Sparkplug property ``Quality``."""
 
     BAD = 0
     GOOD = 192
@@ -48,7 +48,7 @@ class SparkplugQuality(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """One metric of a payload: name, type, value, time and quality.
+    """One metric of a Sparkplug payload: name, type, value, time and quality.
 
     Attributes:
         name: of the metric.
@@ -68,7 +68,7 @@ class Metric:
 
 
 def type_of(value: Value) -> DataType:
-    """The type that a metric with this value has."""
+    """Return the Sparkplug type of a metric with this value."""
     if isinstance(value, bool):
         return DataType.BOOLEAN
     if isinstance(value, int):
@@ -77,7 +77,7 @@ def type_of(value: Value) -> DataType:
 
 
 def encode_payload(metrics: Iterable[Metric], time: int, sequence: int | None) -> bytes:
-    """A payload.
+    """Return a Sparkplug payload as bytes.
 
     Args:
         metrics: its metrics, in order.
@@ -98,7 +98,7 @@ def encode_payload(metrics: Iterable[Metric], time: int, sequence: int | None) -
 
 
 def asked_for_rebirth(content: bytes) -> bool:
-    """Whether a command to an edge node asks for its birth again. Raises `ValueError` where it is no payload."""
+    """Whether a command to an edge node asks for its birth again. Raises `ValueError` if it is no payload."""
     payload = _messages()["Payload"]()
     try:
         payload.ParseFromString(content)
@@ -134,7 +134,7 @@ def _fill(message: Any, metric: Metric) -> None:
 
 @cache
 def _messages() -> dict[str, Any]:
-    """Classes of the messages, by name."""
+    """Return the protobuf classes of Sparkplug messages, by name."""
     require("google.protobuf", "a sink for Sparkplug")
     file = import_module("google.protobuf.descriptor_pb2").FileDescriptorProto()
     file.name, file.package, file.syntax = "busway_sparkplug.proto", "busway.sparkplug", "proto2"

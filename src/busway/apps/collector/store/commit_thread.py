@@ -1,4 +1,4 @@
-"""The committer: a thread that writes samples from an event loop to the store, several times a second.
+"""The committer: a thread that writes samples, queued by an event loop, to the store several times a second.
 
 Knows when to commit, and what to do while that fails; knows nothing of segments.
 
@@ -45,7 +45,7 @@ _log = logging.getLogger("busway.store")
 
 @dataclass(frozen=True, slots=True)
 class StoreStatus:
-    """The status of the committer.
+    """The status of writing to a store: commits, waiting and lost samples, and what is wrong.
 
     Attributes:
         commits, samples: how many are in the store since the start.
@@ -67,9 +67,7 @@ class StoreStatus:
 
 
 class Committer:
-    """Writes samples to the store in a thread. `add` and `add_interval` return at once, and may be called from any
-    thread.
-    """
+    """Writes samples to a store in a thread; `add` and others only queue, and may be called from any thread."""
 
     def __init__(
         self,
@@ -119,7 +117,7 @@ class Committer:
             thread.start()
 
     def subscribe(self, told: Callable[[Commit], None]) -> None:
-        """Call a function after each commit, in the thread of the committer; what it raises is logged and counted."""
+        """Have a function called after each commit, in the committer's thread; its errors are logged and counted."""
         self._subscribers.append(told)
 
     def add(self, batch: SampleBatch, alarms: Sequence[AlarmEvent] = ()) -> None:
@@ -146,13 +144,13 @@ class Committer:
             self._changed.notify_all()
 
     def describe(self, descriptions: Iterable[PointDescription]) -> None:
-        """Queue descriptions of points, effective after all samples and alarm events added so far."""
+        """Queue descriptions of points, which apply after all samples and alarm events queued so far."""
         with self._changed:
             self._descriptions.append((self._taken + len(self._batches), list(descriptions)))
             self._changed.notify_all()
 
     def status(self) -> StoreStatus:
-        """The current status of the committer."""
+        """Return the current status of writing to the store."""
         with self._changed:
             return StoreStatus(
                 self._commits,
@@ -197,13 +195,13 @@ class Committer:
                 self._ended.wait(self._retry)
 
     def mend(self, shift: int) -> None:
-        """Move what was added so far and has a time from before the wall clock was set, by ``shift`` nanoseconds."""
+        """Correct times from before the wall clock was set, by ``shift`` nanoseconds, in all that was queued so far."""
         with self._changed:
             self._shift = shift
             self._changed.notify_all()
 
     def _mend(self) -> bool:
-        """Mend the next segment, once all samples from before are committed; False where that failed."""
+        """Correct times in the next segment, once all samples from before are committed; False if that failed."""
         with self._changed:
             shift = self._shift
             if shift is None or any(batch.time < EARLIEST for batch in self._batches):
@@ -223,7 +221,7 @@ class Committer:
         return True
 
     def _wait_for_work(self) -> bool:
-        """Wait until a commit is due; False when the committer is to end."""
+        """Wait until a commit is due; returns False when the committer is to end."""
         with self._changed:
             idle_until = time.monotonic() + ALIVE
             while not self._ending and not self._is_due():
@@ -241,7 +239,7 @@ class Committer:
             return not self._ending
 
     def _is_due(self) -> bool:
-        """Whether anything waits to be committed or mended. The lock is held."""
+        """Whether anything waits to be committed or corrected. The lock is held."""
         waits = self._batches or self._intervals or self._descriptions or self._alarms
         return bool(waits) or self._shift is not None
 
@@ -251,7 +249,7 @@ class Committer:
         self._alarms.extend((known, event) for event in alarms)
 
     def _next_alarms(self) -> list[tuple[int, AlarmEvent]]:
-        """The queued alarm events before the next change of point names. The lock is held."""
+        """Return the queued alarm events before the next change of point names. The lock is held."""
         taken = []
         while self._alarms and self._alarms[0][0] <= self._described:
             taken.append(self._alarms.popleft())
@@ -266,7 +264,7 @@ class Committer:
                 self._described += 1
 
     def _next_batches(self) -> list[SampleBatch]:
-        """The queued samples before the next change of point names. The lock is held."""
+        """Return the queued samples before the next change of point names. The lock is held."""
         count = len(self._batches)
         if self._descriptions:
             count = min(count, max(0, self._descriptions[0][0] - self._taken))
@@ -274,7 +272,7 @@ class Committer:
         return [self._batches.popleft() for _ in range(count)]
 
     def _commit_once(self) -> bool:
-        """Commit queued data; False if the store could not be written, and all of it is queued again."""
+        """Commit queued data; returns False if the store could not be written, and queues all of it again."""
         batches: list[SampleBatch] = []
         intervals: list[StateInterval | Gap] = []
         alarms: list[tuple[int, AlarmEvent]] = []
@@ -356,7 +354,7 @@ class Committer:
             self._drop_oldest()
 
     def _drop_oldest(self) -> None:
-        """Drop the oldest samples above the limit of the queue. The lock is held."""
+        """Drop the oldest queued samples above the limit of the queue. The lock is held."""
         while self._waiting > self._most and self._batches:
             batch = self._batches.popleft()
             self._taken += 1

@@ -1,4 +1,4 @@
-"""Reads samples in the order of their commits, from a commit number on; sinks use it.
+"""Reads a store's samples in the order of their commits, from a commit number on; sinks use it.
 
 Knows how each kind of part is read in that order; knows no sink.
 
@@ -73,7 +73,7 @@ class CommittedAlarm:
 
 @dataclass(frozen=True, slots=True)
 class CommitRange:
-    """The samples of consecutive commits.
+    """The samples and alarm events of consecutive commits of a store.
 
     Attributes:
         last: the last commit that they are complete up to.
@@ -87,7 +87,7 @@ class CommitRange:
 
 
 class CommitReader:
-    """Reads what was committed after a commit number. For one thread at a time."""
+    """Reads what was committed to a store after a commit number. For one thread at a time."""
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:
         self._folder = folder
@@ -98,7 +98,7 @@ class CommitReader:
         self._sealed: tuple[str, Any] | None = None
 
     def read(self, after: int, most: int) -> CommitRange | None:
-        """The samples of the next commits after a number; None if there are none.
+        """Return the samples of the next commits after a number; None if there are none.
 
         Args:
             after: number of the commit that was read last; 0 for none.
@@ -112,7 +112,7 @@ class CommitReader:
         return self._read(after, most)
 
     def count(self, after: int, last: int) -> int:
-        """Number of samples in the commits after one number, up to another."""
+        """Return the number of samples in the commits after one number, up to another."""
         found = 0
         for part in self._parts(after):
             if (part.first_commit or 0) > last:
@@ -128,7 +128,7 @@ class CommitReader:
         return found
 
     def last_before(self, moment: int, after: int) -> int:
-        """The last commit before a time, as far as known; ``after`` if there is none after that."""
+        """Return the last commit before a time, as far as known; ``after`` if there is none after that."""
         last = after
         for part in self._parts(after):
             if part.kind == "sealed":
@@ -143,7 +143,7 @@ class CommitReader:
         return last
 
     def _parts(self, after: int) -> list[StorePart]:
-        """The parts that have commits after a number, in order; parts of late rows come with their segment."""
+        """Return the files that have commits after a number, in order; late rows come with their segment."""
         found = []
         for part in self._manifest.parts():
             known = self._facts_of_open(part) if part.kind == "open" else part
@@ -152,7 +152,7 @@ class CommitReader:
         return sorted(found, key=lambda part: (part.segment, part.id))
 
     def _facts_of_open(self, part: StorePart) -> StorePart:
-        """What an open segment holds. Raises `FileNotFoundError` where it was sealed since it was listed."""
+        """Return what an open segment holds. Raises `FileNotFoundError` if it was sealed meanwhile."""
         try:
             return open_part_facts(self._folder, part)
         except FileNotFoundError:
@@ -182,7 +182,7 @@ class CommitReader:
         return [CommittedAlarm(row.commit_number, row.place, each) for row, each in zip(rows, events, strict=True)]
 
     def _of_intervals_alone(self, after: int) -> CommitRange | None:
-        """Intervals and alarms of segments without samples, which left no part when they were sealed."""
+        """Return intervals and alarms of segments without samples, which left no file when they were sealed."""
         intervals = [row for row in self._manifest.intervals() if row.commit_number > after]
         alarms = self._manifest.alarms(after)
         numbers = [row.commit_number for row in intervals] + [row.commit_number for row in alarms]
@@ -227,7 +227,7 @@ class CommitReader:
         return last, rows
 
     def _table(self, part: StorePart) -> Any:
-        """A sealed part in memory; the last one is cached, because a sink that is behind reads it piece by piece."""
+        """Return a sealed file in memory; the last one is cached, because a slow sink reads it piece by piece."""
         if self._sealed is None or self._sealed[0] != part.file:
             path = self._folder / SEGMENTS / part.file
             self._sealed = (part.file, arrow("parquet").read_table(path, columns=_COLUMNS))

@@ -16,7 +16,8 @@ _TIMEOUT: Final = 10.0
 
 
 def open_database(path: Path, *statements: str, script: str = "", makes: bool = True) -> sqlite3.Connection:
-    """A connection that several threads may use in turn; each statement is a transaction unless one is begun.
+    """Return a SQLite connection that several threads may use in turn; each statement commits unless in a
+    transaction.
 
     Args:
         path: the file.

@@ -48,7 +48,7 @@ class StoreLock:
         os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
 
     def _take(self) -> None:
-        """Lock the file. A holder that has ended is waited for: a process that it was starting may still have the file.
+        """Lock the store's lock file, waiting for a holder that has just ended.
 
         Raises `BlockingIOError` where another process holds the lock.
         """
@@ -63,7 +63,7 @@ class StoreLock:
                 time.sleep(0.01)
 
     def _holder(self) -> int | None:
-        """Number of the process that wrote itself into the file."""
+        """Return the number of the process that wrote itself into the lock file."""
         text = os.pread(self._handle, 32, 0).decode("ascii", "replace").strip()
         return int(text) if text.isdigit() else None
 
@@ -85,7 +85,7 @@ def is_alive(process: int) -> bool:
 
 
 def holder_of(folder: Path) -> int | None:
-    """Number of the process that writes a store now; None if there is none."""
+    """Return the number of the process that writes a store now; None if there is none."""
     try:
         handle = os.open(folder / LOCK, os.O_RDWR | os.O_CLOEXEC)
     except OSError:
@@ -136,13 +136,13 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def unlink_part(path: Path) -> None:
-    """Delete a file of a part and SQLite's files beside it; missing ones are ignored."""
+    """Delete a file of samples and SQLite's files beside it; missing ones are ignored."""
     for name in (path, path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")):
         name.unlink(missing_ok=True)
 
 
 def size_of(path: Path) -> int:
-    """Size of a part on disk in bytes, with its write-ahead log."""
+    """Return the size of a file of samples on disk in bytes, with its write-ahead log."""
     total = 0
     for name in (path, path.with_name(path.name + "-wal")):
         with contextlib.suppress(FileNotFoundError):

@@ -1,4 +1,4 @@
-"""Results of queries: columns of samples or buckets, also as Arrow, pandas or polars tables if those are installed.
+"""Results of store queries: columns of samples or buckets, also as Arrow, pandas or polars tables if installed.
 
 Knows columns; knows no file.
 """
@@ -17,32 +17,32 @@ EXACT: Final = 2**53
 
 
 class ColumnTable(ABC):
-    """Named columns of equal length, as Arrow, pandas or polars have them too."""
+    """Base of query results: named columns of equal length, which Arrow, pandas and polars have too."""
 
     __slots__ = ()
 
     @abstractmethod
     def columns(self) -> dict[str, list[Any]]:  # columns have different types
-        """The columns by name."""
+        """Return the columns by name."""
 
     def to_arrow(self) -> Any:  # pyarrow has no types of its own
-        """A `pyarrow.Table`; time is a timestamp in UTC. Raises `MissingExtra`."""
+        """Return the result as `pyarrow.Table`; time is a timestamp in UTC. Raises `MissingExtra`."""
         return _arrow_table(self.columns())
 
     def to_pandas(self) -> Any:  # pandas may not be there to check
-        """A `pandas.DataFrame`. Raises `MissingExtra`."""
+        """Return the result as `pandas.DataFrame`. Raises `MissingExtra`."""
         require("pandas", "a data frame")
         return self.to_arrow().to_pandas()
 
     def to_polars(self) -> Any:  # polars may not be there to check
-        """A `polars.DataFrame`. Raises `MissingExtra`."""
+        """Return the result as `polars.DataFrame`. Raises `MissingExtra`."""
         require("polars", "a data frame")
         return import_module("polars").from_arrow(self.to_arrow())
 
 
 @dataclass(frozen=True, slots=True)
 class SampleTable(ColumnTable):
-    """Samples in columns, ordered by time; one entry of each list for each sample.
+    """Samples from a store in columns, ordered by time; one entry of each list for each sample.
 
     Time without reads is there as samples without a value, one for each point at its begin, with its reason.
 
@@ -75,11 +75,11 @@ class SampleTable(ColumnTable):
 
     @property
     def quality(self) -> list[Quality]:
-        """Quality of each value."""
+        """Return the quality of each sample."""
         return [quality_of(reason) for reason in self.reason]
 
     def columns(self) -> dict[str, list[Any]]:  # columns have different types
-        """The columns by name, with quality and reason in words; values as numbers, and texts beside them.
+        """Return the columns by name, quality and reason in words; values as numbers, texts beside them.
 
         An integer that no float holds has its digits as text too, because a column of numbers may become one of floats.
         """
@@ -97,7 +97,7 @@ class SampleTable(ColumnTable):
 
 @dataclass(frozen=True, slots=True)
 class BucketTable(ColumnTable):
-    """Buckets of points in columns, ordered by time and point; those without samples and outside of gaps are left out.
+    """Minimum, maximum and mean of points by time bucket, in columns, ordered by time and point.
 
     Attributes:
         device, point: names.
@@ -122,7 +122,7 @@ class BucketTable(ColumnTable):
         return len(self.time)
 
     def columns(self) -> dict[str, list[Any]]:  # columns have different types
-        """The columns by name, with the reason in words."""
+        """Return the columns by name, with the reason in words."""
         return {
             "time": self.time,
             "device": self.device,
@@ -164,7 +164,7 @@ def _arrow_table(columns: dict[str, list[Any]]) -> Any:
 
 
 def _numbers(pa: Any, values: list[Any]) -> Any:
-    """A column of numbers: integers if all of them are, else floats."""
+    """Return a column of numbers: integers if all of them are, else floats."""
     if {type(value) for value in values} == {int} and max(values) < 2**63:
         return pa.array(values, pa.int64())
     return pa.array([None if value is None else float(value) for value in values], pa.float64())

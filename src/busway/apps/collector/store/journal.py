@@ -1,4 +1,4 @@
-"""Alarm events and accumulators in a store, read from the open segment and the manifest together.
+"""Alarm events and states of accumulators in a store, from the open segment and the manifest together.
 
 Knows where both stand. A segment has its own events; when it ends they move into the manifest, in the transaction that
 lists it as finished, so that they outlive its samples.
@@ -21,7 +21,7 @@ MOST_EVENTS: Final = 100_000
 
 
 def alarm_rows(folder: Path, manifest: Manifest, after: int = 0) -> list[AlarmRow]:
-    """The alarm events after a commit, in the order of their commits."""
+    """Return the alarm events after a commit, in the order of their commits, as they are stored."""
     rows: dict[tuple[int, int], AlarmRow] = {}
     for part in manifest.parts():
         if part.kind == "open":
@@ -46,7 +46,7 @@ def _of_segment(path: Path, after: int) -> list[AlarmRow]:
 
 
 def alarm_events(rows: Iterable[AlarmRow], manifest: Manifest) -> list[AlarmEvent]:
-    """Alarm events with the current names of their points."""
+    """Return alarm events with the names that their points have now."""
     points = {point.id: point for point in manifest.points()}
     return [
         AlarmEvent(
@@ -66,9 +66,7 @@ def alarm_events(rows: Iterable[AlarmRow], manifest: Manifest) -> list[AlarmEven
 
 
 def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) -> int:
-    """Delete alarm events before a time, and the oldest above a number; returns how many. Those of active
-    alarms stay.
-    """
+    """Delete alarm events before a time, and the oldest above a number; those of active alarms stay."""
     rows = manifest.alarms()
     excess = max(0, len(rows) - most)
     old = [row for place, row in enumerate(rows) if row.at < before or place < excess]
@@ -82,7 +80,7 @@ def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) 
 
 
 def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:
-    """The last committed accumulators of each device, before the open segment was begun."""
+    """Return by device the states of accumulators that were committed before the open segment began."""
     points = {point.id: point for point in manifest.points()}
     found: dict[str, list[CounterState]] = {}
     for row in manifest.counters():

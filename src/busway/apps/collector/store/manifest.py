@@ -1,4 +1,4 @@
-"""The manifest: one small SQLite file that lists the parts, points and sinks of a store.
+"""The manifest of a store: one small SQLite file that lists the store's parts, points and sinks.
 
 Knows parts, points, intervals of sealed parts, cursors and files that are to be unlinked. It alone says which files
 count: a reader reads it first, a writer changes it last.
@@ -70,7 +70,7 @@ INSERT_ALARM: Final = "INSERT OR REPLACE INTO alarms VALUES (?, ?, ?, ?, ?, ?, ?
 
 @dataclass(frozen=True, slots=True)
 class StorePart:
-    """One file with samples, as the manifest lists it.
+    """One file with samples (a segment or a sealed file), as the manifest lists it.
 
     Attributes:
         id: number of the part.
@@ -99,7 +99,7 @@ class StorePart:
 
 @dataclass(frozen=True, slots=True)
 class IntervalRow:
-    """A `StateInterval` of a device, or a `Gap` where ``device`` is None, with the commit that told it."""
+    """An interval in which a device (or, if None, every device) was not read, as it is stored."""
 
     device: str | None
     begin: int
@@ -111,7 +111,7 @@ class IntervalRow:
 
 @dataclass(frozen=True, slots=True)
 class AlarmRow:
-    """An `AlarmEvent` as it is stored: its commit, its place in that, the id of its point, and the rest."""
+    """An alarm event as it is stored: its commit, its position there, the id of its point, and the rest."""
 
     commit_number: int
     place: int
@@ -127,7 +127,7 @@ class AlarmRow:
 
 @dataclass(frozen=True, slots=True)
 class CounterRow:
-    """A `CounterState` as it is stored: the id of its point, total and last counter, and its commit."""
+    """The state of an accumulator as it is stored: the id of its point, total, last counter, and commit."""
 
     point: int
     total: Any  # as SQLite has it
@@ -147,7 +147,7 @@ class MaintenanceRow:
 
 @dataclass(frozen=True, slots=True)
 class StoredPoint:
-    """A point as the store knows it; its id stays when the name changes."""
+    """A point in the store's list; its id stays when the name changes."""
 
     id: int
     device: str
@@ -162,7 +162,7 @@ class StoredPoint:
 
 
 class Manifest:
-    """The manifest of a store, for one writer and any number of readers.
+    """The manifest of a store: list of its files, points, sinks and facts. One writer, any number of readers.
 
     Attributes:
         descriptions: how often points were described by this object: names that were read before may be others now.
@@ -217,12 +217,12 @@ class Manifest:
     # Facts
 
     def fact(self, name: str) -> int | None:
-        """The number that is stored under a name; None if there is none."""
+        """Return the number that the manifest keeps under a name; None if there is none."""
         rows = self._all("SELECT value FROM facts WHERE name = ?", name)
         return None if not rows else rows[0][0]
 
     def set_fact(self, name: str, value: int | None) -> None:
-        """Store a number under a name, or delete it."""
+        """Keep a number under a name in the manifest, or delete it."""
         with self.transaction() as database:
             if value is None:
                 database.execute("DELETE FROM facts WHERE name = ?", (name,))
@@ -230,7 +230,7 @@ class Manifest:
                 database.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (name, value))
 
     def reserve_numbers(self) -> tuple[int, int]:
-        """Reserve a range of commit numbers: returns the first, and the one after the last."""
+        """Reserve a range of commit numbers; returns the first, and the one after the last."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'reserved'").fetchone()
             first = 1 if row is None else row[0]
@@ -240,11 +240,11 @@ class Manifest:
     # Parts
 
     def parts(self) -> list[StorePart]:
-        """All parts of the store, in the order in which they were begun."""
+        """Return all files with samples, in the order in which they were begun."""
         return [StorePart(*row) for row in self._all("SELECT * FROM parts ORDER BY id")]
 
     def add_segment(self) -> StorePart:
-        """Add a new segment to the list; its file does not exist yet."""
+        """List a new segment whose file does not exist yet."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'segment'").fetchone()
             number = 1 if row is None else row[0] + 1
@@ -257,7 +257,7 @@ class Manifest:
     def close_segment(
         self, part: StorePart, alarms: Iterable[AlarmRow] = (), counters: Iterable[CounterRow] = ()
     ) -> None:
-        """Record the contents of a finished segment, and copy its alarms and accumulators."""
+        """Record what a finished segment contains, and copy its alarms and accumulators."""
         with self.transaction() as database:
             database.executemany(INSERT_ALARM, [astuple(row) for row in alarms])
             database.executemany(
@@ -278,7 +278,7 @@ class Manifest:
             )
 
     def replace_part(self, old: StorePart, new: Sequence[StorePart], intervals: Iterable[IntervalRow]) -> None:
-        """List sealed parts instead of a finished segment, whose file is to be deleted then."""
+        """List sealed files instead of a finished segment, whose file is to be deleted then."""
         with self.transaction() as database:
             database.execute("DELETE FROM parts WHERE id = ?", (old.id,))
             for part in new:
@@ -294,7 +294,7 @@ class Manifest:
             database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (old.file,))
 
     def drop_parts(self, parts: Iterable[StorePart], before: int) -> None:
-        """Remove parts from the list, and intervals that ended before a time; their files are to be deleted then.
+        """Take files off the list, and intervals that ended before a time; the files are to be deleted then.
 
         Samples that a sink does not have are lost for it, and counted: all of a part that it has not finished.
         """
@@ -309,7 +309,7 @@ class Manifest:
             database.execute('DELETE FROM intervals WHERE "end" < ?', (before,))
 
     def files_to_unlink(self) -> list[str]:
-        """Names of files that are no longer part of the store and have to be deleted."""
+        """Return the names of files that are off the list and still have to be deleted."""
         return [row[0] for row in self._all("SELECT file FROM unlinks")]
 
     def unlinked(self, file: str) -> None:
@@ -318,18 +318,18 @@ class Manifest:
             database.execute("DELETE FROM unlinks WHERE file = ?", (file,))
 
     def intervals(self) -> list[IntervalRow]:
-        """The intervals of sealed parts."""
+        """Return the intervals of sealed files in which devices were not read."""
         return [IntervalRow(*row) for row in self._all("SELECT * FROM intervals ORDER BY commit_number")]
 
     # Alarms, accumulators, maintenance
 
     def alarms(self, after: int = 0) -> list[AlarmRow]:
-        """The alarm events after a commit, of finished segments, in the order of their commits."""
+        """Return the alarm events of finished segments after a commit, in the order of their commits."""
         rows = self._all("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", after)
         return [AlarmRow(*row) for row in rows]
 
     def forget_alarms(self, rows: Iterable[AlarmRow]) -> None:
-        """Delete alarm events."""
+        """Delete alarm events from the manifest."""
         with self.transaction() as database:
             database.executemany(
                 "DELETE FROM alarms WHERE commit_number = ? AND place = ?",
@@ -337,11 +337,11 @@ class Manifest:
             )
 
     def counters(self) -> list[CounterRow]:
-        """The accumulators of finished segments."""
+        """Return the states of accumulators at the end of finished segments."""
         return [CounterRow(*row) for row in self._all("SELECT * FROM counters")]
 
     def maintenance(self) -> list[MaintenanceRow]:
-        """The devices that are in maintenance."""
+        """Return the devices that are in maintenance."""
         return [MaintenanceRow(*row) for row in self._all("SELECT * FROM maintenance ORDER BY device")]
 
     def begin_maintenance(self, row: MaintenanceRow) -> None:
@@ -357,17 +357,17 @@ class Manifest:
     # Points
 
     def points(self) -> list[StoredPoint]:
-        """All points of the store, also those that are no longer read."""
+        """Return all points of the store, also those that are no longer read."""
         rows = self._all("SELECT id, device, point, unit_of_measure, is_state FROM points ORDER BY id")
         return [StoredPoint(number, device, point, unit, bool(state)) for number, device, point, unit, state in rows]
 
     def count_points(self) -> int:
-        """Number of points of the store."""
+        """Return the number of points of the store."""
         found: int = self._all("SELECT count(*) FROM points")[0][0]
         return found
 
     def former_names(self) -> list[tuple[str, int]]:
-        """Names that points had before and none has now, as ``device/point``, and the ids of those points."""
+        """Return names that points had before and none has now, as ``device/point``, with the points' ids."""
         return self._all(
             "SELECT DISTINCT device || '/' || renames.name, points.id"
             " FROM renames JOIN points ON points.id = renames.point WHERE NOT EXISTS"
@@ -375,11 +375,11 @@ class Manifest:
         )
 
     def renames(self) -> list[tuple[int, str, int]]:
-        """Ids of points, names that they had before, and the last commit in which they had them; in their order."""
+        """Return ids of points with earlier names, and the last commit under each name, in order."""
         return self._all("SELECT point, name, last_commit FROM renames ORDER BY rowid")
 
     def describe_points(self, descriptions: Iterable[PointDescription], last_commit: int) -> None:
-        """Note points with what is known of them; one that has a new name keeps its id, and so its history.
+        """Write descriptions of points; a point with a new name keeps its id, and so its history.
 
         Args:
             descriptions: the points; names that change among them change at once.
@@ -402,7 +402,7 @@ class Manifest:
         self.descriptions += 1
 
     def point_ids(self, device: str, points: Sequence[str], states: frozenset[str] = frozenset()) -> list[int]:
-        """The ids of points of a device; those that are new get one, and are states where ``states`` names them."""
+        """Return the ids of points of a device; new ones get one, and count as states if ``states`` names them."""
         found = dict(self._all("SELECT point, id FROM points WHERE device = ?", device))
         new = [point for point in points if point not in found]
         if new:
@@ -418,7 +418,7 @@ class Manifest:
     # Cursors
 
     def cursors(self) -> dict[str, tuple[int, int]]:
-        """The cursor of each sink: its last commit, and the number of samples dropped for it."""
+        """Return the cursor of each sink: its last commit, and the number of samples dropped for it."""
         return {sink: (number, lost) for sink, number, lost in self._all("SELECT * FROM cursors")}
 
     def set_cursor(self, sink: str, number: int, lost: int) -> None:
@@ -428,7 +428,7 @@ class Manifest:
 
 
 def copy_points(source: Path, target: sqlite3.Connection) -> None:
-    """Make the points of a manifest, with all their names, those of a copy of it."""
+    """Write the points of one manifest, with all their names, into a copy of it."""
     target.execute("ATTACH ? AS source", (str(source),))
     with target:
         for table in ("points", "renames", "carried_names"):

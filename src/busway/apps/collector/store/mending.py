@@ -1,4 +1,4 @@
-"""Mending: samples from before the wall clock was set get their right time when it is.
+"""Corrects the times of samples that were stored before the wall clock was set, once it is.
 
 Knows one segment and how far its times were behind; the writer says which segments, and when.
 
@@ -19,7 +19,7 @@ _MOVED: Final = "CASE WHEN {0} < :earliest THEN {0} + :shift ELSE {0} END"
 
 
 def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
-    """Move what commits from ``first`` on have from before `EARLIEST`; how many samples. Raises `sqlite3.Error`."""
+    """Correct times before `EARLIEST` from commit ``first`` on; returns how many samples. Raises `sqlite3.Error`."""
     known = {"earliest": EARLIEST, "shift": shift, "first": first, "clock": int(Reason.CLOCK)}
     with transaction(database):
         moved = database.execute(

@@ -1,4 +1,4 @@
-"""Reads rows and sums from one part of a store, whatever its format: SQLite if it is new, Parquet if sealed.
+"""Reads samples and sums from one file of a store, whatever its format: SQLite if it is new, Parquet if sealed.
 
 Knows how to ask each format; knows nothing of how parts overlap.
 
@@ -26,7 +26,7 @@ Row = tuple[int, int, Any, int, int, int]
 
 @dataclass(slots=True)
 class Sums:
-    """Aggregates of one point in one bucket: count, total, minimum, maximum, reason; sums of partial rows can be added.
+    """Count, total, minimum, maximum and worst reason of one point in one time bucket; sums can be added up.
 
     Attributes:
         count: numbers that were not bad.
@@ -44,7 +44,7 @@ class Sums:
     reason: int
 
     def add(self, other: "Sums") -> None:
-        """Add the aggregates of other rows."""
+        """Add the sums of other samples of the same bucket."""
         self.count += other.count
         self.total += other.total
         self.samples += other.samples
@@ -69,7 +69,7 @@ _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason"
 
 
 def open_part_facts(folder: Path, part: StorePart) -> StorePart:
-    """A part that is being written, with what its commits say so far."""
+    """Return what the manifest would say about a segment that is being written, from its commits so far."""
     path = folder / SEGMENTS / part.file
     try:
         with closing(open_for_reading(path)) as database:
@@ -81,7 +81,7 @@ def open_part_facts(folder: Path, part: StorePart) -> StorePart:
 
 
 def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
-    """The intervals in a part that is not sealed yet."""
+    """Return the intervals in a segment that is not sealed yet in which devices were not read."""
     try:
         with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
             return intervals_of(database)
@@ -92,7 +92,7 @@ def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
 
 
 def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int) -> list[Row]:
-    """The rows of a part from ``low`` up to ``high``, of some points or of all; in no order."""
+    """Return the samples of a file from time ``low`` up to ``high``, of some points or of all; unordered."""
     if part.kind == "sealed":
         return rows_of_table(_sealed(folder, part, ids, low, high, _COLUMNS))
     with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
@@ -104,7 +104,7 @@ def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int
 def part_sums(
     folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int, bucket: int
 ) -> SumsByBucket:
-    """The aggregates of a part from ``low`` up to ``high`` in buckets of ``bucket`` nanoseconds."""
+    """Return the sums of a file's samples from ``low`` up to ``high``, in buckets of ``bucket`` nanoseconds."""
     if part.kind == "sealed":
         return _sealed_sums(
             _sealed(folder, part, ids, low, high, ["time", "point", "real", "integer", "large", "reason"]), bucket
@@ -116,7 +116,7 @@ def part_sums(
 
 
 def _sealed(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int, columns: list[str]) -> Any:
-    """Columns of a Parquet file; row groups without a wanted point or time are skipped."""
+    """Return columns of a Parquet file; row groups without a wanted point or time are skipped."""
     pa = arrow()
 
     def moment(nanoseconds: int) -> Any:
@@ -129,7 +129,7 @@ def _sealed(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, 
 
 
 def rows_of_table(table: Any) -> list[Row]:
-    """The rows of a sealed part in the form of those of a segment."""
+    """Return the samples of a sealed file in the form of those of a segment."""
     if not table.num_rows:
         return []
     columns = {name: table[name] for name in _COLUMNS if name != "time"}
@@ -179,7 +179,7 @@ def _sealed_sums(table: Any, bucket: int) -> SumsByBucket:
 
 
 def sums_of_rows(rows: Sequence[Row], bucket: int) -> SumsByBucket:
-    """The aggregates of rows, for parts that overlap and have to be merged first."""
+    """Return the sums of samples, for files that overlap in time and have to be merged first."""
     found: SumsByBucket = {}
     for time, point, value, reason, _, _ in rows:
         usable = reason < Reason.TIMEOUT and type(value) in (int, float)

@@ -1,4 +1,4 @@
-"""`Store`: reads the samples of a store, from new and sealed parts alike, also while it is being written.
+"""`Store`: reads the samples of a store's folder, also while a collector writes it.
 
 Knows how parts overlap; knows no format.
 
@@ -49,7 +49,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class TimePiece:
-    """A period of time from ``low`` up to ``high``, and the parts that have rows in it."""
+    """A period of time from ``low`` up to ``high``, with the store's files that have samples in it."""
 
     low: int
     high: int
@@ -57,7 +57,7 @@ class TimePiece:
 
 
 class Store:
-    """A store of the collector, opened for reading, also while it is being written.
+    """The samples of a collector in a folder, opened for reading, also while it is being written.
 
     >>> frame = busway.Store("data").read("meter-7/*", since="1h")          # doctest: +SKIP
     """
@@ -72,7 +72,7 @@ class Store:
         check_store(self.folder)
 
     def points(self) -> list[StoredPoint]:
-        """All points, also those that are no longer read. Raises `ConfigError`."""
+        """Return all points, also those that are no longer read. Raises `ConfigError`."""
         return self._from_manifest(Manifest.points)
 
     @overload
@@ -98,7 +98,7 @@ class Store:
         until: Moment | None = None,
         bucket: str | float | None = None,
     ) -> SampleTable | BucketTable:
-        """Samples, or minimum, maximum and mean for each bucket.
+        """Return samples, or minimum, maximum and mean for each time bucket.
 
         Args:
             points: ``device/point``, with ``*`` and ``?``; a device alone means all its points. Former names serve too.
@@ -124,7 +124,7 @@ class Store:
     def pieces(
         self, points: str | Sequence[str] = "*", *, since: Moment | None = None, until: Moment | None = None
     ) -> Iterator[SampleTable]:
-        """The samples that `read` returns, in several tables of limited size, in the order of time."""
+        """Yield the samples that `read` returns in several tables of limited size, in the order of time."""
         now = time.time_ns()
         low = 0 if since is None else moment(since, now)
         high = EVER if until is None else moment(until, now)
@@ -143,7 +143,7 @@ class Store:
     def alarms(
         self, points: str | Sequence[str] = "*", *, since: Moment | None = None, until: Moment | None = None
     ) -> list[AlarmEvent]:
-        """The journal of alarms, in the order of commits.
+        """Return the journal of alarm events, in the order of commits.
 
         Args:
             points, since, until: as for `read`.
@@ -191,7 +191,7 @@ class Store:
         return None if points in ("*", "*/*") else [point.id for point in chosen]
 
     def _parts(self) -> list[StorePart]:
-        """The parts of the store with their current contents."""
+        """Return the store's files with samples, with their current contents."""
         return self._tried(lambda: [part for part in map(self._facts, self._listed()) if part.low is not None])
 
     def _listed(self) -> list[StorePart]:
@@ -203,7 +203,7 @@ class Store:
         return self._unless_unmade(part, lambda: open_part_facts(self.folder, part), part)
 
     def _unless_unmade(self, part: StorePart, ask: Callable[[], Result], otherwise: Result) -> Result:
-        """The result of ``ask``; ``otherwise`` for a listed segment whose file does not exist yet."""
+        """Return the result of ``ask``; ``otherwise`` for a listed segment whose file does not exist yet."""
         try:
             return ask()
         except FileNotFoundError:
@@ -212,7 +212,7 @@ class Store:
             raise
 
     def _tried(self, ask: Callable[[], Result]) -> Result:
-        """The result of ``ask``, repeated if a part was sealed or dropped meanwhile."""
+        """Return the result of ``ask``, repeated if a file was sealed or dropped meanwhile."""
         for _ in range(_TRIES):
             try:
                 return ask()
@@ -221,15 +221,13 @@ class Store:
         return ask()
 
     def _rows_in_piece(self, chosen: list[StoredPoint]) -> int:
-        """Number of rows per piece, such that about `_PIECE` of them belong to the chosen points."""
+        """Return a number of samples per piece, such that about `_PIECE` of them belong to the chosen points."""
         return _PIECE * max(1, self._from_manifest(Manifest.count_points)) // max(1, len(chosen))
 
     def _walk(
         self, stretch: tuple[int, int, int], ask: Callable[[TimePiece], Result]
     ) -> Iterator[tuple[TimePiece, Result]]:
-        """Apply ``ask`` to each piece of a period (begin, end, rows in a piece); if a part has vanished, to those that
-        replaced it.
-        """
+        """Apply ``ask`` to each piece of a period; if its file has vanished, to those that replaced it."""
         reached, high, most = stretch
         tries = 0
         while True:
@@ -268,7 +266,7 @@ class Store:
         return rows + self._from_manifest(Manifest.intervals)  # last: sealing moves them there
 
     def _intervals(self, devices: set[str], low: int, high: int) -> list[IntervalRow]:
-        """The intervals of these devices, and of all devices, that overlap a period, each once."""
+        """Return the intervals of these devices, and of all devices, that overlap a period, each once."""
         rows = self._tried(self._all_intervals)
         latest = {(row.device, row.begin, row.reason): row for row in sorted(rows, key=lambda row: row.commit_number)}
         return sorted(
@@ -284,7 +282,7 @@ class Store:
 
 
 def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Iterator[TimePiece]:
-    """Divide a period where parts begin and end, and further if they have more than ``most`` rows."""
+    """Divide a period where the store's files begin and end, and further above ``most`` samples."""
     spans = [(max(part.low or 0, low), min((part.high or 0) + 1, high), part) for part in parts if part.low is not None]
     spans = [each for each in spans if each[0] < each[1]]
     cuts = sorted({cut for begin, end, _ in spans for cut in (begin, end)})
@@ -300,12 +298,12 @@ def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Ite
 
 
 def _share(part: StorePart, begin: int, end: int) -> float:
-    """Estimated number of rows of a part within a period."""
+    """Return the estimated number of a file's samples within a period."""
     return (part.rows or 0) * (end - begin) / ((part.high or 0) + 1 - (part.low or 0))
 
 
 def _marks(intervals: list[IntervalRow], points: list[StoredPoint], low: int) -> list[Row]:
-    """For each interval a row without a value at its begin, for each point that it concerns."""
+    """Return rows without a value at the begin of each interval, one for each point that it concerns."""
     found = [
         (max(row.begin, low), point.id, None, row.reason, 0, row.commit_number)
         for row in intervals
@@ -356,7 +354,7 @@ def _add_up(sums: SumsByBucket, found: SumsByBucket) -> None:
 def _add_gaps(
     sums: SumsByBucket, intervals: list[IntervalRow], points: list[StoredPoint], stretch: tuple[int, int], bucket: int
 ) -> None:
-    """Add the reason of an interval to the buckets that it overlaps and that have no samples."""
+    """Add the reason of each interval to the buckets that it overlaps and that have no samples."""
     low, high = stretch
     for row in intervals:
         end = high if row.end is None else min(row.end, high)

@@ -1,4 +1,4 @@
-"""Retention: chooses the parts to delete because they are too old, or because the store is too large.
+"""Retention: chooses the files of a store to delete, because they are too old or the store is too large.
 
 Pure. Knows parts; the writer drops them.
 """
@@ -30,7 +30,7 @@ class Retention:
 
 
 def parts_to_drop(parts: Sequence[StorePart], retention: Retention, now: int) -> list[StorePart]:
-    """The finished parts beyond the limits of retention, oldest first; never the open one.
+    """Return the finished files beyond the limits of retention, oldest first; never the open segment.
 
     Args:
         parts: all parts.

@@ -1,4 +1,4 @@
-"""Writes a sealed part: the rows of a segment as Parquet files. Runs as a program of its own for one segment.
+"""Writes sealed files: the samples of a segment as Parquet. Runs as a program of its own for one segment.
 
     python -m busway.apps.collector.store.sealed_part   < a request in JSON   > what was written, in JSON
 
@@ -46,7 +46,7 @@ PointTexts = Sequence[tuple[int, str, str, str | None]]
 
 
 def write_parts(segment: Path, points: PointTexts, parent: int) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Write the rows of a closed segment: each file, and its name, bounds, rows and bytes.
+    """Write the samples of a closed segment as Parquet; returns each file with its name, bounds, rows and bytes.
 
     Ends without the rest where the process ``parent`` has ended: then nobody will list what is written.
     """
@@ -94,7 +94,7 @@ def _facts(table: Any) -> dict[str, int]:
 
 
 def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int, int]]:
-    """The names of the files and the periods they cover: late rows by ten minutes each, then the rest."""
+    """Return names and periods of the files to write: late samples by ten minutes each, then the rest."""
     begin = first_time_of(database)
     if begin is None:
         return
@@ -106,7 +106,7 @@ def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int,
 
 
 def first_time_of(database: sqlite3.Connection) -> int | None:
-    """The time from which on samples of a segment are not late; None if it has none."""
+    """Return the time from which on samples of a segment are not late; None if it has none."""
     row = database.execute("SELECT min(at) FROM commits").fetchone()
     if row[0] is None or database.execute("SELECT 1 FROM samples LIMIT 1").fetchone() is None:
         return None
@@ -115,7 +115,7 @@ def first_time_of(database: sqlite3.Connection) -> int | None:
 
 
 def _table(segment: Path, kinds: set[str], low: int, high: int) -> Any:
-    """The rows of a segment from ``low`` up to ``high``, sorted by point and time."""
+    """Return the samples of a segment from ``low`` up to ``high``, sorted by point and time."""
     pa = arrow()
     from adbc_driver_sqlite import dbapi  # with its own SQLite: not beside an open connection of Python's
 
@@ -135,7 +135,7 @@ def _table(segment: Path, kinds: set[str], low: int, high: int) -> Any:
 
 
 def _query(kinds: set[str]) -> str:
-    """The SQL query for rows with one column per type of value, NULL in the others."""
+    """Return the SQL query for samples with one column per type of value, NULL in the others."""
     samples, values = [], []
     for name, (kind, sample) in _KINDS.items():
         samples.append(f"{sample} AS {name}")
@@ -151,7 +151,7 @@ def _query(kinds: set[str]) -> str:
 
 
 def _named(table: Any, points: PointTexts) -> Any:
-    """A table with timestamps and the names of its points, for people who read the file with another program."""
+    """Return a table with timestamps and the names of its points, for people who read the file elsewhere."""
     pa = arrow()
     known = pa.array([id for id, *_ in points], pa.int32())
     indices = arrow("compute").index_in(table["point"].combine_chunks(), value_set=known)
@@ -162,7 +162,7 @@ def _named(table: Any, points: PointTexts) -> Any:
 
 
 def main() -> None:
-    """Write the files of the segment that standard input names, and list them on standard output."""
+    """Write the sealed files of the segment that standard input names, and list them on standard output."""
     asked = json.load(sys.stdin)
     os.nice(_NICENESS)
     written = write_parts(Path(asked["segment"]), asked["points"], asked["parent"])

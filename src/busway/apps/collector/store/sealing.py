@@ -35,22 +35,22 @@ _LONGEST: Final = 1800
 
 
 class SealingFailed(OSError):
-    """The process that turns a segment into Parquet ended without doing so; the segment stays as it is."""
+    """Error: the process that should turn a segment into Parquet failed; the segment stays as it is."""
 
 
 def can_seal() -> bool:
-    """Whether the packages are there that sealing needs."""
+    """Whether the packages are installed that turning segments into Parquet needs."""
     return find_spec("pyarrow") is not None and find_spec("adbc_driver_sqlite") is not None
 
 
 def arrow(module: str = "") -> Any:  # pyarrow has no types of its own
-    """Import pyarrow or one of its modules. Raises `MissingExtra`."""
+    """Return pyarrow or one of its modules. Raises `MissingExtra`."""
     require("pyarrow", "a sealed part of the store")
     return import_module(f"pyarrow{'.' * bool(module)}{module}")
 
 
 def seal(folder: Path, manifest: Manifest, part: StorePart, step: Step) -> list[StorePart]:
-    """Turn a closed segment into sealed parts, and give them. Raises `SealingFailed`, `OSError`, `sqlite3.Error`."""
+    """Turn a closed segment into Parquet files, and return them. Raises `SealingFailed`, `OSError`, `sqlite3.Error`."""
     source = folder / SEGMENTS / part.file
     with closing(open_for_reading(source)) as database:
         intervals = intervals_of(database)
@@ -70,7 +70,7 @@ def seal(folder: Path, manifest: Manifest, part: StorePart, step: Step) -> list[
 
 
 def _written(source: Path, points: list[StoredPoint], step: Step) -> list[tuple[Path, dict[str, Any]]]:
-    """Let another process write the files: where each is, and what the manifest is to say of it."""
+    """Have another process write the Parquet files; returns where each is, and its entry for the manifest."""
     asked = {
         "segment": os.fspath(source),
         "parent": os.getpid(),
@@ -99,14 +99,14 @@ def _interpreter() -> list[str]:
 
 
 def remove_unlisted(folder: Path, manifest: Manifest) -> None:
-    """Unlink files that the manifest has taken off its list."""
+    """Delete files that the manifest has taken off its list."""
     for file in manifest.files_to_unlink():
         unlink_part(folder / SEGMENTS / file)
         manifest.unlinked(file)
 
 
 def remove_unfinished(folder: Path, manifest: Manifest) -> None:
-    """Unlink files that were being written when a process ended: their rows are still in the segment that is listed."""
+    """Delete Parquet files that a process left unfinished: their samples are still in the segment."""
     parts = manifest.parts()
     listed = {part.file for part in parts}
     segments = {part.file.removesuffix(".sqlite") for part in parts if part.kind != "sealed"}

@@ -1,4 +1,4 @@
-"""A segment: the SQLite file that samples are written to, for ten minutes or 256 MB.
+"""A segment: the SQLite file that samples are written to, for ten minutes or 256 MB; then the next one begins.
 
 Knows one file and its tables; knows nothing of the manifest.
 
@@ -65,7 +65,7 @@ KeyedAlarm = tuple[int, AlarmEvent]
 
 
 class Segment:
-    """A segment that is being written. Not safe for several threads; every method may raise `sqlite3.Error`."""
+    """A segment file that is being written. Not safe for several threads; methods may raise `sqlite3.Error`."""
 
     def __init__(self, path: Path, *, every_commit_durable: bool) -> None:
         self.path = path
@@ -86,7 +86,7 @@ class Segment:
         intervals: Sequence[StateInterval | Gap],
         alarms: Sequence[KeyedAlarm] = (),
     ) -> None:
-        """Write a commit except for its end; `commit` or `rollback` follows."""
+        """Write a commit of samples without ending its transaction; `commit` or `rollback` follows."""
         database = self._database
         database.execute("BEGIN IMMEDIATE")
         for ids, batch in batches:
@@ -117,7 +117,7 @@ class Segment:
             self._database.execute("ROLLBACK")
 
     def log_size(self) -> int:
-        """Size of the write-ahead log in bytes."""
+        """Return the size of the segment's write-ahead log in bytes."""
         try:
             return self._log.stat().st_size
         except FileNotFoundError:
@@ -129,11 +129,11 @@ class Segment:
         return self.log_size() > LOG_STUCK
 
     def size(self) -> int:
-        """Size of the segment on disk in bytes."""
+        """Return the size of the segment on disk in bytes."""
         return size_of(self.path)
 
     def mend(self, first: int, shift: int) -> int:
-        """Move what was written before the wall clock was set (`mending`); how many samples."""
+        """Correct times from before the wall clock was set (`mending`); returns how many samples."""
         return mend_segment(self._database, first, shift)
 
     def sync(self) -> None:
@@ -142,17 +142,17 @@ class Segment:
         sync_file(self.path)
 
     def limit_pages(self, pages: int) -> None:
-        """Limit the number of pages of the file, to simulate a full disk."""
+        """Limit the number of pages of the segment's file, to simulate a full disk."""
         self._database.execute(f"PRAGMA max_page_count={pages}")
 
     def close(self) -> None:
-        """Close the file; a write-ahead log that no reader uses is merged into it and removed."""
+        """Close the segment's file; a write-ahead log that no reader uses is merged into it and removed."""
         with contextlib.suppress(sqlite3.Error):
             self._database.close()
 
 
 def insert_batch(database: sqlite3.Connection, ids: Sequence[int], batch: SampleBatch, number: int) -> None:
-    """Insert the samples of one read, in the columns' own order: a loop in C as long as SQLite takes the values."""
+    """Insert the samples of one read into the segment, in a loop in C as long as SQLite takes the values."""
     reasons = repeat(batch.reasons) if isinstance(batch.reasons, int) else batch.reasons
     try:
         _insert(database, ids, batch, batch.values, reasons, number)
@@ -189,7 +189,7 @@ def is_storable(value: object) -> bool:
 
 
 def stored_value(value: object) -> object:
-    """A value as SQLite takes it; None for one that no store can keep."""
+    """Return a value as SQLite takes it; None for one that no store can keep."""
     if not is_storable(value):
         return None
     if isinstance(value, int) and value >= 2**63:
@@ -198,7 +198,7 @@ def stored_value(value: object) -> object:
 
 
 def sample_value(stored: int | float | str | bytes | None, reason: int, is_state: bool) -> Value | None:
-    """The value of a sample that a row holds."""
+    """Return the value of a sample from its stored row."""
     if stored is None:
         return None if quality_of(reason) is Quality.BAD else float("nan")
     if isinstance(stored, bytes):
@@ -259,7 +259,7 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
 
 
 def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StorePart:
-    """The description of a segment for the manifest, from its commits."""
+    """Return what the manifest says about a segment, from its commits."""
     low, high, first, last, alive, rows = database.execute(
         "SELECT min(low), max(high), min(number), max(number), max(at), coalesce(sum(samples), 0) FROM commits"
     ).fetchone()
@@ -272,7 +272,7 @@ def is_unmade(error: sqlite3.OperationalError) -> bool:
 
 
 def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
-    """The alarm events of a segment after a commit, in the order of their commits."""
+    """Return the alarm events of a segment after a commit, in the order of their commits."""
     try:
         rows = database.execute("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", (after,))
     except sqlite3.OperationalError as error:
@@ -283,7 +283,7 @@ def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
 
 
 def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
-    """The latest state of each accumulator in a segment."""
+    """Return the latest state of each accumulator in a segment."""
     try:
         rows = database.execute("SELECT point, total, last, commit_number FROM counters")
     except sqlite3.OperationalError as error:
@@ -294,5 +294,5 @@ def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
 
 
 def intervals_of(database: sqlite3.Connection) -> list[IntervalRow]:
-    """The intervals of a segment, in the order of their commits."""
+    """Return the intervals of a segment in which devices were not read, in the order of their commits."""
     return [IntervalRow(*row) for row in database.execute("SELECT * FROM intervals ORDER BY commit_number")]

@@ -1,4 +1,4 @@
-"""Selects what is read from a store: parses points, times and periods of a query.
+"""Parses the points, times and periods that a query of a store names.
 
 Pure but for the clock of "an hour ago", which comes as an argument.
 """
@@ -24,7 +24,7 @@ EVER: Final = 2**63 - 1
 
 
 def moment(given: Moment, now: int) -> int:
-    """Nanoseconds since 1970 UTC for a time given by a user.
+    """Return nanoseconds since 1970 UTC for a time given by a user.
 
     Raises:
         InvalidRequest: it is no time. Text without an offset is UTC.
@@ -45,7 +45,7 @@ def moment(given: Moment, now: int) -> int:
 
 
 def span(given: str | float) -> int:
-    """Nanoseconds for a duration such as ``10s`` or ``5m``, or a number of seconds. Raises `InvalidRequest`."""
+    """Return nanoseconds for a duration such as ``10s`` or ``5m``, or a number of seconds. Raises `InvalidRequest`."""
     match = _SPAN.fullmatch(given.strip()) if isinstance(given, str) else None
     if isinstance(given, str):
         length = 0.0 if match is None else float(match[1]) * _SECONDS[match[2]]
@@ -59,7 +59,7 @@ def span(given: str | float) -> int:
 def chosen_points(
     patterns: str | Sequence[str], points: Iterable[StoredPoint], former: Iterable[tuple[str, int]]
 ) -> list[StoredPoint]:
-    """The points that patterns such as ``meter-7/*`` name, also by names that they had before and none has now.
+    """Return the points that patterns such as ``meter-7/*`` name, also by names that they had before.
 
     Raises:
         InvalidRequest: a pattern names no point of the store.

@@ -25,7 +25,7 @@ _TRIES = 10
 
 
 def check_store_files(folder: Path) -> list[str]:
-    """The problems of a store, one sentence each; empty if there are none.
+    """Return the problems of a store's files, one sentence each; empty if there are none.
 
     Raises:
         ConfigError: there is no store, or its manifest cannot be read.
@@ -89,9 +89,7 @@ def _problems_of_segment(path: Path, part: StorePart, manifest: Manifest) -> Ite
 
 
 def _unlisted(part: StorePart, found: set[int], manifest: Manifest) -> Iterator[str]:
-    """Points with samples that the manifest does not list; it is read last, because points are listed before their
-    samples.
-    """
+    """Return points with samples that the manifest does not list; it is read last, as points are listed first."""
     unlisted = found - {point.id for point in manifest.points()}
     if unlisted:
         yield f"{part.file} has samples of points that are not listed: {sorted(unlisted)[:5]}"
@@ -142,7 +140,7 @@ def back_up(folder: Path, target: Path) -> int:
 
 
 def _copied(folder: Path, target: Path) -> int | None:
-    """Copy the manifest and the parts it lists; None where one has gone meanwhile."""
+    """Copy the manifest and the files it lists; returns None if one was removed meanwhile."""
     _copy_database(folder / MANIFEST, target / MANIFEST)
     with closing(Manifest(target)) as manifest:
         parts = manifest.parts()
@@ -165,7 +163,7 @@ def _copied(folder: Path, target: Path) -> int | None:
 
 
 def _is_listed(folder: Path, part: StorePart) -> bool:
-    """Whether a segment whose file is not there is not made yet; otherwise it is sealed by now."""
+    """Whether a segment whose file is missing is still to be made; otherwise it was sealed meanwhile."""
     with closing(Manifest(folder)) as manifest:
         return part in manifest.parts()
 

@@ -1,4 +1,4 @@
-"""The writer of a store: writes one commit after the other into the open segment.
+"""The writer of a store: puts one commit after the other into the open segment, and decides when a segment ends.
 
 Knows the order of steps that keeps a store whole; knows no thread and no clock. Times come as arguments.
 
@@ -40,7 +40,7 @@ Durability = Literal["process", "power"]
 
 @dataclass(frozen=True, slots=True)
 class StoreOptions:
-    """Options of writing a store: segments, retention and durability.
+    """Options of writing a store: when a segment ends, what is kept how long, and durability.
 
     Attributes:
         durability: ``process``: what was committed survives the end of the process, and a power failure costs the last
@@ -58,7 +58,7 @@ class StoreOptions:
 
 @dataclass(frozen=True, slots=True)
 class Commit:
-    """A commit: the samples, intervals and alarms that became part of the store together.
+    """A commit: the samples, intervals and alarms that became part of a store together, under one number.
 
     Attributes:
         number: greater than that of every commit before.
@@ -76,7 +76,7 @@ class Commit:
 
 
 def no_step(name: str) -> None:
-    """Do nothing between two steps; tests replace this."""
+    """Do nothing between two steps of a write; tests replace this."""
 
 
 class StoreWriter:
@@ -85,7 +85,7 @@ class StoreWriter:
     def __init__(
         self, folder: Path | str, options: StoreOptions | None = None, *, now: int, step: Step = no_step
     ) -> None:
-        """Open a store, and make it where there is none.
+        """Open a store for writing, and create it if there is none.
 
         Args:
             folder: where it is.
@@ -132,7 +132,7 @@ class StoreWriter:
             opened.callback(self._close_segment)
 
     def close(self, now: int) -> None:
-        """Note that the end is meant, and close all files. Raises `sqlite3.Error` where that cannot be written."""
+        """Note in the store that it was closed on purpose, and close all files. Raises `sqlite3.Error`."""
         try:
             self.manifest.set_fact("ended", now)
         finally:
@@ -141,7 +141,7 @@ class StoreWriter:
     # Start
 
     def _begin_again(self, now: int) -> None:
-        """Close what an earlier run left open, and record the time in between."""
+        """Close what an earlier process left open, and record the time in between as a gap."""
         meant = self.manifest.fact("ended") is not None
         left: list[StateInterval | Gap] = []
         for part in self.manifest.parts():
@@ -158,7 +158,7 @@ class StoreWriter:
         self.manifest.set_fact("ended", None)
 
     def _finish_listing(self, part: StorePart) -> None:
-        """List what the commits of a segment say; one that holds none (a crash at its begin) is taken off the list."""
+        """Record what a segment contains, from its commits; an empty one is taken off the list."""
         path = self.folder / SEGMENTS / part.file
         found = part
         alarms: list[AlarmRow] = []
@@ -180,7 +180,7 @@ class StoreWriter:
         remove_unlisted(self.folder, self.manifest)
 
     def _open_intervals(self) -> list[StateInterval]:
-        """Intervals without an end, of any part."""
+        """Return the stored intervals that have no end yet."""
         rows = list(self.manifest.intervals())
         for part in self.manifest.parts():
             if part.kind == "closed":
@@ -197,7 +197,7 @@ class StoreWriter:
     # Commits
 
     def describe_points(self, descriptions: Iterable[PointDescription]) -> None:
-        """Note what is known of points; a point with a new name keeps its history. In the thread of `commit`."""
+        """Store descriptions of points; a point with a new name keeps its history. In the thread of `commit`."""
         self.manifest.describe_points(descriptions, self._next - 1)
         self._groups.clear()
 
@@ -208,7 +208,7 @@ class StoreWriter:
         now: int,
         alarms: Sequence[AlarmEvent] = (),
     ) -> Commit:
-        """Make samples and intervals part of the store.
+        """Write samples, intervals and alarms as one commit.
 
         Args:
             batches: samples, of any devices and times.
@@ -234,12 +234,12 @@ class StoreWriter:
         return Commit(number, now, batches, intervals, alarms)
 
     def begin_mending(self, shift: int) -> None:
-        """Begin to move what this process wrote before the wall clock was set, by ``shift`` nanoseconds."""
+        """Begin to correct times from before the wall clock was set, by ``shift`` nanoseconds."""
         self.manifest.set_fact("mend_by", shift)
         self.manifest.set_fact("mend_from", self._first)
 
     def mend_next(self) -> bool:
-        """Mend one segment; whether there may be more. A crash in between is made good at the next start.
+        """Correct times in one segment; returns whether there may be more. Goes on after a crash in between.
 
         Raises:
             sqlite3.Error, OSError: the segment is as it was.
@@ -269,22 +269,22 @@ class StoreWriter:
             self.manifest.close_segment(found, alarms_of(database))
 
     def _is_to_be_mended(self, part: StorePart) -> bool:
-        """Whether times of a part may move when the clock is set: it is neither sealed nor dropped for its age."""
+        """Whether times in a file may still be corrected: it is neither sealed nor dropped for its age."""
         return (part.low or EARLIEST) < EARLIEST and (part.last_commit or 0) >= self._first
 
     def sync(self) -> None:
-        """Make what was committed survive a power failure, where not every commit does. Raises `OSError`."""
+        """Make earlier commits survive a power failure, if not every commit does so. Raises `OSError`."""
         if self._segment is not None:
             self._segment.sync()
 
     def limit_pages(self, pages: int) -> None:
-        """Let the open segment have so many pages at most, as on a full disk; for tests."""
+        """Limit the number of pages of the open segment, as on a full disk; for tests."""
         if self._segment is not None:
             self._segment.limit_pages(pages)
 
     @property
     def log_size(self) -> int:
-        """Bytes of the write-ahead log of the open segment."""
+        """Return the size of the open segment's write-ahead log in bytes."""
         return 0 if self._segment is None else self._segment.log_size()
 
     @property
@@ -327,13 +327,13 @@ class StoreWriter:
         return now // SLOT != self._slot or segment.size() > self.options.segment_size or segment.is_stuck
 
     def _forget_segment(self) -> None:
-        """Close the file of the open segment; the next commit opens it again."""
+        """Close the file of the open segment; the next commit opens the same one again."""
         if self._segment is not None:
             self._segment.close()
         self._segment = None
 
     def roll(self) -> None:
-        """End the open segment; the next commit begins another."""
+        """End the open segment; the next commit begins a new one."""
         if self._part is None:
             return
         self._close_segment()
@@ -350,7 +350,7 @@ class StoreWriter:
     # Upkeep, in another thread
 
     def seal_closed(self) -> int:
-        """Seal the segments that are finished; how many there were. Without pyarrow they stay as they are."""
+        """Turn finished segments into Parquet; returns how many there were. Without pyarrow they stay."""
         if not self.options.seals or not can_seal():
             return 0
         with self._files:
@@ -361,7 +361,7 @@ class StoreWriter:
             return len(closed)
 
     def apply_retention(self, now: int) -> list[StorePart]:
-        """Drop the parts that are too old or too many; those."""
+        """Delete the files that are too old or too many, and return them."""
         with self._files:
             dropped = parts_to_drop(self._sized_parts(), self.options.retention, now)
             age = self.options.retention.age
