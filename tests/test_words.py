@@ -120,3 +120,12 @@ def test_cannot_is_one_word_in_sources_tests_and_pages() -> None:
     texts = {file: file.read_text(encoding="utf-8") for file in files if "build" not in file.parts}
     assert len(texts) > 500
     assert [str(file) for file, text in texts.items() if re.search(r"(?i)\bcan\s+not\b|can_" + "not", text)] == []
+
+
+def test_sources_and_pages_say_who_does_something() -> None:
+    vague = re.compile(r"(?i)\b(?:nobody|somebody|whoever|everybody|anybody)\b")
+    folders = {ROOT / "src": ("py", "js", "html", "toml"), ROOT / "docs": ("md", "toml")}
+    files = [file for folder, kinds in folders.items() for kind in kinds for file in folder.rglob(f"*.{kind}")]
+    found = {str(file.relative_to(ROOT)): vague.findall(file.read_text(encoding="utf-8")) for file in files}
+    assert len(found) > 500
+    assert {file: words for file, words in found.items() if words} == {}

@@ -6,7 +6,7 @@ Knows names and kinds of files; knows nothing of what stands in them.
 2. A symbolic link is followed if it belongs to the user who runs the program or to root, wherever in the path it
    stands. One of another user is refused: he could let it point anywhere (CWE-59). The last step is taken by a call
    that follows no link, so one that is put there meanwhile is refused too.
-3. What is replaced must be recognised by its first bytes. A file that somebody else needs is never overwritten because
+3. What is replaced must be recognised by its first bytes. Another file is never overwritten because
    its name was written down by mistake.
 """
 
@@ -19,7 +19,7 @@ from typing import Final
 from .errors import ConfigError
 
 HEAD: Final = 256
-"""Bytes from the beginning of a file by which it is recognised."""
+"""Bytes from the beginning of a file that identify it."""
 _MOST_LINKS: Final = 40
 """As many links does Linux follow in one path."""
 _ALWAYS: Final = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)

@@ -119,7 +119,7 @@ class PolicyAuthorizer:
 
     @property
     def policy(self) -> Policy:
-        """The policy by which requests are decided now."""
+        """The policy that decides requests now."""
         return self._in_force.policy
 
     def replace_policy(self, policy: Policy) -> None:

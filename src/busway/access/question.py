@@ -53,7 +53,7 @@ class Asker:
         host: numeric address, ``10.0.0.7``; the name of a serial line.
         role: role of the certificate; None without one.
         listener: URL of the listener.
-        listener_names: further URLs by which a rule may name it.
+        listener_names: further URLs that a rule may use for it.
     """
 
     host: str = ""
@@ -64,7 +64,7 @@ class Asker:
 
 @dataclass(slots=True)
 class Question:
-    """One request with all facts by which an access policy can decide about it. Created with ``of``.
+    """One request with all facts that an access policy decides by. Created with ``of``.
 
     Attributes:
         asker: the client.

@@ -25,7 +25,7 @@ _MOST_ACCESSES: Final = 4096
 
 @dataclass(slots=True)
 class Decision:
-    """What a policy decided about one request: permitted or not, by which rule, with which exception code.
+    """What a policy decided about one request: permitted or not, the rule that decided, the exception code.
 
     Attributes:
         allowed: whether it may be executed.

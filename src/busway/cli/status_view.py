@@ -204,7 +204,7 @@ def places_line(state: JsonObject) -> str:
 
 
 def interface_rows(listener: JsonObject) -> Iterator[list[str]]:
-    """Return rows for the network interfaces by which other hosts reach a listener."""
+    """Return rows for the network interfaces that other hosts use to reach a listener."""
     for one in listener.get("interfaces") or ():
         if not (one["address"].startswith("127.") or one["address"] == "::1"):
             yield [listener["endpoint"], one["name"], one["address"], one["netmask"], one["gateway"]]

@@ -217,7 +217,7 @@ class ManagementParameters:
 
 
 def selection(name: "str | LinkSelection | None") -> LinkSelection | None:
-    """Return the rule with a given name by which a request's connection is chosen. Raises `ConfigError`."""
+    """Return the rule of a given name, which chooses the connection of a request. Raises `ConfigError`."""
     if name is None or isinstance(name, LinkSelection):
         return name
     try:

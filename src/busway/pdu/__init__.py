@@ -13,7 +13,7 @@
 `general`         Messages of no particular function: exceptions, and requests and replies of unknown functions
 `malformed`       The error for a received message that breaks a rule of its function, with the exception code to reply
 `message`         Base classes of messages, whose declared fields are compiled once into encoder and decoder
-`model`           Interfaces of a device, by which a request executes itself (`Request.apply`)
+`model`           Interfaces of a device that requests act on when they are executed (`Request.apply`)
 `read_items`      Functions 01–04 and 24: reading the four tables and a queue of registers
 `wide_registers`  Reads of registers that are wider than two bytes: such a device answers 4…12 bytes for each register
 `write_items`     Functions 05, 06, 15, 16, 22 and 23: writing coils and holding registers

@@ -251,7 +251,7 @@ class Request(Message):
         return tuple(found)
 
     def reply_shape(self) -> tuple[int, bytes]:
-        """Return length and first bytes of the expected reply PDU, by which a client recognises it.
+        """Return length and first bytes of the expected reply PDU; a client recognises it by them.
 
         A length of `UNKNOWN_LENGTH` says that only ``check_reply`` can tell.
         """

@@ -89,7 +89,7 @@ class ListenerContext:
     Attributes:
         loop: the event loop it lives on.
         listener: URL, as it is bound.
-        listener_names: further URLs by which rules may name it.
+        listener_names: further URLs that rules may use for it.
         hosts: numeric addresses that it is bound to.
         settings, parameters: of the listener.
         counters: shared by all listeners of a server.

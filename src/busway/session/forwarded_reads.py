@@ -120,7 +120,7 @@ class ReadObserver(Protocol):
 
     @property
     def clock(self) -> Callable[[], float]:
-        """The clock by which the time ``began`` of a read is measured."""
+        """The clock that measures the time ``began`` of a read."""
 
     def forwarded(self, client: "ClientIdentity", replies: Sequence[bytes], began: float) -> None:
         """Report that reads which arrived together at ``began`` were answered with these ADUs."""

@@ -47,7 +47,7 @@ class ClientIdentity:
         listener: URL of the listener.
         role: role of the client's certificate; None without one.
         is_priority: whether the client is a priority host.
-        listener_names: further URLs of the listener by which rules may name it: as it was configured, and every
+        listener_names: further URLs that rules may use for the listener: as it was configured, and every
             address that it is bound to.
         audit_text: how audit lines name the client; filled in by what writes them.
     """

@@ -3,7 +3,7 @@
 ===========  ========================================================================================================
 `addresses`  Parses addresses as people write them into table and offset
 `bits`       Codecs for bits: a register as sixteen bits, and single bits or bit fields of a register
-`constants`  Value types as constants, by which a type checker knows what a read returns
+`constants`  Value types as constants: with them a type checker knows what a read returns
 `custom`     Codec for values described by a `struct` format: `custom:>hHl` is three numbers in four registers
 `names`      Names of value types and orders for type checkers, so that a wrong name is found before the program runs
 `network`    Codecs for network addresses in registers: IPv4, IPv6, EUI-48 (MAC) and EUI-64

@@ -1,4 +1,4 @@
-"""Value types as constants, by which a type checker knows what a read returns.
+"""Value types as constants: with them a type checker knows what a read returns.
 
 >>> busway.FLOAT32                                         # doctest: +SKIP
 >>> link.unit(1).read("4x1", busway.FLOAT32)               # a float

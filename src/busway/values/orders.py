@@ -12,7 +12,7 @@ Rules:
 1. An order is three independent facts, the bits of `ByteOrder.mask`:
    1 - the two bytes of each register are swapped, 2 - the two registers of each 32-bit half are swapped,
    4 - the two 32-bit halves are swapped. The byte at place ``i`` of the wire is byte ``i ^ mask`` of the value.
-2. Whoever has one order per device may give it to every type of that device. A longer order says how its own smaller
+2. The order of a device may be given to every type of that device. A longer order says how its own smaller
    parts lie: for 16 bits ``CDAB`` is ``AB`` and ``DCBA`` is ``BA``. A shorter one is continued in the same sense:
    ``ABCD`` → ``ABCDEFGH``, ``CDAB`` → ``GHEFCDAB`` (all registers reversed), ``BADC`` → ``BADCFEHG``,
    ``DCBA`` → ``HGFEDCBA``; ``AB`` → ``ABCD``, ``BA`` → ``BADC``. Who needs ``CDABGHEF`` writes it in full.

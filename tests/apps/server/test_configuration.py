@@ -203,10 +203,10 @@ def test_the_overview_has_a_row_for_everything() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "none: whoever may connect may do everything"),
+        ("", "none: a client that may connect may do everything"),
         (
             'listen = ["tcp://10.0.0.1:5020"]\n',
-            "none: whoever may connect may do everything; the command makes what the network reaches read-only",
+            "none: a client that may connect may do everything; the command makes what the network reaches read-only",
         ),
         ('policy = "read-only"\n', "read-only"),
         (

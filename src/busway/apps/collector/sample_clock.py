@@ -17,7 +17,7 @@ NANOSECONDS: Final = 1_000_000_000
 EARLIEST: Final = 1_767_225_600 * NANOSECONDS
 """2026-01-01, nanoseconds since 1970: a wall clock that shows less is wrong, because this program is younger."""
 TOLERANCE: Final = NANOSECONDS // 2
-"""Nanoseconds by which the wall clock may be behind while the time still counts as right."""
+"""Nanoseconds that the wall clock may be behind while the time still counts as right."""
 
 
 class SampleClock:
@@ -30,7 +30,7 @@ class SampleClock:
 
     def __init__(self, monotonic: float, wall: int) -> None:
         self._offset = wall - int(monotonic * NANOSECONDS)
-        self._behind = 0  # nanoseconds by which the wall clock is behind, still to be made up for
+        self._behind = 0  # nanoseconds that the wall clock is behind, still to be made up for
         self._since = monotonic
         self._wall_is_right = wall >= EARLIEST
         self._was_never_set = not self._wall_is_right
@@ -44,7 +44,7 @@ class SampleClock:
         """Compare with the wall clock: ``wall`` is its time at ``monotonic``. Call it every few seconds.
 
         Returns:
-            Nanoseconds by which all times before `EARLIEST` that were given so far were behind, once that is known,
+            Nanoseconds that all times before `EARLIEST` given so far were behind, once that is known,
             when the wall clock has been set; else 0.
         """
         self._offset += self._made_up(monotonic)

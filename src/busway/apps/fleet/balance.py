@@ -19,7 +19,7 @@ from typing import Final
 from .shards import hosts_of
 
 BEGIN: Final = 0.08
-"""Part of the fair load by which a collector must be off before shards move."""
+"""Part of the fair load that a collector must be off before shards move."""
 END: Final = 0.04
 """Part of the fair load within which collectors are left alone, once shards move."""
 MOST_MOVES: Final = 64

@@ -1,6 +1,6 @@
 """The times of leases, and what a holder may do by them. Pure: every call is handed the time.
 
-The clock is one that counts while the machine sleeps (``CLOCK_BOOTTIME``), and is not set by anybody.
+The clock is one that counts while the machine sleeps (``CLOCK_BOOTTIME``), and is never set.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ class LeaseTimes:
     Attributes:
         ttl: seconds for which a lease holds from the moment its last successful renewal was begun, 3…300.
         renew: seconds between two renewals, at most a third of ``ttl``.
-        guard: seconds by which a holder ends earlier and another one begins later; covers clocks that drift.
+        guard: seconds that a holder ends earlier and another one begins later; covers clocks that drift.
         answer: seconds after which the outcome of a change that was not answered is unknown.
     """
 

@@ -204,12 +204,12 @@ class FleetMember:
         return self._costs.get(shard, 0.0)
 
     def set_shards(self, costs: Mapping[str, float]) -> None:
-        """Have these shards owned by somebody, with their costs; others are handed back."""
+        """Set the shards that the fleet has to own, with their costs; others are handed back."""
         self._costs = costs
         self._look_at = 0.0
 
     def set_revision(self, revision: int) -> None:
-        """Tell others by which configuration this collector works."""
+        """Tell others the configuration that this collector works with."""
         self._me = replace(self._me, revision=revision)
 
     def drain(self, *, draining: bool = True) -> None:
@@ -286,7 +286,7 @@ class FleetMember:
         if seen.record is not None and seen.record.held and seen.record.run == self._me.run:
             owned.revision = seen.revision  # a renewal whose answer was lost; it does not count as one
         elif f"{LEASES}{shard}" not in self._open or seen.record is None or seen.record.run != self._me.run:
-            other = "nobody" if seen.record is None else seen.record.owner
+            other = "no collector" if seen.record is None else seen.record.owner
             self._lose(shard, f"{other} has it, by revision {seen.revision}")
 
     def _member(self, entry: Entry, now: float) -> None:

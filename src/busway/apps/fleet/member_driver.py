@@ -27,7 +27,7 @@ _log = logging.getLogger("busway.fleet")
 
 
 def boot_time() -> float:
-    """Seconds of a clock that nobody sets and that counts while the machine sleeps, where there is one."""
+    """Seconds of a clock that is never set and counts while the machine sleeps, where there is one."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic() if clock is None else time.clock_gettime(clock)
 

@@ -68,7 +68,7 @@ def _policy(configuration: Configuration) -> str:
     if access is None:
         exposed = any(reaches_network(str(listener.endpoint)) for listener in configuration.listeners)
         beyond = "; the command makes what the network reaches read-only" if exposed else ""
-        return f"none: whoever may connect may do everything{beyond}"
+        return f"none: a client that may connect may do everything{beyond}"
     rules = access.policy.rules
     count = "1 rule" if len(rules) == 1 else f"{len(rules)} rules"
     named = f"{count} ({', '.join(rule.name for rule in rules)}), else " if rules else ""

@@ -2,7 +2,7 @@
 
 Knows how TOML is written and the keys of a unit; writes no file.
 
-1. What was left out of a unit is left out of its text: a file shows what somebody decided.
+1. What was left out of a unit is left out of its text: a file shows what was decided.
 2. A point is written on one line per key, as people do; points without a name of their own on one line each.
 """
 

@@ -7,7 +7,7 @@ Knows points, behaviours and the memory of devices; knows no clock: times are se
    over time (`Observer`) sees them after that.
 3. The points of a unit that change at one moment become visible together.
 4. A point that was set by hand stays as it is until it is released.
-5. The work is cut into units, so that whoever drives the engine can do something else between two of them.
+5. The work is cut into units, so that its driver can do something else between two of them.
 """
 
 import heapq

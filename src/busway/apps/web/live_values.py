@@ -3,7 +3,7 @@
 Knows commits and places of points; knows no request and no WebSocket. `LiveValues.update` is called by the thread of
 the store, everything else by any other.
 
-1. A commit costs one entry for each read, whether somebody views or not. Points are looked at once a tick.
+1. A commit costs one entry for each read, with or without viewers. Points are looked at once a tick.
 2. A viewer that has seen tick 7 gets all that changed since tick 7, however many ticks it missed: nothing is queued.
 3. A device that is not read (suspended, without connection, in maintenance) has bad values for that reason from then
    on, until each point is read again.

@@ -34,7 +34,7 @@ SHORTEST_TOKEN: Final = 16
 MOST_TOKENS: Final = 100
 _TOKEN_BYTES: Final = 24
 _LONGEST_FILE: Final = 64 * 1024
-_HEAD: Final = "# role token name: whoever shows a token may do what its role permits. Keep this file to yourself.\n"
+_HEAD: Final = "# role token name: a token permits what its role does. Keep this file secret.\n"
 
 _log = logging.getLogger("busway.apps.web")
 

@@ -251,7 +251,7 @@ class Traffic:
 
 
 class _Requests:
-    """The unanswered requests of one connection, by which its replies are explained."""
+    """The unanswered requests of one connection, which explain its replies."""
 
     __slots__ = ("_asked",)
 

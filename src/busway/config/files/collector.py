@@ -100,7 +100,7 @@ class PollClassSection(Section):
 
 
 class CollectedDeviceSection(Section):
-    """``[[device]]``: a device to poll: over which link, and by which profile."""
+    """``[[device]]``: a device to poll: its link and its profile."""
 
     name: Annotated[
         str,

@@ -102,7 +102,7 @@ def test_a_defect_of_the_store_is_told_in_the_status_and_ends_no_thread(
     assert committer.flush()
     committer.close()
     assert len(Store(tmp_path).read("meter-7/voltage")) == 1
-    assert "in a way that nobody expects" in caplog.text
+    assert "in an unexpected way" in caplog.text
 
 
 def test_a_full_disk_is_told_and_survived_and_what_is_lost_is_a_gap_with_its_number(

@@ -1,4 +1,4 @@
-"""Sealing in a process of its own: when that process fails or nobody waits for it, the segment stays and counts."""
+"""Sealing in a process of its own: where it fails, or the one that asked has ended, the segment stays and counts."""
 
 import json
 import subprocess

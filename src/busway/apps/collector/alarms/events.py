@@ -32,7 +32,7 @@ class AlarmState(StrEnum):
     ACKNOWLEDGED = "active"
     """Active, and acknowledged or without need of it."""
     CLEARED = "cleared, not acknowledged"
-    """The value has come back, and nobody has acknowledged the alarm."""
+    """The value has come back, and the alarm is not acknowledged yet."""
 
     @property
     def is_active(self) -> bool:

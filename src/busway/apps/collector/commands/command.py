@@ -97,7 +97,7 @@ class PointCommand:
         _check_value(self.value)
 
     def is_same(self, other: "PointCommand") -> bool:
-        """Whether another command writes the same value to the same point, whoever asked."""
+        """Whether another command writes the same value to the same point; who gave it does not matter."""
         return (self.device, self.point) == (other.device, other.point) and same_value(self.value, other.value)
 
 

@@ -3,7 +3,7 @@
 Knows commands and results; knows no device and no clock.
 
 1. A command is recorded, durably, before anything is sent (``synchronous=FULL``: each transaction ends with an fsync),
-   and its result before anybody is told.
+   and its result before it is told.
 2. What is found open when the journal is opened was cut off by the end of a process: it may have been sent. It ends as
    unknown, and is not sent again.
 3. `MOST_KEPT` results are kept, the newest. Of older ones that had a key of their caller the key alone is remembered,

@@ -91,7 +91,7 @@ class Delivery:
             options: how samples are handed on.
             point_rules: by device and point, when the samples of a point are handed on, as its file says.
             now: nanoseconds since 1970 UTC.
-            monotonic: seconds of a clock that nobody sets.
+            monotonic: seconds of a clock that is never set.
             pause: waits some seconds.
         """
         self.name = name

@@ -289,7 +289,7 @@ class Committer:
             commit = self.writer.commit(batches, told, self._now(), [event for _, event in alarms])
         except Exception as error:  # a defect must not end the thread unseen: it is in the status, and tried again
             if not isinstance(error, sqlite3.Error | OSError) and self._error is None:
-                _log.exception("the store failed in a way that nobody expects")
+                _log.exception("the store failed in an unexpected way")
             self._put_back(batches, intervals, alarms, gap, str(error) or type(error).__name__)
             return False
         self._sync_when_due()

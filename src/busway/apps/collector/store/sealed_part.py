@@ -8,7 +8,7 @@ Knows rows and columns; knows nothing of the manifest.
    minutes, so that a part covers the time that its neighbours do not; what has the same key is merged when it is read.
 2. The driver of Arrow for SQLite fetches rows as columns, in half the time that rows take as objects of Python. It
    takes the type of a column from its first row: the query puts one before the others, which is left out afterwards.
-3. The content of each file is durable when the program ends. It has a name that nobody lists: whoever asked renames it.
+3. The content of each file is durable when the program ends. Its name is not listed: the process that asked renames it.
 """
 
 import json
@@ -48,7 +48,7 @@ PointTexts = Sequence[tuple[int, str, str, str | None]]
 def write_parts(segment: Path, points: PointTexts, parent: int) -> Iterator[tuple[Path, dict[str, Any]]]:
     """Write the samples of a closed segment as Parquet; returns each file with its name, bounds, rows and bytes.
 
-    Ends without the rest where the process ``parent`` has ended: then nobody will list what is written.
+    Ends without the rest where the process ``parent`` has ended: then the files will not be listed.
     """
     with closing(open_for_reading(segment)) as database:
         ranges = list(_ranges(database, segment.stem))

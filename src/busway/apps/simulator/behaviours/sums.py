@@ -70,7 +70,7 @@ class Counter:
         return self._value
 
     def observe(self, time: float) -> None:
-        """Note the value of the rate at a time, by which to count until the next moment."""
+        """Note the value of the rate at a time; it counts until the next moment."""
         rate = self._rate(time)
         self._seen = rate if math.isfinite(rate) else 0.0
 

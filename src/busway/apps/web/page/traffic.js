@@ -90,7 +90,7 @@ export class TrafficView {
       const before = this.list.scrollHeight;
       this.list.prepend(...added.map(entry));
       while (this.list.childElementCount > SHOWN) this.list.lastElementChild.remove();
-      // Whoever reads further down is not pushed away.
+      // A reader further down is not pushed away.
       if (!atTop) this.list.scrollTop += this.list.scrollHeight - before;
     }
     this.count();
