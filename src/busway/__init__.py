@@ -1,4 +1,4 @@
-"""busway: a MODBUS messaging system.
+"""busway: Modbus clients, servers, gateways, simulators and a collector of values.
 
 >>> import busway
 >>> with busway.connect("tcp://10.0.0.5") as link:          # doctest: +SKIP

@@ -38,7 +38,7 @@ DEFAULT_TLS_PORT: Final = 802
 
 
 class Table(Enum):
-    """The four tables of a device (Application Protocol V1.1b3 §4.3)."""
+    """The four tables of a device: coils, discrete inputs, input and holding registers (V1.1b3 §4.3)."""
 
     COILS = "coils"
     DISCRETE_INPUTS = "discrete_inputs"

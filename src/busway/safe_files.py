@@ -32,7 +32,7 @@ IsOurs = Callable[[bytes], bool]
 
 
 def read_safely(path: str | os.PathLike[str], *, most: int) -> bytes:
-    """The contents of a regular file.
+    """Return the contents of a regular file, which must not be a device, a pipe or another user's link.
 
     Args:
         path: the file.
@@ -161,7 +161,7 @@ def _refuse_foreign(link: Path, facts: os.stat_result, given: str) -> None:
 
 
 def _opened(path: str | os.PathLike[str], flags: int, mode: int = 0o666) -> int:
-    """Open a regular file and return its descriptor."""
+    """Open a regular file and return its descriptor; raises for any other kind of file."""
     name = past_links(path)
     try:
         handle = os.open(name, flags | _ALWAYS | _NO_WAIT | _NO_LINK, mode)

@@ -1,3 +1,3 @@
-"""The version, the one place it is written."""
+"""The version of busway, in the only place where it is written."""
 
 __version__ = "0.1.0"

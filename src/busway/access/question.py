@@ -134,7 +134,7 @@ class Question:
 
     @property
     def writes(self) -> bool:
-        """Whether the request counts as a write for the policy."""
+        """Whether the access rules treat the request as a write."""
         return any(piece.writes for piece in self.pieces)
 
     def with_current(self, current: int) -> "Question":

@@ -46,7 +46,7 @@ class Decision:
 
     @property
     def rule_name(self) -> str:
-        """The name of the deciding rule; ``default`` if no rule fitted."""
+        """The name of the access rule that decided; ``default`` if no rule applied."""
         return DEFAULT_RULE if self.rule is None else self.rule.name
 
 

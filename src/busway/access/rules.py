@@ -84,7 +84,7 @@ class Limits:
             raise ConfigError(f"nothing is between {self.low} and {self.high}", key="values")
 
     def permit(self, register: int) -> bool:
-        """Whether a register value, 0…65535, is within the limits."""
+        """Whether a rule lets clients write this register value, 0…65535."""
         return self.low <= self._number(register) <= self.high
 
     def permit_all(self, registers: bytes) -> bool:

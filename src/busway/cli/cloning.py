@@ -29,7 +29,7 @@ _LAST = 65_535
 
 @dataclass(frozen=True, slots=True)
 class CloneOptions:
-    """The options of ``--clone`` as texts.
+    """The options of ``busway simulate --clone``, as texts.
 
     Attributes:
         url: the device.

@@ -60,7 +60,7 @@ _OTHER_EVENTS = {0x00: "communication restarted", 0x04: "listen-only mode entere
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """One value that a device has reported about itself, with its name.
+    """One value of a device's diagnostics (functions 08, 11, 12, 07), with its name.
 
     Attributes:
         function: ``08/0B``, ``11``.

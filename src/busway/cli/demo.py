@@ -235,14 +235,14 @@ class View(Protocol):
     """Interface of a display of the values that the demonstration has read."""
 
     def show(self, url: str, tags: "Tags", polled: Polled, elapsed: float) -> None:
-        """Show the current values."""
+        """Show the values that were read last."""
 
     def close(self) -> None:
-        """End the display."""
+        """End the display of values."""
 
 
 class LineView:
-    """A display that prints a block of lines each second."""
+    """A display of read values that prints a block of lines each second."""
 
     def __init__(self) -> None:
         self._due = BLOCK_SECONDS
@@ -259,7 +259,7 @@ class LineView:
 
 
 class LiveView:
-    """A display that redraws one table in place."""
+    """A display of read values that redraws one table in place."""
 
     def __init__(self) -> None:
         from rich.live import Live

@@ -1,4 +1,4 @@
-"""Files that commands read, and capture files that they write.
+"""Files that commands read, and capture files that they write for Wireshark.
 
 Knows paths; what a file means is known where its schema stands (`busway.config.files`, `busway.observe`).
 """

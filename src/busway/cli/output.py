@@ -107,10 +107,10 @@ class Writer(Protocol):
     """Interface of what prints rows of values; ``time`` is when they were read, empty if it is not shown."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
-        """Print these rows."""
+        """Print these rows of values."""
 
     def close(self) -> None:
-        """End the output."""
+        """End the printing of values."""
 
 
 def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writer:
@@ -217,7 +217,7 @@ class LiveTableWriter:
 
 
 class LivePage:
-    """Aligned lines that are redrawn in place on a terminal."""
+    """Aligned lines on a terminal that are redrawn in place."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -274,7 +274,7 @@ def print_aligned(lines: Sequence[Sequence[str]]) -> None:
 
 
 def print_csv(header: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
-    """Print CSV, with a header line unless it is empty."""
+    """Print rows as CSV, with a header line unless it is empty."""
     import csv
 
     writer = csv.writer(sys.stdout, lineterminator="\n")
@@ -300,7 +300,7 @@ def json_text(document: Any, *, indent: int | None = None) -> str:
 
 
 def say(sentence: str) -> None:
-    """Print one sentence on stderr."""
+    """Print one sentence for people on stderr."""
     print(f"busway: {printable(sentence)}", file=sys.stderr, flush=True)
 
 

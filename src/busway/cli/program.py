@@ -173,7 +173,7 @@ def _option_row(param: Any) -> tuple[str, str]:
 
 
 def load(name: str) -> Any:
-    """Load the command with this name."""
+    """Load the command of ``busway`` with this name."""
     module = import_module(f".{name}", __package__)
     single = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     settings = {**_SETTINGS, **getattr(module, "SETTINGS", {})}

@@ -1,4 +1,4 @@
-"""``busway query``: shows the contents of a store of the collector.
+"""``busway query``: prints samples from a store of the collector.
 
 1. Samples are printed as they are read, so any length of time can be asked for; buckets are summed up first.
 2. Time without reads is a line without a value that says why; in buckets, a bucket with 0 samples.

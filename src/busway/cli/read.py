@@ -57,7 +57,7 @@ holding:0 and holding:0x10 count from 0.
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What to read from one address: place, value type and count."""
+    """What ``busway read`` reads from one address: place, value type and count."""
 
     place: Address
     form: ValueType[Any] | None

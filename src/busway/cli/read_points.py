@@ -63,7 +63,7 @@ class PointRecord:
 
 
 def load_points(name: str, unit: int | None) -> "tuple[int | None, UnitSection]":
-    """Load the unit to read from a device file, and its number.
+    """Load a unit with its points from a device file, and return it with its number.
 
     Args:
         name: a device file, a simulation file, ``device:NAME``, or a register map whose name ends in ``.csv``.
@@ -267,7 +267,7 @@ class _PointWriter:
         self._page = LivePage() if repeats and not as_json and not as_csv and LivePage.fits() else None
 
     def close(self) -> None:
-        """End the output."""
+        """End the printing of points."""
         if self._page is not None:
             self._page.close()
 

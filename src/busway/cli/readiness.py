@@ -38,7 +38,7 @@ class Manager:
 
     @property
     def is_there(self) -> bool:
-        """Whether a service manager started this program."""
+        """Whether a service manager such as systemd started this program."""
         return bool(self._address)
 
     def ready(self, status: str) -> None:

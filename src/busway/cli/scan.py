@@ -137,7 +137,7 @@ def _who(found: FoundUnit) -> str:
 
 
 class _Scan:
-    """A scan of all units behind one endpoint with one line setting."""
+    """A scan of all units behind one endpoint, with one baud rate and parity."""
 
     def __init__(
         self, endpoint: Endpoint, units: list[int], longest: float, *, learns: bool, names: bool, as_json: bool
@@ -156,7 +156,7 @@ class _Scan:
         return self._endpoint.url + (f", {self._port}" if self._port is not None else "")
 
     def run(self) -> int:
-        """Ask all units of the endpoint. Returns how many answered."""
+        """Ask all units behind the endpoint. Returns how many answered."""
         most = len(self._units) * self._adaptive_timeout.longest
         say(f"asking {len(self._units)} units of {self._where}, {_duration(most)} at most")
         try:

@@ -165,7 +165,7 @@ def upstream_sections(upstreams: Sequence[JsonObject]) -> list[StatusSection]:
 
 
 def _when(pause: float | None) -> str:
-    """Return the time of the next attempt to connect as text."""
+    """Return when the next attempt to connect is made, as text."""
     return f"in {duration(pause)}" if pause else "with the next request"
 
 
@@ -253,7 +253,7 @@ def size(number: float) -> str:
 
 
 def shown(name: str, value: Any) -> str:
-    """Return a value of a status as the text of a cell."""
+    """Return a value of a program's status as text for people."""
     if value is None or value == "":
         return "-"
     if isinstance(value, bool):

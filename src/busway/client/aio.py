@@ -1,4 +1,4 @@
-"""The asynchronous interface: links and units for asyncio programs.
+"""The asynchronous interface of the client: links and units for asyncio programs.
 
 Knows names, arguments and results; `busway.client.link` does the communication. Names, arguments
 and docstrings are those of the blocking interface (``blocking``); a test holds them together.

@@ -69,7 +69,7 @@ Value = TypeVar("Value")
 
 
 class BlockingUnit:
-    """One unit reached through a link, returned by `BlockingLink.unit`.
+    """One unit (device) reached through a link; has the methods that read and write it.
 
     Every method sends one request (`read`, `write` and `read_device_identification` may send several) and returns plain
     Python values. Every method raises:
@@ -647,7 +647,7 @@ class BlockingLink:
 
     @property
     def is_connected(self) -> bool:
-        """Whether the link is connected now."""
+        """Whether the link has an open connection now."""
         link = self._looked_at()
         return link is not None and link.is_connected
 

@@ -110,7 +110,7 @@ class BlockingLinkDriver:
 
     @property
     def is_connected(self) -> bool:
-        """Whether the link is connected now."""
+        """Whether the link has an open connection now."""
         return self._connection is not None
 
     def run(self, call: Call) -> None:
@@ -426,7 +426,7 @@ class BlockingLinkDriver:
         self._done()
 
     def _release(self, now: float, reason: str) -> None:
-        """Close an unused connection; the next request opens another one."""
+        """Close the connection because no call uses it; the next request opens another one."""
         self._close_connection()
         self._life.released(now, reason)
         self._done()

@@ -10,7 +10,7 @@ class LinkEnd(Protocol):
     """What a serial port calls when something happens on it: the asyncio driver's side of the connection."""
 
     def arrived(self, data: bytes) -> None:
-        """Process bytes that the connection has received."""
+        """Process bytes that the serial port has received."""
 
     def arrived_damaged(self, data: bytes, overrun: bool) -> None:
         """Process received bytes among which some have parity or framing errors or were lost by the port."""

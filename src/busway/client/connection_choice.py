@@ -24,7 +24,7 @@ class Choosable(Protocol):
 
     @property
     def is_connected(self) -> bool:
-        """Whether the link is connected now."""
+        """Whether the link has an open connection now."""
 
 
 AnyLink = TypeVar("AnyLink", bound=Choosable)

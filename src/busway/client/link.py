@@ -290,7 +290,7 @@ class AsyncLinkDriver:
 
     @property
     def is_connected(self) -> bool:
-        """Whether the link is connected now."""
+        """Whether the link has an open connection now."""
         return self._transport is not None
 
     def call_at(self, when: float, callback: Callable[[], None]) -> asyncio.TimerHandle:
@@ -461,7 +461,7 @@ class AsyncLinkDriver:
         self.lost(self._protocol, "a call ended before the connection had taken its request")
 
     def _close_transport(self) -> None:
-        """Close the connection; bytes not sent by now are dropped."""
+        """Close the connection of the link; bytes not sent by now are dropped."""
         transport = self._transport
         if self._held is not None and self._held():
             self._abort()
@@ -498,7 +498,7 @@ class AsyncLinkDriver:
         return self.session.has_calls or self.session.in_flight > 0
 
     def _release(self, now: float, reason: str) -> None:
-        """Close an unused connection; the next request opens another one."""
+        """Close the connection because no call uses it; the next request opens another one."""
         self._close_transport()
         self._life.released(now, reason)
 

@@ -88,7 +88,7 @@ class LocalLink(Protocol):
 
     @property
     def is_connected(self) -> bool:
-        """Whether the link is connected now."""
+        """Whether the link has an open connection now."""
 
     def status(self) -> LocalConnectionStatus:
         """Return state, traffic and counters of the link at this moment."""
@@ -126,7 +126,7 @@ class LocalConnections:
         return [link for link in links if link.home is None or not link.home.is_closed()]
 
     def count(self) -> int:
-        """Number of open connections of the process."""
+        """Number of client connections that the process has open."""
         return sum(link.is_connected for link in self.links())
 
     def limit(self, supported: int) -> None:

@@ -42,19 +42,19 @@ class ClientScope:
 
     @property
     def is_used(self) -> bool:
-        """Whether any link still takes its slots here."""
+        """Whether any link still counts its requests in this common limit."""
         return any(link() is not None for link in self._links)
 
     def enter(self, link: ScopedLink) -> None:
-        """Let a new link take its slots here."""
+        """Let a new link count its requests in this common limit."""
         self._links.append(weakref.ref(link))
 
     def leave(self, link: ScopedLink) -> None:
-        """Remove a closed link; its slots are free already."""
+        """Take a closed link out of this common limit."""
         self._links = deque(one for one in self._links if one() not in (None, link))
 
     def serve(self, now: float) -> None:
-        """Let the links with waiting requests use the free slots, in turn."""
+        """Let the links that have waiting requests send them as far as the common limit allows, in turn."""
         for _ in range(len(self._links)):
             if not self.places:
                 return

@@ -164,7 +164,7 @@ class SerialStream:
             self._session.still_sending(until)
 
     def close(self) -> None:
-        """Close the serial port."""
+        """Close the serial port of the link."""
         connection, self._connection = self._connection, None
         if connection is not None:
             self._closing = connection
@@ -176,11 +176,11 @@ class SerialStream:
             await self._closing.wait_closed()
 
     def abort(self) -> None:
-        """Close the serial port."""
+        """Close the serial port of the link at once."""
         self.close()
 
     def is_closing(self) -> bool:
-        """Whether the serial port is closed."""
+        """Whether the serial port of the link is closed."""
         return self._connection is None
 
 

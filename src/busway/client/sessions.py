@@ -69,7 +69,7 @@ class ClientSession(Protocol):
         """Cancel a call. Returns whether requests of it were sent and are unanswered."""
 
     def connected(self, now: float) -> None:
-        """Tell the session that a connection is open."""
+        """Tell the session that the link has an open connection."""
 
     def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
         """Tell the session that the connection ended; ``lost`` is False if the client itself closed it unused."""

@@ -25,7 +25,7 @@ CALL_DEFAULTS: Final = tuple(name for name, one in declared(ClientParameters).it
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """Settings that a link has only with RTU or ASCII framing.
+    """Settings of a link that only RTU and ASCII framing have.
 
     Attributes:
         conversation: turnaround, gaps, drain.

@@ -41,7 +41,7 @@ _OF_TIME: Final = (FailureKind.EXPIRED, FailureKind.NOT_YET_VALID)
 
 
 class TlsConnector:
-    """Opens TLS connections of a link.
+    """Opens the TLS connections of a link.
 
     Raises:
         ConfigError: a file cannot be used, or the authority is missing.

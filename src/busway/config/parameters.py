@@ -82,7 +82,7 @@ class FilledSource:
         self._parameters = dict(parameters)
 
     def with_more(self, more: Mapping[str, Parameter]) -> "FilledSource":
-        """Return a copy with further parameters."""
+        """Return a copy of the file's data with further parameters."""
         return FilledSource(self.source, {**self._parameters, **more})
 
     def filled(self, node: Any, path: Path) -> Any:  # what TOML has

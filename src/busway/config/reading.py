@@ -1,4 +1,4 @@
-"""Reads the text of a configuration file."""
+"""Reads the text of a file of configuration, and refuses one that is not UTF-8."""
 
 from typing import Final
 

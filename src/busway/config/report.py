@@ -41,11 +41,11 @@ class ConfigurationReport:
         return None
 
     def refuse(self, path: Path, sentence: str) -> None:
-        """Add a problem at a path of the file."""
+        """Note a problem at a path of the configuration file."""
         self.problems.append(self._source.problem(path, sentence))
 
     def warn(self, path: Path, sentence: str) -> None:
-        """Add a warning at a path of the file."""
+        """Note a warning at a path of the configuration file."""
         self.warnings.append(self._source.problem(path, f"warning: {sentence}"))
 
     def end(self) -> tuple[ConfigError, ...]:

@@ -25,7 +25,7 @@ class Clock(Protocol):
     """Interface of a source of time that also calls functions at a time."""
 
     def now(self) -> float:
-        """The current time in seconds, monotonic."""
+        """Return the current time in seconds, monotonic."""
 
     def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
         """Call ``callback`` once, when ``now()`` has reached ``when``."""

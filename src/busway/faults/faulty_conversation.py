@@ -118,7 +118,7 @@ class FaultyConversation:
     # Time.
 
     def tick(self, now: float) -> list[bytes]:
-        """Return the bytes that are due to be sent now, one item per write."""
+        """Return the bytes that are due on the connection now, one item per write."""
         writes: list[bytes] = []
         glued = False
         while self._outbox and self._outbox[0].when <= now + SAME_MOMENT and not self.closed:
@@ -137,7 +137,7 @@ class FaultyConversation:
         return writes
 
     def deadline(self, now: float) -> float | None:
-        """Return the time of the next `tick`; None until the next request."""
+        """Return when `tick` has bytes to send or must close the connection; None until the next request."""
         closes_at = self._faults.closes_at(self.contact, now)
         due = self._outbox[0].when if self._outbox else None
         return min((when for when in (closes_at, due) if when is not None), default=None)

@@ -71,7 +71,7 @@ class FaultyResponder:
         return served if served is None or self._is_aside else replace(served, is_direct=False)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Answer a request with the faults that apply to it."""
+        """Answer a request, with the faults that apply to it."""
         faulty = self._tap.find(context.listener, context.peer)
         if faulty is None or self._is_aside:
             return self.inner.answer(context, request)

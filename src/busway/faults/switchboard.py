@@ -52,7 +52,7 @@ class FaultStatus:
 
 
 class FaultSwitchboard:
-    """The faults of one server, by name.
+    """The faults of one server, which can be added, switched and removed by name.
 
     Args:
         seed: seed of random choices: with equal seeds, equal requests meet equal faults.
@@ -126,7 +126,7 @@ class FaultSwitchboard:
             applied.on() if on else applied.off()
 
     def remove(self, name: str) -> None:
-        """Remove a fault. Raises `ConfigError` for an unknown name."""
+        """Remove a fault from the server. Raises `ConfigError` for an unknown name."""
         self.faults.remove(self.faults.find(name))
 
     def list(self) -> list[FaultStatus]:

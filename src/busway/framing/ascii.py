@@ -159,7 +159,7 @@ class AsciiReceiver:
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:
-        """Note that a master expects no reply any more."""
+        """Note that the master no longer waits for a reply."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:

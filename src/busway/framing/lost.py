@@ -32,7 +32,7 @@ class LostBytes:
         self.size: int = 0
 
     def add(self, data: bytes | bytearray, began: float, ended: float) -> None:
-        """Add received bytes that belong to the disturbance."""
+        """Add received bytes to the disturbance, with their times."""
         if self._began == _NEVER:
             self._began = began
         self._ended = ended

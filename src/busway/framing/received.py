@@ -103,7 +103,7 @@ class SerialReceiver(Receiver[Received], Protocol):
         """Note that a master has asked ``unit`` and expects a reply PDU of ``size`` bytes (or `UNKNOWN_LENGTH`)."""
 
     def expect_nothing(self) -> None:
-        """Note that a master expects no reply any more."""
+        """Note that the master no longer waits for a reply."""
 
     def sent(self, raw: bytes, ends: float) -> None:
         """Note that bytes sent by this station occupy the line until ``ends``."""

@@ -98,7 +98,7 @@ class RtuReceiver:
         echo: Echo = Echo.OFF,
         started: float | None = None,
     ) -> None:
-        """Create a receiver that has received nothing yet.
+        """Create a receiver of RTU frames that has received nothing yet.
 
         Args:
             role: master, server or observer.
@@ -181,7 +181,7 @@ class RtuReceiver:
         self._scan = self._at + 1  # what was rejected was rejected for another reply
 
     def expect_nothing(self) -> None:
-        """Note that a master expects no reply any more."""
+        """Note that the master no longer waits for a reply."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:

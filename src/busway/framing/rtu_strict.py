@@ -36,7 +36,7 @@ class LineState(Enum):
 
 
 class LineEvent(Enum):
-    """Events that change the state of the serial line."""
+    """Events that change the state of the line: a character, t1.5 or t3.5 of silence, a frame to send."""
 
     CHARACTER = "character"
     T1_5 = "t1.5 expired"
@@ -133,7 +133,7 @@ class StrictRtuReceiver:
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:
-        """Note that a master expects no reply any more."""
+        """Note that the master no longer waits for a reply."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
@@ -158,7 +158,7 @@ class StrictRtuReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Return what a silence of t3.5 would complete now."""
+        """Return the frame that a silence of t3.5 would complete now, or the damaged bytes."""
         released = self.echo.release()
         if released:
             self._characters(released, self._last, self._last)

@@ -88,7 +88,7 @@ class _Frame:
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """The request explained last, until its reply is explained."""
+    """The request that was explained last, kept until its reply is explained."""
 
     request: Request
     code: int

@@ -127,7 +127,7 @@ class HttpService(ThreadingHTTPServer):
         self._thread = threading.Thread(target=self.serve_forever, args=(_TURN,), name=name, daemon=True)
 
     def start(self) -> None:
-        """Start to listen and to answer."""
+        """Begin to listen for HTTP requests and to answer them."""
         self.socket.listen(_BACKLOG)
         self._thread.start()
 
@@ -184,7 +184,7 @@ class HttpService(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Log the current exception, at most once a minute."""
+        """Log the exception of a connection's thread, at most once a minute."""
         now = time.monotonic()
         if now >= self._silent_until:
             self._silent_until = now + _LOG_PAUSE

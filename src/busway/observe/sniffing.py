@@ -46,14 +46,14 @@ class Ear(Protocol):
         """Return bytes received within ``timeout`` seconds, and how many of them are damaged. Raises `LinkDown`."""
 
     def close(self) -> None:
-        """Stop listening. May be called twice."""
+        """Stop listening to the line. May be called twice."""
 
 
 class SocketEar:
     """Listens by a TCP connection to a device server that passes on the bytes of its serial line."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
-        """Connect to the device server. Raises `LinkDown`."""
+        """Connect to the device server that passes on the line. Raises `LinkDown`."""
         self._name = endpoint.url
         address = endpoint.host or "127.0.0.1", endpoint.port or 0
         try:
@@ -76,7 +76,7 @@ class SocketEar:
         return data, 0
 
     def close(self) -> None:
-        """Close the connection to the device server."""
+        """Close the connection to the device server that passes on the line."""
         self._socket.close()
 
 
@@ -84,7 +84,7 @@ class DatagramEar:
     """Listens on a local UDP port for the datagrams of a device server, from any address."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
-        """Bind the local UDP port. Raises `LinkDown`."""
+        """Bind the local UDP port to listen on. Raises `LinkDown`."""
         self._name = endpoint.url
         try:
             places = socket.getaddrinfo(
@@ -103,7 +103,7 @@ class DatagramEar:
 
     @property
     def port(self) -> int:
-        """Number of the bound UDP port."""
+        """Number of the UDP port that is listened on."""
         return int(self._socket.getsockname()[1])
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
@@ -117,7 +117,7 @@ class DatagramEar:
             raise LinkDown(network_reason(error), endpoint=self._name) from error
 
     def close(self) -> None:
-        """Close the UDP socket."""
+        """Close the UDP port that is listened on."""
         self._socket.close()
 
     def _not_here(self, error: OSError) -> LinkDown:
@@ -218,7 +218,7 @@ class Listening:
         vanished: Callable[[LinkDown], None] | None = None,
         returned: Callable[[], None] = lambda: None,
     ) -> None:
-        """Open a line and start listening.
+        """Open a serial line and start listening to it.
 
         Args:
             line: where to listen.
@@ -297,7 +297,7 @@ class Listening:
         return events + self._flushed()
 
     def close(self) -> None:
-        """Stop listening. May be called twice."""
+        """Stop listening to the line. May be called twice."""
         self._ear.close()
 
     def _lose(self, error: LinkDown) -> list[Heard]:

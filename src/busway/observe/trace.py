@@ -24,7 +24,7 @@ _log = logging.getLogger("busway.trace")
 
 
 class TraceLevel(IntEnum):
-    """How much of the traffic the log shows."""
+    """How much of the traffic the log shows: nothing, messages, frames or bytes."""
 
     CAPTURE = -1
     """Nothing, but what passes goes into a capture file."""

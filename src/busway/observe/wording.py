@@ -1,4 +1,4 @@
-"""Texts for lists of frames: a PDU in one line of words.
+"""Describes a PDU in one line of words, for lists of frames.
 
 Knows the describer of PDUs; knows no frame and no connection.
 """

@@ -272,7 +272,7 @@ def check(parameters: Any) -> None:
 
 
 def option_of(name: str, hint: Any, default: object, on: tuple[On, ...] = ()) -> Option:  # hint: a type as annotated
-    """The option that an annotated field declares."""
+    """Return the option that an annotated field of a parameter class declares."""
     marks: tuple[Any, ...] = ()
     if get_origin(hint) is Annotated:
         hint, *rest = get_args(hint)
@@ -317,7 +317,7 @@ _KIND_WORDS: Final = {bool: "`true`, `false`", int: "a whole number", float: "a 
 
 
 def _kind_words(kind: Any) -> str:  # a type
-    """What a value of a type is called in tables."""
+    """Return what tables of the reference call a value of a type."""
     if kind in _KIND_WORDS:
         return _KIND_WORDS[kind]
     origin = get_origin(kind) or kind

@@ -74,7 +74,7 @@ class Offer:
 
     @property
     def options(self) -> dict[str, Option]:
-        """The accepted options by name."""
+        """All options that the part accepts, by name."""
         return {name: option for options in self.kinds.values() for name, option in options.items()}
 
     @property

@@ -44,7 +44,7 @@ class AuditParameters:
 
 @dataclass(frozen=True, slots=True)
 class MetricsParameters:
-    """Options of the metrics that a server offers to Prometheus."""
+    """Options of the HTTP endpoint with metrics for Prometheus."""
 
     listen: Annotated[str, "address and port, such as `127.0.0.1:9502`."]
 

@@ -39,7 +39,7 @@ class DeliveryOptions:
 
 @dataclass(frozen=True, slots=True)
 class PasswordOptions:
-    """Where the password of a sink comes from; the URL has the user."""
+    """Options of a sink that say where its password comes from; the URL has the user."""
 
     password_file: Annotated[str | None, Mark.FILE, "file with the password, readable by its owner alone."] = None
     password_variable: Annotated[str | None, "variable of the environment that has it instead."] = None
@@ -47,7 +47,7 @@ class PasswordOptions:
 
 @dataclass(frozen=True, slots=True)
 class TokenOptions:
-    """Where the token of a sink comes from."""
+    """Options of a sink that say where its access token comes from."""
 
     token_file: Annotated[str | None, Mark.FILE, "file with the token, readable by its owner alone."] = None
     token_variable: Annotated[str | None, "variable of the environment that has it instead."] = None
@@ -55,7 +55,7 @@ class TokenOptions:
 
 @dataclass(frozen=True, slots=True)
 class CertificateOptions:
-    """Files in PEM of a sink whose URL encrypts."""
+    """Options of a sink whose URL means TLS: files with certificates in PEM."""
 
     authority: Annotated[
         str | None, Mark.FILE, "file with the authority of the server's certificate; None: those of the system."
@@ -121,7 +121,7 @@ class NatsOptions:
 
 
 class FileFormat(Enum):
-    """Formats of files of samples."""
+    """Formats of the files that a sink of samples writes."""
 
     CSV = "csv"
     JSON_LINES = "jsonl"

@@ -115,7 +115,7 @@ def _of_kind(name: str, value: object, kind: Any) -> object:  # a type
 
 
 def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``parse``, which shares no base
-    """Build an object of a class with a ``parse`` method."""
+    """Build the value of an option by the ``parse`` method of its class."""
     try:
         return kind.parse(_texts(name, value))
     except ConfigError as error:
@@ -123,7 +123,7 @@ def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``pa
 
 
 def _texts(name: str, value: object) -> tuple[str, ...]:
-    """A list of texts, or one text separated by commas."""
+    """Return an option's list of texts, also from one text separated by commas."""
     texts = [one.strip() for one in value.split(",") if one.strip()] if isinstance(value, str) else value
     if not isinstance(texts, list | tuple) or not all(isinstance(one, str) for one in texts):
         raise ConfigError(f"must be a list of texts, not {value!r}", key=name)

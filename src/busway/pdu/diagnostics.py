@@ -143,7 +143,7 @@ class RestartCommunications(Diagnostic):
 
 
 class ReturnDiagnosticRegister(Diagnostic):
-    """08/02 Return Diagnostic Register (§6.8.1)."""
+    """08/02 Return Diagnostic Register: the reply has its 16 bits (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.RETURN_DIAGNOSTIC_REGISTER
@@ -170,7 +170,7 @@ class ForceListenOnly(Diagnostic):
 
 
 class ClearCounters(Diagnostic):
-    """08/0A Clear Counters and Diagnostic Register (§6.8.1)."""
+    """08/0A Clear Counters and Diagnostic Register: all diagnostic counters become 0 (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.CLEAR_COUNTERS
@@ -192,7 +192,7 @@ class ReturnBusCommunicationErrorCount(Diagnostic):
 
 
 class ReturnBusExceptionErrorCount(Diagnostic):
-    """08/0D Return Bus Exception Error Count (§6.8.1)."""
+    """08/0D Return Bus Exception Error Count: exception replies of this unit (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.BUS_EXCEPTION_ERROR_COUNT
@@ -206,35 +206,35 @@ class ReturnServerMessageCount(Diagnostic):
 
 
 class ReturnServerNoResponseCount(Diagnostic):
-    """08/0F Return Server No Response Count (§6.8.1)."""
+    """08/0F Return Server No Response Count: messages to this unit without a reply (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_NO_RESPONSE_COUNT
 
 
 class ReturnServerNakCount(Diagnostic):
-    """08/10 Return Server NAK Count (§6.8.1)."""
+    """08/10 Return Server NAK Count: replies of this unit with exception 07 (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_NAK_COUNT
 
 
 class ReturnServerBusyCount(Diagnostic):
-    """08/11 Return Server Busy Count (§6.8.1)."""
+    """08/11 Return Server Busy Count: replies of this unit with exception 06 (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_BUSY_COUNT
 
 
 class ReturnBusCharacterOverrunCount(Diagnostic):
-    """08/12 Return Bus Character Overrun Count (§6.8.1)."""
+    """08/12 Return Bus Character Overrun Count: messages lost because characters came too fast (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.BUS_CHARACTER_OVERRUN_COUNT
 
 
 class ClearOverrun(Diagnostic):
-    """08/14 Clear Overrun Counter and Flag (§6.8.1)."""
+    """08/14 Clear Overrun Counter and Flag: the count of 08/12 becomes 0 (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.CLEAR_OVERRUN

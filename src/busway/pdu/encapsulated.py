@@ -45,7 +45,7 @@ class IdentificationObject:
             raise InvalidRequest(f"value must be at most {MAX_OBJECT_SIZE} bytes, not {self.value!r}")
 
     def encode(self) -> bytes:
-        """Encode the identification object: number, length, value."""
+        """Return the identification object as bytes: number, length, value."""
         return bytes((self.number, len(self.value))) + self.value
 
     @classmethod

@@ -40,7 +40,7 @@ class FixedField:
 
     @property
     def format(self) -> str:
-        """The `struct` format letter for the width of the field."""
+        """The `struct` format letter for the field's one or two bytes."""
         return _WIDTHS[self.width]
 
 
@@ -55,7 +55,7 @@ class RestLength:
 
     @property
     def format(self) -> str:
-        """The `struct` format letter for the width of the field."""
+        """The `struct` format letter for the field's one or two bytes."""
         return _WIDTHS[self.width]
 
 
@@ -77,7 +77,7 @@ class Item(Protocol):
         """Decode the item at offset ``at``. Returns it and the offset after it; `ValueError` if it is invalid."""
 
     def encode(self) -> bytes:
-        """The encoded bytes of the item."""
+        """Return the item as bytes."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -145,7 +145,7 @@ class Message(metaclass=_MessageType):
         return layout.head.size
 
     def values(self) -> dict[str, Any]:
-        """The fields of the message by name, in wire order."""
+        """Return the fields of the message by name, in wire order."""
         return {name: getattr(self, name) for name in attribute_names(type(self))}
 
     def __eq__(self, other: object) -> bool:
@@ -230,7 +230,7 @@ class Request(Message):
 
         @property
         def expected_prefix(self) -> bytes:
-            """The first bytes of the expected reply PDU."""
+            """The first bytes that the expected reply PDU must have."""
 
     @classmethod
     def plan(cls, model: "DirectModel", unit: int, pdu: bytes) -> "ReadPlan | None":

@@ -83,7 +83,7 @@ class ReadDecoder:
         self._decode = decode(self.points, start, count)
 
     def decode(self, data: Wire, known: MutableMapping[str, int] | None = None) -> DecodedRead:
-        """Return the values of all points in a reply.
+        """Return the values of all points in a reply to the read.
 
         Args:
             data: registers in wire order, or bits as in a reply, the first in the lowest bit.
@@ -195,7 +195,7 @@ class _Source:
         self.namespace: dict[str, Any] = {"inf": math.inf, "nan": math.nan}
 
     def text(self) -> str:
-        """The source code of ``decode(data, known)``."""
+        """Return the source code of the function ``decode(data, known)``."""
         for point in self._points:
             number = _number_of(point, self._start)
             if number is not None and number not in self._numbers:

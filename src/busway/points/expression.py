@@ -238,7 +238,7 @@ def _dotted(node: ast.expr) -> str | None:
 
 
 def _compiled(node: ast.expr, source: Callable[[str], Callable[[], Number]]) -> Compute:
-    """Return a function that evaluates a checked part of a formula."""
+    """Return a function that evaluates a part of a formula whose syntax was checked."""
     name = _dotted(node)
     if name is not None:
         return _of_name(node, name, source)

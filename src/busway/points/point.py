@@ -99,7 +99,7 @@ class Point:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the raw number of the point is an integer."""
+        """Whether the raw number of the point is an integer, not a float."""
         return self.form is not None and self.form.name.startswith(_WHOLE)
 
     @property
@@ -175,7 +175,7 @@ class Point:
         return ", ".join(f"{name} ({number})" for name, number in self.conversion.names.items())
 
     def label(self, value: Any) -> str:
-        """Return the name of a value, or the names of its flags; empty if there are none."""
+        """Return the name of a value of the point, or the names of its flags; empty if there are none."""
         conversion = self.conversion
         if isinstance(value, bool) or not isinstance(value, int):
             return ""

@@ -94,14 +94,14 @@ def exception_code_of(reason: int) -> int | None:
 
 
 def quality_of(reason: int) -> Quality:
-    """Return the quality of a value that has this reason."""
+    """Return whether a value with this reason is good, uncertain or bad."""
     if reason == 0:
         return Quality.GOOD
     return Quality.UNCERTAIN if reason < Reason.TIMEOUT else Quality.BAD
 
 
 def reason_text(reason: int) -> str:
-    """Return a reason in words; empty for a good value."""
+    """Return a reason why a value is not good, in words; empty for a good value."""
     if reason >= _EXCEPTIONS:
         code = reason - _EXCEPTIONS
         return f"exception {code:02X}, {exception_meaning(code)}"

@@ -35,7 +35,7 @@ class Run(Protocol):
 
     @property
     def count(self) -> int:
-        """Number of registers or bits in the run."""
+        """Number of registers or bits that the run has."""
 
     @property
     def memory(self) -> "RegisterRun | BitRun":
@@ -55,7 +55,7 @@ class Run(Protocol):
 
 
 class RegisterRun:
-    """Registers at consecutive addresses, stored big-endian.
+    """Registers of a device at consecutive addresses, stored big-endian.
 
     Args:
         first: address of the first register.
@@ -73,7 +73,7 @@ class RegisterRun:
 
     @property
     def memory(self) -> "RegisterRun":
-        """This run itself: registers are stored here."""
+        """The run that stores the bytes: for registers always this run itself."""
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
@@ -128,7 +128,7 @@ class BitRun:
 
     @property
     def memory(self) -> "BitRun":
-        """This run itself: its bits are stored here."""
+        """The run that stores the bytes: for these bits always this run itself."""
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:

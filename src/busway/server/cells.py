@@ -44,14 +44,14 @@ TableLike = int | Values | Cells | None
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Initial values of items at consecutive addresses."""
+    """Initial values of a table's items at consecutive addresses."""
 
     first: int
     values: list[int]
 
     @property
     def end(self) -> int:
-        """The address after the last item of the piece."""
+        """The address after the last of these items."""
         return self.first + len(self.values)
 
 

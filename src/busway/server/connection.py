@@ -170,7 +170,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._management.charge(self, session)
 
     def eof_received(self) -> bool:
-        """The client has closed its sending side: close after the replies that are still owed."""
+        """Close the connection after the replies still owed: the client has closed its sending side."""
         session = self.session
         if session is not None and session.rest:
             self._end_waits = True
@@ -181,19 +181,19 @@ class ServerConnection(asyncio.BufferedProtocol):
         return self._half_closed
 
     def pause_writing(self) -> None:
-        """The write buffer is full because the client does not read: stop reading from it."""
+        """Stop reading from the client, because it does not read its replies and the write buffer is full."""
         self._is_stuck = True
         self._transport.pause_reading()
         self._management.stuck(self)
 
     def resume_writing(self) -> None:
-        """The client reads its replies again: read on."""
+        """Read from the client again, because it reads its replies again."""
         self._is_stuck = False
         self._management.taken(self)
         self.go_on()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The connection has ended: cancel its tasks, close its session and free its slot."""
+        """Cancel the tasks of the ended connection, close its session and free its slot."""
         session, self.session = self.session, None
         for task in self._tasks or ():
             task.cancel()

@@ -126,7 +126,7 @@ class ConnectionManagement:
 
     @property
     def listener(self) -> str:
-        """URL of the listener with its bound address and port."""
+        """URL of the listener with the address and port that it is bound to."""
         return self.listener_context.listener
 
     @property
@@ -136,7 +136,7 @@ class ConnectionManagement:
 
     @property
     def counters(self) -> ServerCounters:
-        """Counters, shared by all listeners of a server."""
+        """Counters of connections and requests, shared by all listeners of a server."""
         return self.listener_context.counters
 
     @property
@@ -210,7 +210,7 @@ class ConnectionManagement:
         connection.abort()
 
     def leave(self, connection: ManagedConnection, session: Session, error: Exception | None) -> None:
-        """Remove an ended connection and free its slot."""
+        """Remove a connection that has ended and free its slot."""
         self.pools.leave(connection)
         self._connections.pop(connection, None)
         self._deadlines.forget(connection)

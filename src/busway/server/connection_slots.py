@@ -38,7 +38,7 @@ class Pool(Enum):
 
 
 class PoolMember(Protocol):
-    """Interface of a connection that holds a slot of a pool.
+    """Interface of a connection that occupies one of a listener's limited slots.
 
     Attributes:
         host: host of the client.
@@ -124,7 +124,7 @@ class Pools(Generic[One]):
         return len(self._priority) + len(self._other)
 
     def count(self, pool: Pool) -> int:
-        """Return the number of used slots of a pool."""
+        """Return how many slots of a pool are used."""
         return len(self._priority if pool is Pool.PRIORITY else self._other)
 
     def admit(self, candidate: One) -> Admission[One]:

@@ -24,7 +24,7 @@ class When(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """A read by Modbus, as a read hook gets it.
+    """A read by Modbus, as a read hook gets it: client, unit, table, addresses and values.
 
     Attributes:
         peer: address of the client, ``host:port`` or the name of a serial line.

@@ -68,13 +68,13 @@ class ConnectedPeer(Protocol):
 
     @property
     def state(self) -> ServedConnectionState:
-        """The state of the connection for the server's status."""
+        """The state of the connection, for the server's status."""
 
     def deliver(self, adu: bytes) -> None:
-        """Send a late reply to the peer."""
+        """Send the late reply to a request of this client."""
 
     def deliver_together(self, replies: list[bytes]) -> None:
-        """Send several late replies to the peer at once."""
+        """Send late replies to several requests of this client at once."""
 
     def attend(self) -> None:
         """Handle what the session has to report without new bytes, such as a late reply."""
@@ -233,7 +233,7 @@ class ListenerContext:
         self.diagnosis.communication_fault = time.monotonic()
 
     def failed(self, peer: str, failures: Sequence[ResponderFailure]) -> None:
-        """Count and log exceptions raised by the responder."""
+        """Count and log exceptions that responders raised instead of answering."""
         self.counters.responder_failures += len(failures)
         self.diagnosis.internal_fault = time.monotonic()
         report_failures(peer, failures)

@@ -1,4 +1,4 @@
-"""Settings of a listener read from its URL, for each scheme.
+"""Settings of a listener, read from its URL, whichever scheme it has.
 
 Knows which parts of a listener take which parameter classes; what an option means, and with which schemes, is declared
 in `busway.options`.

@@ -85,7 +85,7 @@ class DeviceResponder:
         return self._served.get(unit)
 
     def find(self, unit: int) -> Device | None:
-        """The device that answers for ``unit``; None if there is none."""
+        """Return the device that answers for ``unit``; None if there is none."""
         return self._devices.get(unit)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:

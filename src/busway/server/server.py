@@ -127,7 +127,7 @@ class Server:
 
     @property
     def is_running(self) -> bool:
-        """Whether the server is started."""
+        """Whether the server was started and not stopped."""
         return bool(self._streams or self._datagrams or self._lines)
 
     @property

@@ -65,7 +65,7 @@ class TlsHandshakeAcceptor:
         self._look_at_own()
 
     def __call__(self) -> asyncio.BaseProtocol:
-        """Create the protocol of an accepted connection."""
+        """Return the asyncio protocol for an accepted connection, which runs its TLS handshake."""
         return _PendingHandshake(self)
 
     def reload(self) -> None:
@@ -230,7 +230,7 @@ class TlsHandshakeAcceptor:
         self._management.listener_context.say(logging.WARNING, about, message, *arguments)
 
     def _gone(self, layer: TlsLayer) -> None:
-        """Forget a refused client whose connection has ended."""
+        """Forget a refused TLS client whose connection has ended."""
         self._leaving.pop(layer, None)
 
 
@@ -245,6 +245,6 @@ class _PendingHandshake(asyncio.Protocol):
         self._acceptor = handshake_acceptor
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Pass the accepted connection to the handshake acceptor."""
+        """Pass the accepted connection on to the handshake acceptor."""
         # Transports of uvloop are no subclass of asyncio.Transport.
         self._acceptor.arrived(cast(asyncio.Transport, transport))

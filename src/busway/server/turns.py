@@ -67,7 +67,7 @@ class Turns:
             self.is_crowded = True
 
     def wait(self, one: Waiting) -> None:
-        """Put a connection into the queue for a turn, unless it is there."""
+        """Put a connection into the queue for a turn of the event loop, unless it is there."""
         self._row(one).append(one)
         self.is_crowded = True
         if not self._is_due:

@@ -187,14 +187,14 @@ class _Socket(asyncio.DatagramProtocol):
     # What asyncio calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Keep the transport of the bound socket."""
+        """Keep the transport of the bound UDP socket, for sending."""
         self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no such class
         limits: Any = transport  # every transport has them, but the declared type of those for datagrams
         limits.set_write_buffer_limits(high=self._listener.listener_context.parameters.write_buffer)
         self._listener.listener_context.diagnosis.is_open = True
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
-        """Find the peer of a received datagram and answer it."""
+        """Find the peer that sent a datagram, and answer it."""
         now = time.monotonic()
         peer = self._listener.peer_of(self, data, addr, now)
         if peer is not None:
@@ -207,16 +207,16 @@ class _Socket(asyncio.DatagramProtocol):
         """Ignore a send error: one peer has gone, which does not concern the others."""
 
     def pause_writing(self) -> None:
-        """The system's send buffer is full: drop replies, as datagrams may be lost, instead of queueing them."""
+        """Drop replies, as datagrams may be lost, because the system's send buffer is full."""
         self._is_full = True
         self._listener.listener_context.counters.reading_paused += 1
 
     def resume_writing(self) -> None:
-        """The system's send buffer has room again: send replies again."""
+        """Send replies again, because the system's send buffer has room."""
         self._is_full = False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Report the end of this socket to the listener."""
+        """Report the end of this UDP socket to the listener."""
         self._listener.closed(self)
         if not self.closed.done():
             self.closed.set_result(None)
@@ -282,7 +282,7 @@ class _Peer:
             self._listener_context.failed(self.peer, failures)
 
     def deliver(self, adu: bytes) -> None:
-        """Send one reply to this peer."""
+        """Send one reply to this UDP peer."""
         if adu:
             self.sent += len(adu)
             self.socket.send(adu, self.address)
@@ -290,24 +290,24 @@ class _Peer:
                 self._traced().sent(adu)
 
     def deliver_together(self, replies: list[bytes]) -> None:
-        """Send several replies to this peer, each in a datagram of its own."""
+        """Send several replies to this UDP peer, each in a datagram of its own."""
         for reply in replies:
             self.deliver(reply)
 
     def close(self) -> None:
-        """End the session of this peer; requests in progress get no reply."""
+        """End the session of this UDP peer; requests in progress get no reply."""
         for task in self._tasks:
             task.cancel()
         self.session.close()
 
     @property
     def is_busy(self) -> bool:
-        """Whether a request of this peer is in progress."""
+        """Whether a request of this UDP peer is in progress."""
         return bool(self.session.waiting)
 
     @property
     def has_ended(self) -> bool:
-        """Always False: UDP does not tell when a sender has gone."""
+        """Return False always: UDP does not tell when a sender has gone."""
         return False
 
     @property

@@ -132,7 +132,7 @@ class Call:
         return range(first, self.next)
 
     def repeat(self, position: int) -> None:
-        """Queue a request of this call to be sent once more."""
+        """Queue one request of this call to be sent once more."""
         self.attempts = {**self.attempts, position: self.attempts.get(position, 1) + 1}
         self.again = (*self.again, position)
 

@@ -63,7 +63,7 @@ class ConnectionLife:
     # How a connection begins.
 
     def may_dial(self, now: float) -> bool:
-        """Whether a connection attempt may be made now."""
+        """Whether an attempt to connect may be made now."""
         return self.reconnect.may_dial(now)
 
     def dialled(self, now: float) -> None:

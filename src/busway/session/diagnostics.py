@@ -190,7 +190,7 @@ class LineDiagnostics:
 
     @property
     def listen_only(self) -> bool:
-        """Whether any unit is in listen-only mode."""
+        """Whether any unit of the line is in listen-only mode."""
         return bool(self.listen_only_units)
 
     def received_foreign(self) -> None:
@@ -402,7 +402,7 @@ class CommunicationState:
             self.own.bus_exception_error_count += 1
 
     def kept_silent(self, *, executed: bool = False, write_failed: bool = False) -> None:
-        """Count a message for this unit that gets no reply.
+        """Count a message to this unit that gets no reply.
 
         ``executed``: it was a broadcast, and is done. ``write_failed``: the port did not take the answer.
         """

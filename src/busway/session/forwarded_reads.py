@@ -282,7 +282,7 @@ class ForwardedReads:
             self._ready.append(transaction + plan.refusal(code))
 
     def send(self) -> None:
-        """Transmit all replies that are ready to the client, together."""
+        """Transmit to the client all replies that are ready, together."""
         ready = self._ready
         if ready:
             self._ready = []

@@ -64,7 +64,7 @@ class Authorizer(Protocol):
         """A number that changes when earlier decisions, or results of `rights_of`, are no longer right."""
 
     def rights_of(self, client: ClientIdentity) -> ClientRights:
-        """Return what the policy permits to a client."""
+        """Return what the access rules permit to a client."""
 
     def authorize(
         self, context: RequestContext, request: AnyRequest, served: ServedUnit | None

@@ -25,7 +25,7 @@ class ConnectionState(Enum):
 
 
 class ConnectionEvent(Enum):
-    """Events that change the state of a client's connection."""
+    """Events that change the state of a client's connection, such as connected, lost or failed."""
 
     DIALLED = "dialled"
     CONNECTED = "connected"

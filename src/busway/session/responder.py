@@ -155,7 +155,7 @@ class RequestContext:
 
     @property
     def role(self) -> str | None:
-        """Role of the client's certificate; None without one."""
+        """Role that the client's certificate names; None without one."""
         return self.client.role
 
     @property

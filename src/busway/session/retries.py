@@ -76,7 +76,7 @@ class CallTracker:
         self.begin(call, now)
 
     def begin(self, call: Call, now: float) -> None:
-        """Track a call that is sent at once and does not enter the queue."""
+        """Keep track of a call that is sent at once, without entering the queue."""
         call.submitted = now
         if call.deadline is not None:
             self.deadlines += 1

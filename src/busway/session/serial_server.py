@@ -48,7 +48,7 @@ class FrameToSend:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """A reply that is ready but has not been sent on the line yet."""
+    """A reply of this server that has not been sent on the line yet."""
 
     context: RequestContext
     reply: Message
@@ -115,7 +115,7 @@ class SerialServerSession:
         client: ClientIdentity | None = None,
         sends_at_once: bool = False,
     ) -> None:
-        """Create the server session of a serial line.
+        """Create the server's session for a serial line.
 
         Args:
             pipeline: answers the requests.

@@ -109,7 +109,7 @@ class TcpServerSession:
         client: ClientIdentity | None = None,
         share: int | None = None,
     ) -> None:
-        """Create the server session of a new connection.
+        """Create the server's session for a new TCP connection.
 
         Args:
             pipeline: answers the requests.

@@ -35,7 +35,7 @@ class _UnitBreaker:
 
 
 class Breakers:
-    """The circuit breakers of all units of one link."""
+    """The circuit breakers of one link, one for each unit."""
 
     __slots__ = ("_jitter", "_units", "parameters")
 

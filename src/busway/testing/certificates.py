@@ -120,7 +120,7 @@ class CertificateStore:
         return file
 
     def write(self, name: str, issued: Issued) -> CertificateFiles:
-        """Write certificate and key as NAME.pem and NAME.key."""
+        """Write a certificate and its key as NAME.pem and NAME.key."""
         stem = name.replace(" ", "-")
         files = CertificateFiles(
             self.directory / f"{stem}.pem", self.directory / f"{stem}.key", self.authority_file, issued

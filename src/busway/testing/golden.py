@@ -9,7 +9,7 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True)
 class GoldenExchange:
-    """One request PDU and the reply PDU that answers it.
+    """One request PDU and the reply PDU that the specification gives for it.
 
     Attributes:
         name: name of the exchange.

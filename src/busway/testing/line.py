@@ -83,7 +83,7 @@ class _Pty:
 
 @dataclass(slots=True)
 class _Order:
-    """A function that the line's thread shall run, and its result."""
+    """A call to be made in the thread of the simulated line, and its result."""
 
     action: Callable[[], object]
     done: threading.Event = field(default_factory=threading.Event)
@@ -92,7 +92,7 @@ class _Order:
 
 @dataclass(slots=True)
 class _Listener:
-    """A thread that waits until the line has been quiet for a time."""
+    """A thread that waits until the simulated line has been quiet for a time."""
 
     silence: float
     heard: threading.Event = field(default_factory=threading.Event)
@@ -121,7 +121,7 @@ class PacedLine:
         seed: int = 0,
         granularity: float = GRANULARITY,
     ) -> None:
-        """Create the line and start it.
+        """Create the simulated line with its ports and start its thread.
 
         Args:
             ports: how many, at least 1.
@@ -213,7 +213,7 @@ class PacedLine:
         self._do(lambda: self._line.mend(*ports))
 
     def inject(self, data: bytes) -> None:
-        """Put characters on the line that no port has sent."""
+        """Put characters on the line that no port has sent, such as noise."""
         self._do(lambda: self._line.inject(data, max(time.monotonic(), self._line.now)))
 
     def unplug(self, port: int) -> None:

@@ -135,7 +135,7 @@ class MemoryTransport(asyncio.Transport):
         return data
 
     def take(self, data: bytes) -> None:
-        """Give arrived bytes to the protocol of this end."""
+        """Give arrived bytes to the asyncio protocol of this end."""
         protocol = self._protocol
         if isinstance(protocol, asyncio.BufferedProtocol):
             while data and not self._closing:

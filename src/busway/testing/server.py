@@ -146,7 +146,7 @@ class FaultyServer:
         (self.endpoint,) = self._server.endpoints
 
     async def stop(self) -> None:
-        """Stop the server and close all connections."""
+        """Stop the server and close all its connections."""
         self._drop()
         await self._server.stop()
         await self.until(lambda: not self.connections)
@@ -218,7 +218,7 @@ def faulty_server(
 
 
 class _ServerThread:
-    """A thread with an event loop that runs one server."""
+    """A thread with an event loop that runs one `FaultyServer`."""
 
     def __init__(self, server: FaultyServer) -> None:
         self._server = server
@@ -236,7 +236,7 @@ class _ServerThread:
             raise self._failure
 
     def stop(self) -> None:
-        """Stop the server and wait for the thread to end."""
+        """Stop the server and wait until its thread has ended."""
         if self._end is not None and self._server.loop is not None:
             self._server.loop.call_soon_threadsafe(self._end.set)
         self._thread.join()

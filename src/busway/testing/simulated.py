@@ -106,7 +106,7 @@ class SimulatedDevice:
 
     @property
     def endpoint(self) -> str:
-        """URL of the first listener: ``tcp://127.0.0.1:40123``."""
+        """URL at which the device is served: ``tcp://127.0.0.1:40123``."""
         return self.endpoints[0]
 
     @property
@@ -266,7 +266,7 @@ class _Thread:
         self.endpoints: list[str] = []
 
     def start(self) -> None:
-        """Start the server; raises its errors."""
+        """Start the thread with the device's server; raises what its start raises."""
         self._thread.start()
         self._started.wait()
         if self._failure is not None:
@@ -274,7 +274,7 @@ class _Thread:
             raise self._failure
 
     def stop(self) -> None:
-        """Stop the server, and wait for the thread to end."""
+        """Stop the device's server, and wait until its thread has ended."""
         if self._stop is not None:
             loop, event = self._stop
             loop.call_soon_threadsafe(event.set)
@@ -376,7 +376,7 @@ def _kind(address: str, value: Any) -> dict[str, Any]:
 
 
 def _items(addresses: str | Collection[str] | None) -> dict[Table, list[tuple[int, int]]] | None:
-    """Return addresses as item ranges by table; None for all."""
+    """Return the addresses that a fault concerns as item ranges by table; None for all."""
     if addresses is None:
         return None
     found: dict[Table, list[tuple[int, int]]] = {}

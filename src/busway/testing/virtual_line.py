@@ -151,7 +151,7 @@ class VirtualLine:
         self._cut.update(ports or range(len(self.ports)))
 
     def mend(self, *ports: int) -> None:
-        """Restore the wire to these ports, or to all."""
+        """Restore the wire to these ports, or to all, after `cut`."""
         self._cut.difference_update(ports or range(len(self.ports)))
 
     def inject(self, data: bytes, now: float) -> float:

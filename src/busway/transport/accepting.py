@@ -90,7 +90,7 @@ class EpollAcceptor:
                 return
 
     def _accept(self) -> bool:
-        """Accept one client. Returns whether another may wait."""
+        """Accept one client at the listening socket. Returns whether another may wait."""
         try:
             connection, peer = self._listening.accept()
         except (BlockingIOError, InterruptedError):
@@ -150,7 +150,7 @@ class EpollAcceptor:
 
 
 class LoopAcceptor:
-    """Accepts connections through the event loop's own server."""
+    """Accepts connections through the event loop's own server, where there is no epoll."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, server: asyncio.Server) -> None:
         self._loop = loop

@@ -37,7 +37,7 @@ class DatagramConnection(asyncio.DatagramProtocol):
     # What asyncio calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Keep the transport of the opened socket."""
+        """Keep the transport of the opened UDP socket."""
         self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no such class
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
@@ -53,7 +53,7 @@ class DatagramConnection(asyncio.DatagramProtocol):
     # What a link calls.
 
     def write(self, data: bytes) -> None:
-        """Send one frame as a datagram."""
+        """Send one frame as a UDP datagram."""
         if self._transport is not None:
             self._transport.sendto(data)
 
@@ -154,7 +154,7 @@ class BlockingDatagramSocket:
             self.dropped += 1
 
     def send(self, data: bytes) -> int:
-        """Send one frame as a datagram."""
+        """Send one frame as a UDP datagram."""
         with contextlib.suppress(ConnectionRefusedError):
             self._socket.send(data)
             return len(data)

@@ -38,7 +38,7 @@ class BitsCodec:
         self.expects = "sixteen of True and False, the least significant bit first"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Decode registers, each into a tuple of sixteen states."""
+        """Return each register as a tuple of sixteen ``bool``, least significant bit first."""
         whole = swapped(data, self._swaps)
         return [_BITS[low] + _BITS[high] for high, low in zip(whole[::2], whole[1::2], strict=True)]
 
@@ -120,7 +120,7 @@ class FieldCodec:
         self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Decode the number in these bits of each register."""
+        """Return the number in these bits of each register."""
         whole = swapped(data, self._swaps)
         low, mask, sign = self._low, self._mask, self._sign
         return [

@@ -43,7 +43,7 @@ class StringCodec:
         self.expects: str = f"text of at most {length} {'byte' if length == 1 else 'bytes'} in {encoding}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Decode registers into texts.
+        """Convert registers into texts.
 
         Raises:
             BadReply: the bytes are not text in this encoding; ``raw`` holds the block.

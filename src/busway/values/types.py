@@ -61,10 +61,10 @@ class Codec(Protocol):
 
     # Any: which Python type comes follows from a name at run time, and a union would make every caller cast.
     def decode(self, data: Wire) -> list[Any]:
-        """Decode registers into values."""
+        """Convert registers into values of the codec's type."""
 
     def encode(self, values: list[object]) -> bytes:
-        """Encode values as registers."""
+        """Convert values of the codec's type into registers."""
 
     def parse(self, text: str) -> Any:
         """Return the value for a text; ``ValueError`` if the text is none."""
@@ -107,7 +107,7 @@ class ValueType(Generic[Value]):
         return count * self.registers
 
     def decode(self, data: Wire) -> list[Value]:
-        """Decode registers into values.
+        """Convert registers into values of this type.
 
         Args:
             data: bytes in wire order, two for each register, a whole number of values.
@@ -126,7 +126,7 @@ class ValueType(Generic[Value]):
         return self._codec.decode(data)
 
     def encode(self, values: Iterable[object]) -> bytes:
-        """Encode values as registers, in wire order.
+        """Convert values of this type into registers, in wire order.
 
         Args:
             values: values as `decode` gives them; one value goes in as ``[value]``. Number types take every integer

@@ -137,7 +137,7 @@ class Collector:
     alarms: CollectorAlarms
 
     def __init__(self, configuration: CollectorConfiguration, *, permit: Callable[[str], None] | None = None) -> None:
-        """Set what is collected; nothing is opened yet.
+        """Create a collector from its configuration; nothing is opened yet.
 
         Args:
             configuration: what its file says.
@@ -364,7 +364,7 @@ class Collector:
 
     @property
     def newest_commit(self) -> int:
-        """The number of the last commit; 0 before the first."""
+        """The number of the last commit of samples to the store; 0 before the first."""
         assert self._committer is not None
         return self._committer.writer.newest_commit
 
@@ -379,7 +379,7 @@ class Collector:
         self._committer.subscribe(told)
 
     def sink_statuses(self) -> Sequence[SinkStatus]:
-        """Return the status of each sink."""
+        """Return the status of each sink, a system that gets the samples."""
         return () if self._sinks is None else self._sinks.statuses()
 
     def input_statuses(self) -> Sequence[InputStatus]:
@@ -639,7 +639,7 @@ class Collector:
         self._links[name] = _RunningLink(_key_of(configuration, name), link, poller, task)
 
     async def _finish_link(self, name: str) -> None:
-        """Let the transaction that runs on a link end."""
+        """Let the request that a link has in flight end, then stop polling it."""
         running = self._links[name]
         running.poller.finish()
         await asyncio.wait([running.task], timeout=running.poller.schedule.timeout + FINISH_LIMIT)

@@ -126,7 +126,7 @@ class CollectorConfiguration:
 
     @property
     def learnt_path(self) -> FilePath:
-        """Path of the file for what is learnt about devices."""
+        """Path of the file in which the collector keeps what it learns about devices."""
         return FilePath(self.store) / LEARNT_FILE
 
     def devices_of(self, link: str) -> list[CollectedDevice]:
@@ -139,7 +139,7 @@ class CollectorConfiguration:
         return knowledge.of(device.name, device.profile, device.firmware, place)
 
     def loads(self, knowledge: Knowledge) -> list[LinkLoad]:
-        """Return the computed load of each link."""
+        """Return for each link the part of its time that polling will take."""
         found = []
         for name, link in self.links.items():
             books = [

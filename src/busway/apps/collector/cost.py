@@ -27,7 +27,7 @@ _ASCII_CHARACTERS: Final = 28  # request: ':', 7 bytes in 14, CR LF; reply: ':',
 
 @dataclass(frozen=True, slots=True)
 class ReadCost:
-    """What reads of one device cost, in seconds.
+    """How many seconds reads of one device take: per request, per register and per bit.
 
     Attributes:
         base: seconds of any read, above 0.
@@ -44,11 +44,11 @@ class ReadCost:
             raise ValueError(f"costs are above 0, not {self.base}, {self.per_register} and {self.per_bit}")
 
     def per_item(self, table: Table) -> float:
-        """Return the seconds that one item of a table adds to a read."""
+        """Return the seconds that one register or bit adds to a read."""
         return self.per_bit if table.holds_bits else self.per_register
 
     def of(self, table: Table, width: int) -> float:
-        """Return the seconds that a read of ``width`` items takes."""
+        """Return the seconds that a read of ``width`` registers or bits takes."""
         return self.base + self.per_item(table) * width
 
     def with_base(self, base: float) -> "ReadCost":
@@ -59,7 +59,7 @@ class ReadCost:
 def line_cost(
     timing: SerialTiming, framing: Literal["rtu", "ascii"] = "rtu", *, turnaround: float = TURNAROUND, gap: float = 0.0
 ) -> ReadCost:
-    """Return what reads on a serial line cost.
+    """Return the seconds that reads on a serial line take: per request, per register and per bit.
 
     Args:
         timing: characters and silences of the line; a character takes time.

@@ -18,7 +18,7 @@ from .samples import NANOSECONDS, CounterState, PointGroup, SampleBatch
 
 
 class DerivedPoints:
-    """Computes the derived points of one device from its reads.
+    """Computes totals, formulas and group sizes of one device from its reads.
 
     Args:
         device: its name.
@@ -43,7 +43,7 @@ class DerivedPoints:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the device has no derived points."""
+        """Whether the device has no totals, formulas or groups of variable size."""
         return not (self._accumulators or self._inputs or self._counted)
 
     def absent(self) -> list[Point]:
@@ -94,7 +94,7 @@ class DerivedPoints:
         return changed
 
     def failed(self, points: Sequence[str], reason: int) -> None:
-        """Note that a read of some of the device's points failed."""
+        """Note that some of the device's points could not be read, and why, for the formulas that use them."""
         if self._group is not None:
             self._latest |= {name: Reading(None, reason) for name in points}
             self._touched |= set(points)

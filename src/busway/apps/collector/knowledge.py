@@ -41,7 +41,7 @@ class LearntHole:
 
     @property
     def is_border(self) -> bool:
-        """Whether this is a border between two items, not a range."""
+        """Whether this is a border between two items that no read may cross, not a refused range."""
         return self.start == self.end
 
     def __str__(self) -> str:
@@ -74,7 +74,7 @@ class LearntLimit:
 
 @dataclass(frozen=True, slots=True)
 class DeviceKnowledge:
-    """What the collector has learnt about one device.
+    """What the collector has learnt about one device: refused ranges, largest reads, cost of reads.
 
     Attributes:
         profile, firmware: what kind of device it is; empty for unknown.
@@ -96,7 +96,7 @@ class DeviceKnowledge:
         return next((one for one in self.limits if one.bits is bits), None)
 
     def refuses(self, table: Table, start: int, end: int) -> bool:
-        """Whether a read of a range would touch a learnt hole."""
+        """Whether a read would touch a range that the device was found to refuse."""
         return any(one.table is table and one.start < end and start < one.end for one in self.holes)
 
     def knows(self, hole: LearntHole) -> bool:
@@ -152,7 +152,7 @@ class DeviceKnowledge:
 
 
 class Knowledge:
-    """What the collector has learnt about all its devices, by name."""
+    """What the collector has learnt about each device: refused ranges, largest reads, cost of reads."""
 
     def __init__(self, devices: Mapping[str, DeviceKnowledge] | None = None) -> None:
         self._devices = dict(devices or {})
@@ -170,7 +170,7 @@ class Knowledge:
         return replace(known, place=place or known.place)
 
     def set(self, name: str, known: DeviceKnowledge) -> None:
-        """Replace what was learnt about a device."""
+        """Replace what was learnt about one device."""
         self._devices[name] = known
 
     def pin(self, name: str) -> bool:
@@ -213,14 +213,14 @@ class Knowledge:
         return sorted(kind for kind in found if any((self.offered(*kind).holes, self.offered(*kind).limits)))
 
     def text(self) -> str:
-        """Return everything that was learnt as JSON."""
+        """Return what was learnt about all devices as JSON."""
         return json.dumps(
             {"version": VERSION, "devices": {name: _device_data(known) for name, known in self}}, indent=1
         )
 
 
 def read_knowledge(text: str, name: str) -> Knowledge:
-    """Parse the JSON that `Knowledge.text` has written.
+    """Return what was learnt about devices from the JSON that `Knowledge.text` has written.
 
     Raises:
         ConfigError: the text is something else; names the file.

@@ -58,7 +58,7 @@ _REFUSALS: Final = frozenset({ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.
 
 
 class CostLearner:
-    """Learns what reads of one device cost, from reads that succeeded.
+    """Learns how many seconds reads of one device take, from reads that succeeded.
 
     Args:
         assumed: the cost until enough is known.
@@ -91,12 +91,12 @@ class CostLearner:
 
     @property
     def is_settled(self) -> bool:
-        """Whether enough reads were seen for their cost to count as known."""
+        """Whether enough reads were seen to know how long reads of the device take."""
         return self.reads >= SETTLED_AFTER and len(self.widths) >= WIDTHS
 
     @property
     def cost(self) -> ReadCost:
-        """Return what reads cost, as far as it was learnt."""
+        """Return how many seconds reads of the device take, as far as it was learnt."""
         if not self._seen:
             return self._assumed
         if not self._fixed:
@@ -150,7 +150,7 @@ def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead
 
 
 def read_of(table: Table, items: Sequence[Any], cost: ReadCost) -> PlannedRead:  # Any: the caller's kind of ReadItem
-    """Return one read that covers some items and no more."""
+    """Return one read request that covers some points and no more."""
     start = min(one.start for one in items)
     width = max(one.start + one.width for one in items) - start
     return PlannedRead(table, start, width, tuple(items), cost.of(table, width))
@@ -243,7 +243,7 @@ class MapLearner:
 
     @property
     def is_asking(self) -> bool:
-        """Whether a read for learning waits to be sent."""
+        """Whether a read that tests what the device refuses waits to be sent."""
         return bool(self._questions)
 
     def question(self) -> PlannedRead | None:
@@ -251,7 +251,7 @@ class MapLearner:
         return self._questions[0].read if self._questions else None
 
     def observe(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Note the result of a read that was made for its values.
+        """Note the result of an ordinary read, to learn which ranges the device refuses.
 
         Args:
             read: it.

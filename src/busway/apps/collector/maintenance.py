@@ -23,7 +23,7 @@ _log = logging.getLogger("busway.collector")
 
 
 class MaintenanceBook:
-    """The devices of a collector that are in maintenance.
+    """The devices of a collector that are in maintenance and not polled.
 
     Args:
         manifest: of the store, open for writing.

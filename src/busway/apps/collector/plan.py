@@ -45,7 +45,7 @@ class ReadItem(Protocol):
 
     @property
     def table(self) -> Table:
-        """Table that the item is in."""
+        """Table that the item to be read is in."""
 
     @property
     def start(self) -> int:
@@ -62,7 +62,7 @@ class ReadItem(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PlainItem:
-    """Something to be read that has only a position.
+    """An address range to be read, without being a point.
 
     Attributes:
         table: the table it stands in.
@@ -97,7 +97,7 @@ class PlannedRead:
 
     @property
     def end(self) -> int:
-        """The offset after the last item of the read."""
+        """The offset after the last register or bit of the read."""
         return self.start + self.width
 
 
@@ -127,7 +127,7 @@ class DevicePlan:
 def plan_reads(
     wanted: Iterable[ReadItem], rules: ReadRules, cost: ReadCost, *, others: Iterable[ReadItem] = ()
 ) -> DevicePlan:
-    """Compute the cheapest read requests that fetch some items.
+    """Compute the cheapest read requests that fetch some points or other items.
 
     Args:
         wanted: what is due; in any order.
@@ -218,7 +218,7 @@ def _blocks(items: list[ReadItem]) -> list[_Block]:
 
 
 def _in_order(blocks: list[_Block]) -> list[_Block]:
-    """Return blocks of items sorted by start, wider ones first."""
+    """Sort blocks of items by start, wider ones first."""
     blocks.sort(key=_END, reverse=True)
     blocks.sort(key=_START)
     return blocks
@@ -395,7 +395,7 @@ def _shortest_path(places: list[_Place], limit: int, base: float, per_item: floa
 
 
 def _one_each(table: Table, blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """Return one read for each range, with the items in it."""
+    """Return one read request for each range, with the items in it."""
     same = groupby(blocks, key=lambda block: (block.start, block.end))
     return [_read(table, start, end, list(each), cost) for (start, end), each in same]
 

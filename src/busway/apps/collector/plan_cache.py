@@ -72,12 +72,12 @@ class PlanBook:
 
     @property
     def cost(self) -> ReadCost:
-        """What reads of the device cost, as far as known."""
+        """How many seconds reads of the device take, as far as known."""
         return self._learner.cost
 
     @property
     def classes(self) -> Classes:
-        """The names of the poll classes that have points of the device."""
+        """The names of the poll classes in which the device has points."""
         return frozenset(name for name, items in self._items.items() if items)
 
     @property
@@ -94,7 +94,7 @@ class PlanBook:
         return with_knowledge(self._rules, self._map.knowledge)
 
     def points(self) -> list[Any]:  # the caller's kind of ReadItem
-        """Return all points of the device, each once."""
+        """Return all points of the device that are polled, each once."""
         return list(self._all)
 
     def plan_for(self, classes: Classes) -> DevicePlan:
@@ -107,7 +107,7 @@ class PlanBook:
         return plan
 
     def set_class(self, name: str, items: Sequence[ReadItem]) -> None:
-        """Replace the points of a poll class; an empty list removes it."""
+        """Replace the device's points in a poll class; an empty list removes the class."""
         self._items[name] = list(items)
         self._plans.clear()
         self.made = 0
@@ -161,7 +161,7 @@ class PlanBook:
         self._map.observe(read, outcome, code)
 
     def _look_at_cost(self) -> None:
-        """Drop cached plans if the learnt cost has changed enough (rule 3)."""
+        """Drop cached read plans if the learnt cost of reads has changed enough (rule 3)."""
         settled = self._learner.is_settled
         cost = self._learner.cost
         first, self._is_settled = settled and not self._is_settled, settled
@@ -178,7 +178,7 @@ class PlanBook:
 
     @property
     def may_ask(self) -> bool:
-        """Whether `question` may return a read for learning now."""
+        """Whether a read that tests what the device refuses may be sent now."""
         return self._probes is None or bool(self._probes) or self._map.is_asking
 
     def question(self) -> PlannedRead | None:

@@ -215,7 +215,7 @@ class LinkPoller:
         derived: DerivedPoints | None = None,
         pause: float = 0.0,
     ) -> None:
-        """Poll a device from now on.
+        """Begin to poll one more device of the link.
 
         Args:
             name, unit: its name, and its unit identifier.
@@ -232,7 +232,7 @@ class LinkPoller:
         self.wake()
 
     def remove(self, name: str) -> None:
-        """Stop polling a device."""
+        """Stop polling a device of the link."""
         device = self.devices.pop(name, None)
         if device is not None:
             self._end_interval(device)
@@ -458,7 +458,7 @@ class LinkPoller:
         middle: int,
         half: int,
     ) -> TurnOutcome:
-        """Note a read that failed; returns the outcome of the turn with it."""
+        """Note a read that failed: samples without value, and what the schedule does with the device."""
         reason, result = _judged(error)
         device.last_error = str(error)
         if turn.kind is TurnKind.ROUND:

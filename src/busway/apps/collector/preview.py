@@ -16,7 +16,7 @@ from .plan import PlannedRead, undeclared
 
 @dataclass(frozen=True, slots=True)
 class PreviewedRead:
-    """One read request that a device would get.
+    """One read request that a device would get from the collector.
 
     Attributes:
         device, poll_class: whose, and of which class.
@@ -38,7 +38,7 @@ class PreviewedRead:
 
 @dataclass(frozen=True, slots=True)
 class CollectorPreview:
-    """What a whole collector would do.
+    """What a collector would do if it were started: reads, loads, undeclared registers.
 
     Attributes:
         reads: by device and class.

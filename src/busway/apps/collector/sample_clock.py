@@ -21,7 +21,7 @@ TOLERANCE: Final = NANOSECONDS // 2
 
 
 class SampleClock:
-    """Converts monotonic times into nanoseconds since 1970.
+    """Converts monotonic times into the times that samples get, nanoseconds since 1970.
 
     Args:
         monotonic: seconds of the monotonic clock, now.

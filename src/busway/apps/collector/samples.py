@@ -72,7 +72,7 @@ class Sample:
 
     @property
     def quality(self) -> Quality:
-        """The quality of the sample's value."""
+        """The quality of the sample: good, uncertain or bad."""
         return quality_of(self.reason)
 
 

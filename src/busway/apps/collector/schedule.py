@@ -88,7 +88,7 @@ class PollRound:
 
     @property
     def rank(self) -> int:
-        """Order among rounds: leased points go before poll classes."""
+        """Order in which waiting rounds are polled: points that a viewer watches go first."""
         return 0 if LEASED in self.classes else 1
 
 
@@ -163,7 +163,7 @@ class ScheduledDevice:
 
 
 class LinkSchedule:
-    """The schedule of all devices on one link.
+    """Decides which device of one link is sent which request next, and when.
 
     Args:
         timeout: seconds that a silent read takes.
@@ -221,13 +221,13 @@ class LinkSchedule:
         return {name: first + int(step * int(period / shortest + 1e-9)) * shortest for name, period in periods.items()}
 
     def remove(self, name: str) -> None:
-        """Stop polling a device; a read in progress still ends."""
+        """Take a device out of the schedule; a read in progress still ends."""
         self.devices.pop(name, None)
         self._ready = [each for each in self._ready if each[3].device != name]
         heapq.heapify(self._ready)
 
     def pause(self, name: str, *, paused: bool, now: float) -> None:
-        """Stop polling a device, or resume it."""
+        """Stop polling a device, or go on with it."""
         device = self.devices[name]
         if device.is_paused is paused:
             return

@@ -28,7 +28,7 @@ TOKEN_SUFFIX = ".json"
 
 @dataclass(frozen=True, slots=True)
 class UnixAddress:
-    """The address of a control socket in the file system (Unix domain)."""
+    """The address of a Unix domain socket at which a program tells its status."""
 
     path: Path
 

@@ -32,7 +32,7 @@ _CONNECT_SECONDS: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A running program with a control service, and its address."""
+    """A running server or gateway that can be asked for its status, with its address."""
 
     address: ControlAddress
     token: str = ""

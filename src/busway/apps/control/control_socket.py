@@ -1,4 +1,4 @@
-"""Creates and removes the socket of a control service.
+"""Creates and removes the socket at which a program answers requests for its status.
 
 Knows sockets, files and their modes; knows no request.
 
@@ -73,7 +73,7 @@ def bind_default(directory: Path) -> Bound:
 
 
 def bind_unix(address: UnixAddress) -> Bound:
-    """Create a Unix domain socket of mode 0600 for a control service.
+    """Create a Unix domain socket of mode 0600 at which a program tells its status.
 
     Raises:
         ConfigError: another file is at the path, or the path is too long.

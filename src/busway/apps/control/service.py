@@ -69,7 +69,7 @@ AnswerMetrics = Callable[[HttpRequest], HttpResponse]
 
 
 class Control:
-    """Answers for a subject while the ``async with`` block lasts::
+    """The service that tells the status of a server or gateway while the ``async with`` block lasts::
 
         async with busway.serve(units={1: device}) as server, Control(server):
             ...

@@ -297,7 +297,7 @@ class Forwarder:
         return sum(batch.left for batch in self.open)
 
     async def wait_until_answered(self) -> None:
-        """Wait until every forwarded request is answered."""
+        """Wait until every request forwarded to the upstream is answered."""
         if self.open:
             self._all_answered = asyncio.Event()
             await self._all_answered.wait()

@@ -103,7 +103,7 @@ class Gateway:
 
     @property
     def is_running(self) -> bool:
-        """Whether the gateway is started."""
+        """Whether the gateway was started and not stopped."""
         return bool(self._listeners)
 
     @property

@@ -80,7 +80,7 @@ def _reached_in_several_ways(
 
 
 def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
-    """Whether another rule applies to all clients of a rule."""
+    """Whether one access rule applies to all clients that another applies to."""
     return (
         other.peers in (None, rule.peers)
         and other.roles in (None, rule.roles)

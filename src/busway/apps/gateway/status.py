@@ -51,12 +51,12 @@ class GatewayStatus:
 
     @property
     def listeners(self) -> tuple[ListenerStatus, ...]:
-        """The status of all listeners."""
+        """The status of all listeners of the gateway."""
         return tuple(one for listener in self.gateway_listeners for one in listener.server.listeners)
 
     @property
     def counters(self) -> ServerCounters:
-        """The counters of all listeners, added up."""
+        """The counters of all listeners of the gateway, added up."""
         total = ServerCounters()
         for listener in self.gateway_listeners:
             counted = listener.server.counters
@@ -70,7 +70,7 @@ class GatewayStatus:
 
     @property
     def supported_connections(self) -> int:
-        """Highest number of connections that all listeners together accept."""
+        """Highest number of client connections that all listeners together accept."""
         return sum(listener.server.supported_connections for listener in self.gateway_listeners)
 
     @property

@@ -131,7 +131,7 @@ def _read_pieces(kind: type[Any], address: int, count: int, limit: int) -> tuple
 
 
 def _wire(request: Request) -> bytes:
-    """Return the PDU of a request, encoded at most once."""
+    """Return the PDU of a request, which is encoded only once."""
     return request.wire if hasattr(request, "wire") else request.prepare()
 
 

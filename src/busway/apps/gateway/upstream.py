@@ -38,7 +38,7 @@ _CLIENTS_REMEMBERED = 4096
 
 @dataclass(slots=True)
 class UpstreamCounters:
-    """Counters of the requests of an upstream.
+    """Counters of the requests that a gateway has forwarded to one upstream.
 
     Attributes:
         forwarded: requests that a link accepted.

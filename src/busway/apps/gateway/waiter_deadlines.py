@@ -45,7 +45,7 @@ class WaiterDeadlines(Generic[Waiter]):
             self._arm()
 
     def close(self) -> None:
-        """Forget all deadlines: the read has ended."""
+        """Forget all deadlines of clients, because the shared read has ended."""
         self._deadlines.clear()
         if self._timer is not None:
             self._timer.cancel()

@@ -1,4 +1,4 @@
-"""Chooses the importer for a file of another program.
+"""Chooses the importer for a device description of another program, by the file's form.
 
 Knows names of formats and how files of each look from outside.
 """

@@ -51,7 +51,7 @@ class ImportedPoint:
 
 @dataclass(slots=True)
 class ImportedDevice:
-    """The points and omissions that an importer found in a file.
+    """The points that an importer found in a file, and what it could not carry over.
 
     Attributes:
         points: by the number of their unit, each with where it stood.
@@ -66,7 +66,7 @@ class ImportedDevice:
     omissions: list[Omission] = field(default_factory=list)
 
     def add(self, unit: int, keys: Mapping[str, Any], where: str = "") -> None:
-        """Add a point to a unit. Keys whose value is None are left out."""
+        """Add an imported point to a unit. Keys whose value is None are left out."""
         kept = {key: value for key, value in keys.items() if value is not None}
         self.points.setdefault(unit, []).append(ImportedPoint(kept, where))
 

@@ -21,7 +21,7 @@ _DEEPEST: Final = 40
 
 @dataclass(slots=True)
 class YamlDocument:
-    """The data of a YAML text, and the line of each key and item."""
+    """The data of a parsed YAML text, and the line of each key and item."""
 
     data: Any  # what YAML has
     lines: dict[Place, int] = field(default_factory=dict)

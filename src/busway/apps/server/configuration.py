@@ -105,7 +105,7 @@ class Configuration:
         return []
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
-        """Return the options of `busway.serve` that the file sets."""
+        """Return the options that the file gives to `busway.serve`."""
         chosen = self.file.server.options() | dict(self.changes)
         return chosen if self.tls is None else {**chosen, "tls": self.tls}
 
@@ -259,7 +259,7 @@ class _Makers:
         self._security = {key: value for key, value in file.security.options().items() if key in offered}
 
     def limits(self) -> ListenerParameters | None:
-        """Limits for the listeners that have none of their own."""
+        """Limits and timeouts for the listeners that have none of their own."""
         return self._limits({}, ("server",))
 
     def tls(self) -> TlsParameters | None:

@@ -1,4 +1,4 @@
-"""The configuration that really holds, defaults included, as TOML.
+"""Shows the configuration in force, defaults included, as TOML.
 
 Knows parameter classes and TOML; changes nothing.
 """

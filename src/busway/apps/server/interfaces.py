@@ -15,7 +15,7 @@ from ...session.pipeline import RequestObserver
 
 
 class RunningServer(Protocol):
-    """Interface of a server or gateway that a service runs."""
+    """Interface of a server or gateway that `busway serve` or `gateway` runs."""
 
     @property
     def endpoints(self) -> list[str]:
@@ -23,7 +23,7 @@ class RunningServer(Protocol):
 
     @property
     def is_running(self) -> bool:
-        """Whether the server is started."""
+        """Whether the server was started and not stopped."""
 
     def status(self) -> Any:  # a dataclass, of its own kind
         """Return the current status of the server or gateway."""
@@ -45,12 +45,12 @@ class RunningServer(Protocol):
         """Read the TLS certificates again. Raises `ConfigError`; a listener keeps its old ones if they are unusable."""
 
     async def __aenter__(self) -> object:
-        """Start the server."""
+        """Open the listeners of the server."""
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> bool | None:
-        """Stop the server."""
+        """Close the listeners of the server."""
 
 
 class DeclaredServer(Protocol):
@@ -81,7 +81,7 @@ class DeclaredServer(Protocol):
         """Names of the file's sections that a reload applies without a restart."""
 
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> RunningServer:  # of several types
-        """Create the declared server, not started yet."""
+        """Create the server that the configuration declares, not started yet."""
 
     async def apply_to(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
         """Apply the configuration to a running server, as far as possible without a restart. Raises `ModbusError`."""

@@ -12,7 +12,7 @@ from .interfaces import DeclaredServer
 
 
 def declared_rules(configuration: DeclaredServer) -> AccessRules | None:
-    """Return the access rules of the configuration itself."""
+    """Return the access rules that the configuration file itself declares."""
     return configuration.access
 
 

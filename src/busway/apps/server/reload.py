@@ -32,7 +32,7 @@ _MANY_RULES: Final = 10_000
 
 
 class Reload:
-    """Reads the configuration of one running service again, on demand.
+    """Reads the configuration of a running server again, and applies what can change.
 
     Args:
         read: reads the configuration.

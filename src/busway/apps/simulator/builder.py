@@ -225,7 +225,7 @@ def _in_order(
 
 
 def _spans(points: Sequence[SimulatedPoint]) -> bool:
-    """Whether some of the points are in different units."""
+    """Whether some points are in different units, so that their formulas need more than one device."""
     return len({point.unit for point in points}) > 1
 
 

@@ -53,7 +53,7 @@ _LEVELS: Final = ("extended", "regular", "basic")
 
 @dataclass(slots=True)
 class Clone:
-    """The recording of a live device: its unit, points and remarks.
+    """What was recorded of a live device: its unit, points and remarks.
 
     Attributes:
         section: the unit, to be written into a device file.
@@ -204,11 +204,11 @@ class _Watched:
 
     @property
     def has_changed(self) -> bool:
-        """Whether the number has had more than one value."""
+        """Whether the watched number has had more than one value."""
         return self._low < self._high
 
     def see(self, value: float, time: float) -> None:
-        """Note the value of the number at a time."""
+        """Note the value of the watched number at a time."""
         if value != value:  # not a number
             return
         self._step = max(self._step, abs(value - self._last))

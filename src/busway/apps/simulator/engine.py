@@ -162,7 +162,7 @@ class Engine:
         return self._heap[0][0] if self._heap else None
 
     def drives(self, point: SimulatedPoint) -> bool:
-        """Whether a point has a behaviour."""
+        """Whether a simulated point has a behaviour that changes it."""
         return point in self._driven
 
     def state_of(self, point: SimulatedPoint, time: float) -> float | None:

@@ -133,7 +133,7 @@ def parse_declaration(
 
 
 class _Count:
-    """Counter of the files that may still be included."""
+    """Counts the files that a simulation file may still include."""
 
     def __init__(self, most: int) -> None:
         self._most = most

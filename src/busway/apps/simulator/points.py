@@ -27,7 +27,7 @@ class Points:
 
     @property
     def sections(self) -> Mapping[str, PointSection]:
-        """The declarations of the points by name, in the order of the file."""
+        """The declarations of the device's points by name, in the order of the file."""
         return self._sections
 
     def __iter__(self) -> Iterator[str]:

@@ -54,7 +54,7 @@ _FALSE: Final = ("0", "false", "off", "no")
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column that a register map may have.
+    """A column that a register map in CSV may have.
 
     Attributes:
         name: as its header has it.
@@ -118,7 +118,7 @@ def read_register_map(path: str | os.PathLike[str]) -> list[SimulatedPointSectio
 
 
 def parse_register_map(data: bytes | str, name: str) -> list[SimulatedPointSection]:
-    """Parse the points of a register map, in its order.
+    """Return the points that a register map in CSV describes, in its order.
 
     Args:
         data: the content of the file.
@@ -168,7 +168,7 @@ class _Row:
 
 @dataclass(slots=True)
 class _Reader:
-    """Splits the CSV text into rows, and collects errors in the text."""
+    """Splits a register map in CSV into rows, and collects errors in it."""
 
     name: str
     text: str
@@ -295,7 +295,7 @@ def _keys_of(row: _Row) -> tuple[dict[str, Any], list[tuple[str, str]]]:
 
 
 def _table(text: str) -> Table:
-    """Parse the name of a table: ``holding``, ``Holding Registers``."""
+    """Return the table that a cell of a register map names: ``holding``, ``Holding Registers``."""
     try:
         found = parse_address(f"{text}:0").table
     except InvalidRequest:
@@ -335,7 +335,7 @@ def _access(text: str) -> str:
 
 
 def _enumeration(text: str) -> dict[str, int]:
-    """Parse the names of values: ``0=off | 1=on``."""
+    """Return the names of values in a cell of a register map: ``0=off | 1=on``."""
     found: dict[str, int] = {}
     for entry in re.split(r"[|;\n]", text):
         if not entry.strip():

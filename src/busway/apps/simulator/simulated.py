@@ -27,7 +27,7 @@ SIMULATION: Final = "simulation"
 
 
 class SimulatedPoint:
-    """One named value of a simulated unit.
+    """One named value of a simulated device, with its place in the registers and its behaviour.
 
     Attributes:
         key: ``UNIT/NAME``, its name in the simulation.
@@ -79,7 +79,7 @@ class SimulatedPoint:
 
     @property
     def name(self) -> str:
-        """Name of the point in its unit."""
+        """Name of the simulated point in its unit."""
         return self.form.section.name
 
     @property
@@ -124,7 +124,7 @@ class SimulatedPoint:
 
     @property
     def description(self) -> str:
-        """Description of the point from its file."""
+        """Description of the point in words, from its file."""
         return self.form.section.description
 
     @property
@@ -170,7 +170,7 @@ class SimulatedPoint:
 
     @property
     def label(self) -> str | None:
-        """Name of the current value, if it has one."""
+        """Name of the point's current value, if it has one."""
         value = self.value
         return next((name for name, number in self.enumeration.items() if number == value), None)
 

@@ -285,17 +285,17 @@ class Simulation:
 
     @property
     def listeners(self) -> tuple[Listener, ...]:
-        """The listeners that the file declares."""
+        """The listeners that the simulation file declares."""
         return self.declaration.configuration.listeners
 
     @property
     def access(self) -> AccessRules | None:
-        """The access rules of the file; None without any."""
+        """The access rules of the simulation file; None without any."""
         return self.declaration.configuration.access
 
     @property
     def audit(self) -> str | None:
-        """Path of the audit log; None without one."""
+        """Path of the audit log that the file declares; None without one."""
         return self.declaration.configuration.audit
 
     @property
@@ -504,7 +504,7 @@ class Simulation:
             self._save(self.declaration.state, self._snapshot())
 
     async def _keep_on(self, path: str, ended: asyncio.Event) -> None:
-        """Save the state from time to time; a full disk does not end that."""
+        """Save the state of the simulation from time to time; a full disk does not end that."""
         while True:
             with suppress(TimeoutError):
                 await asyncio.wait_for(ended.wait(), self.declaration.file.simulation.keep_every)

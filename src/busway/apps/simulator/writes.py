@@ -17,7 +17,7 @@ Told = Callable[[Sequence[SimulatedPoint], str], None]
 
 
 def watch_writes(device: Device, points: Sequence[SimulatedPoint], told: Told) -> None:
-    """Report all writes to some points of a device from now on."""
+    """Report all Modbus writes to some points of a device from now on."""
     for table in Table:
         inside = [point for point in points if point.table is table]
         if inside and table.is_writable:
@@ -38,7 +38,7 @@ class _Writes:
         self._told = told
 
     def tell(self, change: Change) -> None:
-        """Report the points that a write has touched."""
+        """Report the points that a Modbus write has touched."""
         touched = self._items.touched(change.address, change.address + change.count)
         if touched:
             self._told([self._points[index] for index in touched], change.peer)

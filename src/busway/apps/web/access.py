@@ -67,7 +67,7 @@ class Role(IntEnum):
 
     @property
     def label(self) -> str:
-        """The role as a word in files, messages and sentences: ``operate``."""
+        """The role of a caller as a word in files, messages and sentences: ``operate``."""
         return self.name.lower()
 
 
@@ -102,7 +102,7 @@ class AccessToken:
 
     @classmethod
     def of(cls, token: str, name: str, role: Role) -> "AccessToken":
-        """Create an access token from its plain text."""
+        """Create an access token for a web page from its plain text."""
         return cls(Caller(name, role), _digest(token))
 
 
@@ -266,7 +266,7 @@ def _names_loopback(host: str) -> bool:
 
 
 def _token(scope: Scope, headers: dict[str, list[str]]) -> str | None:
-    """Return the token in a request; None if there is none."""
+    """Return the access token in a request; None if there is none."""
     if scope["type"] == "websocket":
         for protocol in scope.get("subprotocols", ()):
             if protocol.startswith(BEARER_PROTOCOL):

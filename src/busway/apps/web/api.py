@@ -144,7 +144,7 @@ class Api:
         )
 
     async def change_simulation(self, wanted: SimulationChange) -> SimulationAnswer:
-        """Change the speed; pause or resume."""
+        """Change the speed of the simulation; pause or resume it."""
         subject = self.subject
         if wanted.speed is not None:
             subject.change_speed(wanted.speed)
@@ -158,7 +158,7 @@ class Api:
     # Units and points.
 
     async def list_units(self) -> Units:
-        """All units, with the number of their points."""
+        """All units of the simulation, with the number of their points."""
         return Units(
             units=[
                 UnitAnswer(unit=number, name=unit.name, points=len(unit.points))
@@ -167,7 +167,7 @@ class Api:
         )
 
     async def list_points(self, query: Annotated[PointsQuery, Query()]) -> PointsMessage:
-        """The points that pass the filters."""
+        """The points of the simulation that pass the filters."""
         found = list(self._chosen(query))
         return PointsMessage(
             points=[self.shown(index) for index in found[query.skip : query.skip + query.limit]], total=len(found)
@@ -183,7 +183,7 @@ class Api:
                 yield index
 
     def shown(self, index: int) -> PointAnswer:
-        """Return the message about the point with this index."""
+        """Return a message for the page about the point with this index."""
         point = self.order[index]
         return PointAnswer(
             index=index,
@@ -217,27 +217,27 @@ class Api:
         return place
 
     async def get_point(self, unit: str, name: str) -> PointAnswer:
-        """A point and its value."""
+        """One point of the simulation and its value."""
         return self.shown(self._place(unit, name))
 
     async def set_point(self, unit: str, name: str, new: NewValue) -> PointAnswer:
-        """Set the value of a point; its behaviour waits until the point is released."""
+        """Set the value of a point; the point stops following its behaviour until it is released."""
         place = self._place(unit, name)
         self.subject.set(self.order[place].key, given_value(new.value), WHO)
         return self.shown(place)
 
     async def release_point(self, unit: str, name: str) -> PointAnswer:
-        """Let the behaviour of a point continue."""
+        """Let a point that was set follow its behaviour again."""
         place = self._place(unit, name)
         self.subject.release(self.order[place].key)
         return self.shown(place)
 
     async def get_values(self) -> Values:
-        """The values of all points by key."""
+        """The values of all points of the simulation, by key."""
         return Values(values={point.key: plain_value(point.value) for point in self.order})
 
     async def set_values(self, new: NewValues) -> Written:
-        """Set many values; a refused one does not prevent the others."""
+        """Set the values of many points; a refused one does not prevent the others."""
         refused: dict[str, str] = {}
         for key, value in new.values.items():
             if key not in self.places:
@@ -253,28 +253,28 @@ class Api:
 
     @property
     def board(self) -> Board:
-        """The switchboard of the simulation's faults."""
+        """The faults of the simulation, which can be added, switched and removed."""
         return self.subject.board
 
     def faults(self) -> list[FaultAnswer]:
-        """All faults that were added."""
+        """All faults that were added to the simulation."""
         return all_faults(self.board)
 
     async def list_faults(self) -> FaultsMessage:
-        """The faults that were added, and the fault profiles that can be."""
+        """The faults that were added to the simulation, and the fault profiles that can be."""
         return FaultsMessage(faults=self.faults(), fault_profiles=all_fault_profiles(self.board))
 
     async def add_fault(self, new: NewFault) -> FaultAnswer:
-        """Add a fault."""
+        """Add a fault to the simulated devices."""
         return add_fault_to(self.board, new)
 
     async def switch_fault(self, name: str, switch: Switch) -> FaultAnswer:
-        """Switch a fault on or off."""
+        """Switch a fault of the simulated devices on or off."""
         self.board.switch(self._fault(name), on=switch.on)
         return fault_named(self.board, name)
 
     async def remove_fault(self, name: str) -> Nothing:
-        """Remove a fault."""
+        """Remove a fault of the simulated devices."""
         self.board.remove(self._fault(name))
         return Nothing()
 
@@ -286,19 +286,19 @@ class Api:
     # The server.
 
     async def list_connections(self) -> Connections:
-        """The open Modbus connections."""
+        """The open Modbus connections to the simulation."""
         return Connections(connections=plain(self.server.status().connections))
 
     async def list_lines(self) -> LinesMessage:
-        """The listeners with their status indicators."""
+        """The listeners of the simulation with their status indicators."""
         return LinesMessage(lines=plain(self.server.status().listeners))
 
     async def get_counters(self) -> CountersMessage:
-        """The counters of the server."""
+        """The counters of the simulation's Modbus server."""
         return CountersMessage(counters=plain(self.server.status().counters))
 
     async def reset_counters(self) -> Nothing:
-        """Set the counters to zero."""
+        """Set the counters of the simulation's Modbus server to zero."""
         self.server.reset_counters()
         return Nothing()
 
@@ -316,7 +316,7 @@ class Api:
     # Traffic.
 
     async def list_traffic(self, query: Annotated[TrafficQuery, Query()]) -> TrafficMessage:
-        """The last frames, or those after a number."""
+        """The latest Modbus frames, or those after a number."""
         tail = self.traffic
         after = 0 if query.after is None else query.after
         frames = [tail.shown(one) for one in tail.after(after, query.limit)]

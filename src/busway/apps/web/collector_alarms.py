@@ -131,7 +131,7 @@ class AlarmApi:
     async def acknowledge(
         self, question: AcknowledgementQuestion, caller: Annotated[Caller, Depends(require(Role.OPERATE))]
     ) -> AlarmEventAnswer:
-        """Acknowledge an alarm; the journal has it when the response comes."""
+        """Acknowledge an alarm; the alarm journal has it when the response comes."""
         try:
             event = await self._collector.alarms.acknowledge(
                 question.device, question.point, question.limit, caller.name

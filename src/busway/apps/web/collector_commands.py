@@ -37,7 +37,7 @@ Name = Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME)]
 
 
 class NewCommand(Asked):
-    """Request to prepare a command: a value for a point."""
+    """Request to check a value for a point and keep the command until it is confirmed."""
 
     device: Name
     point: Name
@@ -52,7 +52,7 @@ class DirectCommand(NewCommand):
 
 
 class OldAnswer(Answer):
-    """Response: the value that a point had before a command."""
+    """Response: the value that a point had before it was written."""
 
     value: Plain
     quality: str
@@ -72,7 +72,7 @@ class ArmedAnswer(Answer):
 
 
 class CommandAnswer(Answer):
-    """Response: the result of a command."""
+    """Response: the result of a command that writes a point."""
 
     key: str
     at: float = Field(description="When it was taken, seconds since 1970 UTC.")
@@ -88,7 +88,7 @@ class CommandAnswer(Answer):
 
 
 class CommandsAnswer(Answer):
-    """Response: results of commands, the newest first."""
+    """Response: results of commands that write points, the newest first."""
 
     commands: list[CommandAnswer]
 
@@ -101,7 +101,7 @@ class ConfigurationAnswer(Answer):
 
 
 class ReplacedAnswer(Answer):
-    """Response: the configuration was replaced by this revision."""
+    """Response: the configuration was replaced; its new revision."""
 
     revision: str
     done: list[str] = Field(description="What changed, each a sentence.")
@@ -193,7 +193,7 @@ class CommandsApi:
         )
 
     async def confirm_command(self, key: Annotated[str, InPath(max_length=100)], caller: Operator) -> CommandAnswer:
-        """Send an armed command to its device, and wait for the result."""
+        """Send a command that was checked before to its device, and wait for the result."""
         try:
             return _answer(await self._collector.commands.confirm(key, by=caller.name))
         except NoSuchCommand as error:
@@ -218,7 +218,7 @@ class CommandsApi:
     async def list_commands(
         self, caller: Viewer, limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100
     ) -> CommandsAnswer:
-        """Return recorded commands with their results, the newest first."""
+        """Return the results of recorded commands, the newest first."""
         return CommandsAnswer(commands=[_answer(each) for each in await self._collector.commands.newest(limit)])
 
     async def get_configuration(self, caller: Configurer) -> ConfigurationAnswer:

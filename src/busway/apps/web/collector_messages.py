@@ -40,7 +40,7 @@ class CollectedPoint(Answer):
 
 
 class CollectedPoints(Answer):
-    """Response: all points that are collected."""
+    """Response: all points that the collector reads."""
 
     revision: int = Field(description="How often they became others since the start; the stream has the same number.")
     points: list[CollectedPoint]
@@ -97,7 +97,7 @@ class LinkAnswer(Answer):
 
 
 class ReadAnswer(Answer):
-    """Response: one planned read request."""
+    """Response: one planned read request of a link."""
 
     link: str
     device: str
@@ -118,7 +118,7 @@ class LinksAnswer(Answer):
 
 
 class SinkAnswer(Answer):
-    """Response: the status of a sink."""
+    """Response: the status of a sink, a system that gets the samples."""
 
     name: str
     behind: int = Field(description="Commits that it has not taken yet.")

@@ -159,7 +159,7 @@ class CollectorApi:
         self._newest = commit.number
 
     def add_to(self, application: FastAPI) -> None:
-        """Add the reading routes to an application."""
+        """Add the routes that only read to an application."""
         add = application.add_api_route
         add("/api/caller", self.get_caller, methods=["GET"], summary="The caller and its role")
         add("/api/collector", self.get_collector, methods=["GET"], summary="The collector and its store")

@@ -42,7 +42,7 @@ class Throttle(logging.Filter):
         self._repeats = Repeats()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether a log message is written now."""
+        """Whether a log message is written now or left out as a repetition."""
         sentence = record.getMessage()
         repeated = self._repeats.again(sentence, time.monotonic())
         if repeated is None:
@@ -131,7 +131,7 @@ class PageConnection(H11Protocol):
             self._wait()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Hand the connection over to the WebSocket."""
+        """Hand an HTTP connection of the page over to the WebSocket code."""
         self._heard()
         super().handle_websocket_upgrade(event)
 
@@ -141,7 +141,7 @@ class PageConnection(H11Protocol):
         super().connection_lost(exc)
 
     def close_unheard(self) -> None:
-        """Close a connection that has not sent its request in time."""
+        """Close a connection of the page that has not sent its request in time."""
         self._heard()
         self.connections.discard(self)
         self.transport.abort()

@@ -19,7 +19,7 @@ def all_faults(board: Board) -> list[FaultAnswer]:
 
 
 def all_fault_profiles(board: Board) -> list[FaultyAnswer]:
-    """Return all fault profiles from which a fault can be made."""
+    """Return all fault profiles that can be added to a simulation."""
     return [_fault_profile(one) for one in board.fault_profiles.values()]
 
 

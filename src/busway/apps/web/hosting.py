@@ -304,7 +304,7 @@ class _Server(uvicorn.Server):
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Begin to listen."""
+        """Begin to listen for connections to the page."""
         await super().startup(sockets)
         self.answering.set()
 
@@ -338,7 +338,7 @@ def _read_files(shown: FilesByPath) -> dict[str, _File]:
 
 
 def _with_headers(inner: Application) -> Application:
-    """Add the headers that every response carries."""
+    """Return an application that adds the page's common HTTP headers to each response."""
 
     async def application(scope: Scope, receive: Receive, send: Send) -> None:
         async def send_more(message: Message) -> None:

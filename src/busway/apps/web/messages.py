@@ -32,7 +32,7 @@ class Answer(BaseModel):
 
 
 class Failure(Answer):
-    """Response: why a request failed."""
+    """Response: why a request to the page's API failed."""
 
     error: str = Field(description="A sentence.")
 
@@ -47,7 +47,7 @@ class Nothing(Answer):
 
 
 class PointAnswer(Answer):
-    """Response: a point and its value."""
+    """Response: a point of the simulation and its value."""
 
     index: int = Field(description="its place among all points, as the stream numbers them")
     key: str = Field(description="UNIT/NAME")
@@ -73,14 +73,14 @@ class PointAnswer(Answer):
 
 
 class PointsMessage(Answer):
-    """Response: points, in the order of the file."""
+    """Response: points of the simulation, in the order of the file."""
 
     points: list[PointAnswer]
     total: int = Field(description="how many there are with these filters, without the limit")
 
 
 class PointsQuery(Asked):
-    """Query: which points are wanted."""
+    """Query: which points of the simulation are wanted."""
 
     unit: Annotated[int, Field(ge=0, le=255)] | None = Field(None, description="only this unit")
     search: str | None = Field(None, description="only where key, description or unit of measure has this")
@@ -225,7 +225,7 @@ class CountersMessage(Answer):
 
 
 class FieldAnswer(Answer):
-    """Response: one field of a PDU."""
+    """Response: one field of a Modbus message, explained."""
 
     name: str
     data: str = Field(description="hexadecimal")

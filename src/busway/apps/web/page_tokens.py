@@ -50,7 +50,7 @@ def is_token(text: str) -> bool:
 
 
 class KeptTokens:
-    """The access tokens of a page in a file.
+    """The access tokens of a web page in a file, read again when it changes.
 
     Args:
         path: the file; where there is none it is made, with a token for each role.
@@ -66,7 +66,7 @@ class KeptTokens:
         self._tokens = read_tokens(path)
 
     def current(self) -> tuple[AccessToken, ...]:
-        """Return the current access tokens; never raises."""
+        """Return the access tokens in the file now; never raises."""
         state = self._look()
         if state != self._state:
             self._state = state

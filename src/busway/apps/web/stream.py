@@ -124,7 +124,7 @@ class Client:
     # What is sent.
 
     async def next(self) -> dict[str, Any]:  # Any: JSON
-        """Wait for the next message to send to the viewer."""
+        """Wait for the next message to send to the page's viewer."""
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(self._status_due - time.monotonic(), 0.0)):
@@ -193,7 +193,7 @@ class Streams:
         return len(self._clients)
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve the WebSocket of one viewer until it ends."""
+        """Serve the WebSocket of one viewer of the page until it ends."""
         if len(self._clients) >= CLIENTS:
             await socket.close(_TRY_AGAIN_LATER, f"there are {CLIENTS} already")
             return

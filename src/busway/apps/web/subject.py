@@ -69,7 +69,7 @@ class PageUnit(Protocol):
 
 
 class PointChange(Protocol):
-    """Interface of a change of a point's value."""
+    """Interface of a change of a simulated point's value."""
 
     @property
     def key(self) -> str:
@@ -125,7 +125,7 @@ class Board(Protocol):
 
 
 class PageSubject(Protocol):
-    """Interface of a simulation, as its page needs it."""
+    """Interface of a simulation: what its web page shows and changes."""
 
     @property
     def units(self) -> Mapping[int, PageUnit]:

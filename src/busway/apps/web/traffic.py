@@ -35,7 +35,7 @@ _ASKED: Final = 16
 
 
 class Passed:
-    """One recorded frame, or damaged bytes.
+    """One recorded Modbus frame, or damaged bytes.
 
     Attributes:
         number: counts up by one.
@@ -167,7 +167,7 @@ class Traffic:
     # The interface of a recorder of the trace.
 
     def connection(self, ends: SocketAddresses) -> "ConnectionRecorder":
-        """Return a recorder for a connection between these addresses."""
+        """Return a recorder for a Modbus connection between these addresses."""
         onward = None if self._before is None else self._before.connection(ends)
         local = ends.local
         port = local[1] if isinstance(local, tuple) and len(local) > 1 else None
@@ -193,7 +193,7 @@ class Traffic:
         reason: str = "",
         at: float | None = None,
     ) -> Passed:
-        """Record one frame."""
+        """Add one Modbus frame to the recording for the page."""
         self.last += 1
         passed = Passed(
             self.last,
@@ -344,13 +344,13 @@ class _Nothing:
     __slots__ = ()
 
     def received(self, data: bytes) -> None:
-        """Ignore received bytes."""
+        """Ignore received bytes, as recording has stopped."""
 
     def sent(self, data: bytes) -> None:
-        """Ignore sent bytes."""
+        """Ignore sent bytes, as recording has stopped."""
 
     def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
-        """Ignore a frame or damaged bytes."""
+        """Ignore a frame or damaged bytes, as recording has stopped."""
 
 
 _NOTHING: Final = _Nothing()

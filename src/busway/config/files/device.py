@@ -160,7 +160,7 @@ class TableSection(Section):
 
     @property
     def end(self) -> int:
-        """The offset after the last item of the table."""
+        """The offset after the last item of the device's table."""
         return self.first + self.size
 
     def faults(self, *, bits: bool, size: int = TABLE_SIZE) -> Iterator[tuple[Path, str]]:
@@ -237,7 +237,7 @@ class GroupSection(WholeSection):
         yield from _repeated("point", "name", [point.name for point in self.point])
 
     def size(self) -> int:
-        """Return the number of points that the group makes in total."""
+        """Return how many points the group makes at all its places together."""
         return (self.count or 1) * (len(self.point) + sum(each.size() for each in self.group))
 
     def names(self) -> Iterator[str]:

@@ -43,7 +43,7 @@ class _Reader:
         self.lines: dict[Path, int] = {}
 
     def read_document(self) -> None:
-        """Read the text table by table and line by line."""
+        """Read the TOML text table by table and line by line."""
         table: Path = ()
         while True:
             self._skip_blank()
@@ -147,7 +147,7 @@ class _Reader:
             self._skip_blank()
 
     def _skip_blank(self) -> None:
-        """Skip spaces, line ends and comments."""
+        """Skip spaces, line ends and comments of the TOML text."""
         while self._at < len(self._text):
             if self._text[self._at] == "#":
                 while self._at < len(self._text) and self._text[self._at] != "\n":

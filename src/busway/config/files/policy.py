@@ -31,7 +31,7 @@ from .schema import FileProblems, Section, parse_file
 
 
 def _as_numbers(value: object) -> object:
-    """Accept a number, a text or a list of them."""
+    """Accept the numbers of an access rule written as a number, a text or a list of them."""
     values = value if isinstance(value, list) else [value]
     for each in values:
         if isinstance(each, bool) or not isinstance(each, int | str):

@@ -6,7 +6,7 @@ from ...errors import ConfigError
 
 
 class FileError(ConfigError):
-    """Error of a file that cannot be used, with all its problems.
+    """Error: a file cannot be used; has all its problems, each with line and key.
 
     Attributes:
         problems: what is wrong, each with file, line and key, in the order of the lines. The fields of the error itself

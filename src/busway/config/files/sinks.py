@@ -54,13 +54,13 @@ class SinkSection(OptionSection):
 
     @property
     def parts(self) -> SplitResult:
-        """The parts of its URL."""
+        """Return the parts of the sink's URL: host, port, user, path."""
         return urlsplit(self.url)
 
 
 @with_options_of(sinks.DeliveryOptions)
 class SentSection(SinkSection):
-    """A sink that samples are sent to, in batches."""
+    """Base of the sinks to which samples are sent in batches."""
 
     report: Annotated[Report, "which samples are handed on, as `report` of a point; a change of quality always."] = (
         ReportSection()
@@ -88,7 +88,7 @@ class CommandsSection(Section):
 
 
 class MqttCommandsSection(CommandsSection):
-    """``commands`` of a sink by MQTT."""
+    """``commands`` of an MQTT sink: which points messages from its broker may write."""
 
     topic: Annotated[str, "topic of commands; `{device}` and `{point}` are levels of their own."] = (
         "busway/{device}/{point}/set"
@@ -96,7 +96,7 @@ class MqttCommandsSection(CommandsSection):
 
 
 class NatsCommandsSection(CommandsSection):
-    """``commands`` of a sink by NATS."""
+    """``commands`` of a NATS sink: which points messages from its server may write."""
 
     subject: Annotated[str, "subject of commands; `{device}` and `{point}` are levels of their own."] = (
         "busway.{device}.{point}.set"

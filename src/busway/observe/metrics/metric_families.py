@@ -83,7 +83,7 @@ _INDICATOR_STATES: Final = ("off", "on", "flashing")
 
 
 class ServerCollector(Collector):
-    """Prometheus collector of the metrics of one server or gateway.
+    """Makes the metrics of one server or gateway for Prometheus at each scrape.
 
     Args:
         ask: gives the status, or None where the server does not say how it is.
@@ -128,7 +128,7 @@ def _refusals(status: Any) -> Counter[str]:
 
 
 class ClientCollector(Collector):
-    """Prometheus collector of the connections that this process has opened as a client.
+    """Makes the metrics of the client connections of this process for Prometheus at each scrape.
 
     Args:
         ask: gives how they do, as `busway.client.registry.local_connections`.
@@ -347,7 +347,7 @@ def _by_label(name: str, meaning: str, label: str, counts: Mapping[str, int]) ->
 
 
 def _numbers(counters: Any) -> Iterator[tuple[str, int]]:
-    """Return the integer fields of a dataclass by name."""
+    """Return the integer fields of a dataclass of counters, by name."""
     if is_dataclass(counters):
         for field in fields(counters):
             value = getattr(counters, field.name)

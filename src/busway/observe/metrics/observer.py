@@ -103,7 +103,7 @@ class MetricsObserver:
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
     ) -> None:
-        """Count a request that took the generic path."""
+        """Count a request that took the generic path, with its outcome and duration."""
         if context.executed is not None:  # a broadcast: each unit executes it, and none answers
             self.tally.unanswered(Unanswered.BROADCAST)
         elif outcome is None:

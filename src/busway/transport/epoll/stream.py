@@ -221,7 +221,7 @@ class EpollStream(asyncio.Transport):
             self._shut_down_sending()
 
     def can_write_eof(self) -> bool:
-        """True: the sending direction of a socket can be closed alone."""
+        """Return True: the sending direction of a socket can be closed alone."""
         return True
 
     def _shut_down_sending(self) -> None:
@@ -272,13 +272,13 @@ class EpollStream(asyncio.Transport):
         return not (self._paused or self._closing)
 
     def pause_reading(self) -> None:
-        """Stop reading until `resume_reading`."""
+        """Stop reading from the socket until `resume_reading`."""
         if not (self._closing or self._paused):
             self._paused = True
             self._watch()
 
     def resume_reading(self) -> None:
-        """Resume reading after `pause_reading`."""
+        """Read from the socket again after `pause_reading`."""
         if not self._closing and self._paused:
             self._paused = False
             try:

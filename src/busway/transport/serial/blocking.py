@@ -182,7 +182,7 @@ class BlockingSerialPort:
         return until
 
     def drain(self, timeout: float | None = None) -> float:
-        """Wait until the last written character has left the port.
+        """Wait until the last written character has left the serial port.
 
         Args:
             timeout: seconds; None waits for ever. A port whose driver is stuck never gets rid of its characters.

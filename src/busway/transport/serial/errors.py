@@ -49,7 +49,7 @@ def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDo
 
 
 def port_lost(error: BaseException | None, *, port: str, sent: bool = False) -> LinkDown:
-    """Return the error for a port that vanished while it was open.
+    """Return the error for a serial port that vanished while it was open.
 
     Args:
         error: what was raised; None where a read merely ended.

@@ -18,7 +18,7 @@ from .reopen import ReopenPolicy
 
 
 def reopen_policy(parameters: OpeningParameters) -> ReopenPolicy:
-    """Return the pauses between endless attempts to open a port again."""
+    """Return how long to wait between endless attempts to open a serial port again."""
     return ReopenPolicy(first=parameters.reopen_first, most=parameters.reopen_most)
 
 
@@ -50,7 +50,7 @@ class Claim:
             _claims[self.port] = self
 
     def release(self) -> None:
-        """Let others in this process use the port. May be called twice."""
+        """Let others in this process use the serial port. May be called twice."""
         with _lock:
             if _claims.get(self.port) is self:
                 del _claims[self.port]

@@ -21,7 +21,7 @@ class Overruns:
         self._lost = self._read()
 
     def more(self) -> bool:
-        """Whether characters were lost since the last call."""
+        """Whether the port has lost characters since the last call."""
         if self._lost is None:
             return False
         before, now = self._lost, self._read()

@@ -18,7 +18,7 @@ Port = TypeVar("Port")
 
 @dataclass(frozen=True, slots=True)
 class ReopenPolicy:
-    """Pauses between attempts to open a serial port that is missing.
+    """How long to wait between attempts to open a serial port that is missing.
 
     Attributes:
         first: seconds after the first failure, 0.01…60.

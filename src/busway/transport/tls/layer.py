@@ -116,7 +116,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         return False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Handle the end of the connection below the TLS layer."""
+        """Handle the end of the TCP connection below the TLS layer."""
         state, self.state = self.state, TlsState.CLOSED
         self._stop_timer()
         if state is TlsState.HANDSHAKE:
@@ -129,12 +129,12 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._gone(self)
 
     def pause_writing(self) -> None:
-        """Pause the protocol above, because the peer does not read."""
+        """Tell the upper protocol to pause, because the peer does not read."""
         if self._above is not None:
             self._above.pause_writing()
 
     def resume_writing(self) -> None:
-        """Resume the protocol above, because the peer reads again."""
+        """Tell the upper protocol to go on, because the peer reads again."""
         if self._above is not None:
             self._above.resume_writing()
 
@@ -186,7 +186,7 @@ class TlsLayer(asyncio.BufferedProtocol):
     # Plain bytes up.
 
     def _deliver(self) -> None:
-        """Pass decrypted bytes to the protocol above, then send what it has written."""
+        """Pass decrypted bytes to the upper protocol, then send what it has written."""
         self._collecting = True
         try:
             while self._above is not None and not self._reading_paused:
@@ -220,7 +220,7 @@ class TlsLayer(asyncio.BufferedProtocol):
     # What the protocol above calls: the transport.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Encrypt bytes and send them."""
+        """Encrypt bytes of the upper protocol and send them."""
         if self.state is not TlsState.UP or self._below.is_closing():
             return
         try:
@@ -247,16 +247,16 @@ class TlsLayer(asyncio.BufferedProtocol):
             self.abort()
 
     def abort(self) -> None:
-        """Close the connection at once."""
+        """Close the TLS connection at once."""
         if self._below is not None:
             self._below.abort()
 
     def is_closing(self) -> bool:
-        """Whether the connection is closed, or about to be."""
+        """Whether the TLS connection is closed, or about to be."""
         return self.state in (TlsState.CLOSED, TlsState.REFUSED) or self._below is None or self._below.is_closing()
 
     def pause_reading(self) -> None:
-        """Stop receiving, and pass nothing to the protocol above."""
+        """Stop receiving, and pass nothing more to the upper protocol."""
         self._reading_paused = True
         self._below.pause_reading()
 
@@ -277,7 +277,7 @@ class TlsLayer(asyncio.BufferedProtocol):
                 self._below.resume_reading()
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Set the limits of bytes that wait to be sent, above which the protocol above pauses."""
+        """Set the limits of bytes that wait to be sent, above which the upper protocol pauses."""
         self._below.set_write_buffer_limits(high, low)
 
     def get_write_buffer_size(self) -> int:

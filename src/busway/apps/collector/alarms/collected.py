@@ -95,7 +95,7 @@ class CollectorAlarms:
         return sum(each.is_active for each in states), sum(each.is_unacknowledged for each in states)
 
     async def acknowledge(self, device: str, point: str, limit: str, by: str) -> AlarmEvent:
-        """Acknowledge an alarm; when this returns, the journal has it.
+        """Acknowledge an alarm; when this returns, the alarm journal has it.
 
         Args:
             device, point: names.

@@ -1,4 +1,4 @@
-"""Events of alarms, and the state of an alarm after each.
+"""The events of alarms (raised, acknowledged, cleared, removed), and what an alarm is after each.
 
 Pure. The journal is a list of `AlarmEvent`; the alarms that there are follow from it, so a start after a crash knows
 what was active and acknowledged by reading the journal.
@@ -64,7 +64,7 @@ AlarmKey = tuple[str, str, str]
 
 @dataclass(frozen=True, slots=True)
 class AlarmEvent:
-    """One event of an alarm, as a line of the journal.
+    """One event of an alarm (raised, acknowledged, …), as a line of the alarm journal.
 
     Attributes:
         device, point: names.

@@ -61,7 +61,7 @@ class OldValue:
 
 @dataclass(frozen=True, slots=True)
 class PointCommand:
-    """A command to write a value to a point.
+    """A request of a person or program to write a value to a point of a collector.
 
     Attributes:
         key: names the command; it is sent at most once.
@@ -117,7 +117,7 @@ def _check_value(value: object) -> None:
 
 
 def same_value(one: CommandValue, other: CommandValue) -> bool:
-    """Whether two values are equal; true and 1 are not, 1 and 1.0 are."""
+    """Whether two values of a point are equal; true and 1 are not, 1 and 1.0 are."""
     if isinstance(one, list) and isinstance(other, list):
         return len(one) == len(other) and all(same_value(*pair) for pair in zip(one, other, strict=True))
     return isinstance(one, bool) is isinstance(other, bool) and one == other
@@ -161,11 +161,11 @@ class CommandResult:
         read_back: CommandValue | None = None,
         old: OldValue | None = None,
     ) -> "CommandResult":
-        """Return a copy of the result with its final state."""
+        """Return a copy of the command's result with its final state."""
         return replace(self, state=state, reason=reason, read_back=read_back, old=old or self.old)
 
     def content(self) -> dict[str, Any]:  # JSON
-        """Return the result as JSON data, for responses and lists."""
+        """Return the result of the command as JSON data, for responses and lists."""
         command = self.command
         return {
             "key": command.key,

@@ -87,7 +87,7 @@ class InputStatus:
 
 
 class DescribedDevice(Protocol):
-    """Interface of a device as a configuration describes it."""
+    """Interface of a device of a collector's configuration, as commands need it."""
 
     @property
     def name(self) -> str:
@@ -95,7 +95,7 @@ class DescribedDevice(Protocol):
 
     @property
     def points(self) -> Sequence[Point]:
-        """All points of the device."""
+        """All points of the device that the configuration declares."""
 
 
 class DescribedPlant(Protocol):
@@ -103,7 +103,7 @@ class DescribedPlant(Protocol):
 
     @property
     def devices(self) -> Mapping[str, DescribedDevice]:
-        """The devices by name."""
+        """The devices of the configuration, by name."""
 
 
 class CommandInput(Protocol):
@@ -152,7 +152,7 @@ class CommandReceiver:
         return InputStatus(self._name, self._taken, self._refused, self._error)
 
     async def run(self) -> None:
-        """Receive and execute commands until cancelled."""
+        """Receive and execute commands of one server until cancelled."""
         await self._input.run(self)
 
     def connected(self) -> None:

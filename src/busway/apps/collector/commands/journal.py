@@ -42,7 +42,7 @@ _COLUMNS: Final = 'key, at, "by", origin, device, point, value, expires, old, st
 
 
 class CommandJournal:
-    """The journal of the commands of one store; usable from any thread.
+    """The record of all commands of one collector and their results; usable from any thread.
 
     Args:
         folder: of the store, whose lock this process holds.
@@ -71,7 +71,7 @@ class CommandJournal:
             raise ConfigError(f"the journal of commands cannot be used: {error}", file=str(self.path)) from error
 
     def close(self) -> None:
-        """Close the file of the journal."""
+        """Close the file with the record of commands."""
         with self._lock:
             self._database.close()
 

@@ -28,7 +28,7 @@ _log = logging.getLogger("busway.collector.commands")
 
 
 class MqttCommands:
-    """Receives commands from an MQTT broker.
+    """Receives commands to write points from an MQTT broker.
 
     Args:
         host, port: the broker.
@@ -68,7 +68,7 @@ class MqttCommands:
         return topic_level(name)
 
     async def run(self, receiver: CommandReceiver) -> None:
-        """Receive commands until cancelled; reconnect after growing pauses."""
+        """Receive commands over MQTT until cancelled; reconnect after growing pauses."""
         mqtt = import_module("aiomqtt")
         wait = PAUSE
         while True:

@@ -23,7 +23,7 @@ _log = logging.getLogger("busway.collector.commands")
 
 
 class NatsCommands:
-    """Receives commands from a NATS server.
+    """Receives commands to write points from a NATS server.
 
     Args:
         url: ``nats://host:4222``.
@@ -62,7 +62,7 @@ class NatsCommands:
         return subject_token(name)
 
     async def run(self, receiver: CommandReceiver) -> None:
-        """Receive commands until cancelled; reconnect after growing pauses."""
+        """Receive commands over NATS until cancelled; reconnect after growing pauses."""
         nats = import_module("nats")
         wait = PAUSE
         while True:

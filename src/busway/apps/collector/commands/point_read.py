@@ -53,7 +53,7 @@ class PointRead:
 
 
 def point_read(point: Point, rules: ReadRules) -> PointRead:
-    """Return how a point is read alone.
+    """Return the read request for one point alone, and where the point is in its reply.
 
     Args:
         point: the point.

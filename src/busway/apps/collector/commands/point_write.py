@@ -50,7 +50,7 @@ _FUNCTIONS: Final[Mapping[Table, frozenset[int]]] = {
 
 @dataclass(frozen=True, slots=True)
 class PointWrite:
-    """A checked value with the request that writes it to a point.
+    """A value for a point that passed its checks, with the request that writes it.
 
     Attributes:
         point: the point.
@@ -115,7 +115,7 @@ class PointWrite:
 def point_write(
     point: Point, value: CommandValue, exponents: Mapping[str, int], rules: ReadRules | None = None
 ) -> PointWrite:
-    """Check a value for a point and return how it is written.
+    """Check a value for a point, and return it with the request that writes it.
 
     Args:
         point: the point.
@@ -183,12 +183,12 @@ def _function_of(point: Point) -> int:
 
 
 def plain(value: Any) -> CommandValue | None:  # what the point's type says
-    """Return a decoded value in the form in which commands show it."""
+    """Return a decoded value of a point as commands keep it: number, text, state or list."""
     return list(value) if isinstance(value, tuple) else value
 
 
 def _moved(point: Point, address: Address) -> Point:
-    """Return a copy of a point at another address."""
+    """Return a point as it would be at another address, where a write is read back."""
     table = address.table or point.table
     if table.holds_bits:
         return Point(point.name, table, address.offset)
@@ -200,7 +200,7 @@ def _moved(point: Point, address: Address) -> Point:
 
 
 def _own_bits(over_zeros: bytes, over_ones: bytes) -> int:
-    """Return the bits of a register that belong to a point."""
+    """Return a mask of the register bits that belong to a point."""
     kept = int.from_bytes(over_zeros, "big") ^ int.from_bytes(over_ones, "big")
     return 0xFFFF & ~kept
 

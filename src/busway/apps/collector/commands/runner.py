@@ -467,7 +467,7 @@ class _WriteTurn:
         self.before: CommandValue | None = None
 
     async def make(self) -> tuple[CommandState, str]:
-        """Send the write of a command; returns the result."""
+        """Send the write of a command to its device, and return the result."""
         held = b""
         if self._left <= 0:
             return CommandState.EXPIRED, "its time was over before it was its turn; nothing was sent"
@@ -562,7 +562,7 @@ def _fail(future: "asyncio.Future[_T]", error: Exception) -> None:
 
 
 def _text(value: CommandValue | None, unit: str) -> str:
-    """Return a value as text for people."""
+    """Return a value of a point as text for people."""
     if value is None or isinstance(value, bool):
         return "unknown" if value is None else "on" if value else "off"
     text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)

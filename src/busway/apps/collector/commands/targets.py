@@ -15,7 +15,7 @@ from .runner import NoSuchPoint, WriteTarget
 
 
 class CollectedTargets:
-    """Finds the points of a running collector for commands.
+    """Finds the points of a running collector that commands are to write.
 
     Args:
         configuration: gives what the file says now.

@@ -16,7 +16,7 @@ from ..store.committed_samples import CommittedAlarm, CommittedSample
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """The samples of one device in one commit, as JSON data.
+    """The samples of one device in one commit as one JSON document, for sinks.
 
     Attributes:
         device: its name.

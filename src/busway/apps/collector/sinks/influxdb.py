@@ -67,7 +67,7 @@ class InfluxSink:
         )
 
     async def close(self) -> None:
-        """Disconnect from the server."""
+        """Disconnect from the database server."""
         client, self._client = self._client, None
         if client is not None:
             await client.aclose()

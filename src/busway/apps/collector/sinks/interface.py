@@ -22,7 +22,7 @@ class Sink(Protocol):
     """
 
     async def open(self) -> None:
-        """Connect to the receiver. Raises `SinkDown`."""
+        """Connect to the sink's receiver. Raises `SinkDown`."""
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Send samples; when it returns, the receiver has accepted them.
@@ -33,7 +33,7 @@ class Sink(Protocol):
         """
 
     async def close(self) -> None:
-        """Disconnect from the receiver; raises nothing."""
+        """Disconnect from the sink's receiver; raises nothing."""
 
 
 @runtime_checkable

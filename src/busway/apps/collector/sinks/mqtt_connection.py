@@ -14,7 +14,7 @@ GIVE_UP_SECONDS: Final = 0.5
 
 
 async def connect(client: Any) -> None:  # aiomqtt is loaded when it is used
-    """Connect a client, which its ``__aexit__`` disconnects.
+    """Connect an MQTT client to its broker; leaving the client's context disconnects it.
 
     Raises:
         aiomqtt.MqttError, OSError: it is not connected, and closed.

@@ -46,7 +46,7 @@ class PostgresqlSink:
         timescale: bool = _USUAL.timescale,
         timeout: float = 30.0,
     ) -> None:
-        """Set the database; nothing is sent yet.
+        """Set the database to write to; nothing is sent yet.
 
         Args:
             url: ``postgresql://user@host:5432/database``, without a password.

@@ -72,7 +72,7 @@ class LastValues:
         return reason if keeps else interval.reason
 
     def reason_of(self, device: str) -> int:
-        """Return the reason why a device is not read now; 0 while it is."""
+        """Return the reason code why a device is not read now; 0 while it is read."""
         with self._lock:
             interval = self._intervals.get(device)
         return 0 if interval is None or interval.end is not None else interval.reason

@@ -20,7 +20,7 @@ _log = logging.getLogger("busway.sinks")
 
 
 class SinkThread:
-    """The thread that sends samples to all sinks, until `close`."""
+    """The thread that sends the samples of a store to all sinks, until `close`."""
 
     def __init__(
         self,
@@ -57,7 +57,7 @@ class SinkThread:
             delivery.set_point_rules(rules)
 
     def statuses(self) -> Sequence[SinkStatus]:
-        """The status of each sink. Safe from any thread."""
+        """Return the status of each sink. Safe from any thread."""
         return [delivery.status() for delivery in self._deliveries]
 
     def close(self, timeout: float = 10.0) -> None:

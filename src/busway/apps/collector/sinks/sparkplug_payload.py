@@ -39,7 +39,7 @@ class DataType(IntEnum):
 
 
 class SparkplugQuality(IntEnum):
-    """Values of the Sparkplug property ``Quality``."""
+    """Values of the Sparkplug property ``Quality`` of a metric."""
 
     BAD = 0
     GOOD = 192

@@ -1,4 +1,4 @@
-"""The store of the collector: the folder that keeps samples.
+"""The store of the collector: the folder in which it keeps samples.
 
 ===================  ===================================================================================
 `folder`             names of its files, the lock with the pid of its writer, fsync of folders

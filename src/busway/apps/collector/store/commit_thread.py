@@ -78,7 +78,7 @@ class Committer:
         most_waiting: int = MOST_WAITING,
         retry: float = RETRY,
     ) -> None:
-        """Start the threads of the committer.
+        """Start the thread that writes samples to the store.
 
         Args:
             writer: an open store; closed by `close`.
@@ -132,7 +132,7 @@ class Committer:
                 self._changed.notify_all()
 
     def add_interval(self, interval: StateInterval | Gap) -> None:
-        """Queue an interval that begins (its end is None) or ends."""
+        """Queue an interval in which a device is not read, when it begins (end None) or ends."""
         with self._changed:
             self._intervals.append(interval)
             self._changed.notify_all()

@@ -30,7 +30,7 @@ _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason"
 
 @dataclass(frozen=True, slots=True)
 class CommittedSample:
-    """A committed sample, as sinks get it.
+    """A sample as sinks read it from the store, with its commit number.
 
     Attributes:
         commit: number of its commit; with device, point and time the same at every repetition.
@@ -53,13 +53,13 @@ class CommittedSample:
 
     @property
     def quality(self) -> Quality:
-        """The quality of the sample's value."""
+        """The quality of the sample: good, uncertain or bad."""
         return quality_of(self.reason)
 
 
 @dataclass(frozen=True, slots=True)
 class CommittedAlarm:
-    """A committed alarm event, as sinks get it.
+    """An alarm event as sinks read it from the store, with its commit number.
 
     Attributes:
         commit, place: number of its commit and place in it; the same at every repetition.

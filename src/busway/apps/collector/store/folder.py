@@ -25,7 +25,7 @@ class StoreLock:
     """The right to write a store: held by one process, released by the system however that process ends."""
 
     def __init__(self, folder: Path) -> None:
-        """Take the lock of a store for writing.
+        """Take the right to write a store. Raises `ConfigError` if another process has it.
 
         Raises:
             ConfigError: another process holds it, and which; or the file cannot be opened.
@@ -74,7 +74,7 @@ class StoreLock:
 
 
 def is_alive(process: int) -> bool:
-    """Whether a process with this number runs."""
+    """Whether a process with this process number runs."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:

@@ -23,7 +23,7 @@ class ColumnTable(ABC):
 
     @abstractmethod
     def columns(self) -> dict[str, list[Any]]:  # columns have different types
-        """Return the columns by name."""
+        """Return the columns of the result by name."""
 
     def to_arrow(self) -> Any:  # pyarrow has no types of its own
         """Return the result as `pyarrow.Table`; time is a timestamp in UTC. Raises `MissingExtra`."""

@@ -169,7 +169,7 @@ class Manifest:
     """
 
     def __init__(self, folder: Path, *, writes: bool = False) -> None:
-        """Open the manifest; with ``writes`` it is created if missing.
+        """Open the store's list of files and points; with ``writes`` it is created if missing.
 
         Raises:
             ConfigError: there is no store, it is of a later format, or the file is damaged; names the folder.
@@ -200,7 +200,7 @@ class Manifest:
             raise ConfigError(f"the store has format {found}, and this busway knows {FORMAT}", file=str(self.path))
 
     def close(self) -> None:
-        """Close the file of the manifest."""
+        """Close the SQLite file of the manifest."""
         with self._lock:
             self._database.close()
 
@@ -244,7 +244,7 @@ class Manifest:
         return [StorePart(*row) for row in self._all("SELECT * FROM parts ORDER BY id")]
 
     def add_segment(self) -> StorePart:
-        """List a new segment whose file does not exist yet."""
+        """Enter a new segment into the list of files; its file does not exist yet."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'segment'").fetchone()
             number = 1 if row is None else row[0] + 1
@@ -313,7 +313,7 @@ class Manifest:
         return [row[0] for row in self._all("SELECT file FROM unlinks")]
 
     def unlinked(self, file: str) -> None:
-        """Note that a file was deleted."""
+        """Note that a file that was taken off the list is deleted."""
         with self.transaction() as database:
             database.execute("DELETE FROM unlinks WHERE file = ?", (file,))
 
@@ -345,12 +345,12 @@ class Manifest:
         return [MaintenanceRow(*row) for row in self._all("SELECT * FROM maintenance ORDER BY device")]
 
     def begin_maintenance(self, row: MaintenanceRow) -> None:
-        """Note that a device is in maintenance."""
+        """Note in the store that a device is in maintenance."""
         with self.transaction() as database:
             database.execute("INSERT OR REPLACE INTO maintenance VALUES (?, ?, ?, ?)", astuple(row))
 
     def end_maintenance(self, device: str) -> None:
-        """Note that a device is no longer in maintenance."""
+        """Note in the store that a device is no longer in maintenance."""
         with self.transaction() as database:
             database.execute("DELETE FROM maintenance WHERE device = ?", (device,))
 
@@ -422,7 +422,7 @@ class Manifest:
         return {sink: (number, lost) for sink, number, lost in self._all("SELECT * FROM cursors")}
 
     def set_cursor(self, sink: str, number: int, lost: int) -> None:
-        """Store the cursor of a sink."""
+        """Note the last commit that a sink has received."""
         with self.transaction() as database:
             database.execute("INSERT OR REPLACE INTO cursors VALUES (?, ?, ?)", (sink, number, lost))
 

@@ -63,7 +63,7 @@ class Store:
     """
 
     def __init__(self, folder: str | PathLike[str]) -> None:
-        """Name the folder of a store; nothing is read yet.
+        """Set the folder of the store; nothing is read yet.
 
         Raises:
             ConfigError: there is no store in the folder.

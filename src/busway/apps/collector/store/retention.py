@@ -12,7 +12,7 @@ from .manifest import StorePart
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """Limits of age and size of a store.
+    """How old and how large a store may become before files are deleted.
 
     Attributes:
         age: seconds; None for ever.

@@ -112,7 +112,7 @@ class Segment:
                 self._database.execute("PRAGMA wal_checkpoint(PASSIVE)")
 
     def rollback(self) -> None:
-        """Undo the transaction that was begun."""
+        """Undo the commit that was begun."""
         with contextlib.suppress(sqlite3.Error):
             self._database.execute("ROLLBACK")
 
@@ -283,7 +283,7 @@ def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
 
 
 def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
-    """Return the latest state of each accumulator in a segment."""
+    """Return the latest total of each accumulator in a segment, with its counter."""
     try:
         rows = database.execute("SELECT point, total, last, commit_number FROM counters")
     except sqlite3.OperationalError as error:

@@ -24,7 +24,7 @@ EVER: Final = 2**63 - 1
 
 
 def moment(given: Moment, now: int) -> int:
-    """Return nanoseconds since 1970 UTC for a time given by a user.
+    """Convert a time given by a user to nanoseconds since 1970 UTC.
 
     Raises:
         InvalidRequest: it is no time. Text without an offset is UTC.

@@ -180,7 +180,7 @@ class StoreWriter:
         remove_unlisted(self.folder, self.manifest)
 
     def _open_intervals(self) -> list[StateInterval]:
-        """Return the stored intervals that have no end yet."""
+        """Return the stored intervals without polling that have no end yet."""
         rows = list(self.manifest.intervals())
         for part in self.manifest.parts():
             if part.kind == "closed":
@@ -333,7 +333,7 @@ class StoreWriter:
         self._segment = None
 
     def roll(self) -> None:
-        """End the open segment; the next commit begins a new one."""
+        """End the open segment, the file that samples are written to; the next commit begins a new one."""
         if self._part is None:
             return
         self._close_segment()

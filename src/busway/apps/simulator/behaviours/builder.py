@@ -55,7 +55,7 @@ class Surroundings:
 
 
 def make_behaviour(section: BehaviourSection, around: Surroundings) -> Behaviour:
-    """Build the behaviour that a section declares."""
+    """Build the behaviour that a section of a simulation file declares."""
     match section:
         case ConstantSection():
             return Constant(section)

@@ -41,7 +41,7 @@ class Noise:
         self._stream = stream
 
     def value(self, time: float) -> float:
-        """Return the random value of the step that a time is in."""
+        """Return the random value that the noise has at a time."""
         step = round(time / self._every)
         if not self._is_normal:
             return self._mean + self._spread * (2 * drawn(self._stream, step) - 1)
@@ -81,7 +81,7 @@ class RandomWalk:
         self._step = 0
 
     def value(self, time: float) -> float:
-        """Return the value of the walk at a time; steps that the engine skipped are made first."""
+        """Return the value of the random walk at a time; steps that the engine skipped are made first."""
         last = round(time / self._every)
         value = self._value
         for step in range(self._step + 1, last + 1):
@@ -95,10 +95,10 @@ class RandomWalk:
         return value
 
     def resume(self, time: float, value: float) -> None:
-        """Continue the walk from a value at a time."""
+        """Let the random walk continue from a value at a time."""
         self._value = value
         self._step = math.floor(time / self._every + 1e-9)
 
     def state(self, time: float) -> float | None:
-        """Return the current value of the walk."""
+        """Return the current value of the random walk, to continue from after a restart."""
         return self._value

@@ -41,7 +41,7 @@ class Recording:
 
 
 def parse_recording(text: str, name: str) -> Recording:
-    """Parse the lines ``time,value`` of a recording.
+    """Parse the lines ``time,value`` of a recording to be replayed.
 
     Args:
         text: the content of the file.

@@ -30,17 +30,17 @@ class SteadyCounter:
         self._since = 0.0
 
     def value(self, time: float) -> float:
-        """Return the count at a time."""
+        """Return the value of the counter at a time."""
         value = self._start + self._rate * max(time - self._since, 0.0)
         return value if self._rollover is None else value % self._rollover
 
     def resume(self, time: float, value: float) -> None:
-        """Continue counting from a value at a time."""
+        """Let the counter continue from a value at a time."""
         self._since = time
         self._start = value
 
     def state(self, time: float) -> float | None:
-        """Return the count at a time, to continue from after a restart."""
+        """Return the value of the counter at a time, to continue from after a restart."""
         return self.value(time)
 
 
@@ -63,7 +63,7 @@ class Counter:
         self._seen = 0.0
 
     def value(self, time: float) -> float:
-        """Return the count at a time."""
+        """Return the value of the counter at a time."""
         value = self._value + self._seen * max(time - self._time, 0.0)
         self._value = value if self._rollover is None else value % self._rollover
         self._time = max(time, self._time)
@@ -75,12 +75,12 @@ class Counter:
         self._seen = rate if math.isfinite(rate) else 0.0
 
     def resume(self, time: float, value: float) -> None:
-        """Continue counting from a value at a time."""
+        """Let the counter continue from a value at a time."""
         self._time = time
         self._value = value
 
     def state(self, time: float) -> float | None:
-        """Return the current count, to continue from after a restart."""
+        """Return the current value of the counter, to continue from after a restart."""
         return self._value
 
 
@@ -102,17 +102,17 @@ class SteadyLag:
         self._since = 0.0
 
     def value(self, time: float) -> float:
-        """Return the value at a time, on its way to the target."""
+        """Return the value at a time while it approaches its target."""
         way = self._start - self._target
         return self._target + way * math.exp(min(self._since - time, 0.0) / self._time_constant)
 
     def resume(self, time: float, value: float) -> None:
-        """Continue from a value at a time towards the target."""
+        """Let the value continue from where it is at a time, towards its target."""
         self._since = time
         self._start = value
 
     def state(self, time: float) -> float | None:
-        """Return the value at a time, to continue from after a restart."""
+        """Return the value at a time, to continue its approach after a restart."""
         return self.value(time)
 
 
@@ -135,7 +135,7 @@ class Lag:
         self._seen = math.nan
 
     def value(self, time: float) -> float:
-        """Return the value at a time, on its way to the target."""
+        """Return the value at a time while it approaches its target."""
         if math.isfinite(self._seen):
             way = self._value - self._seen
             self._value = self._seen + way * math.exp(min(self._time - time, 0.0) / self._time_constant)
@@ -147,10 +147,10 @@ class Lag:
         self._seen = self._target(time)
 
     def resume(self, time: float, value: float) -> None:
-        """Continue from a value at a time towards the target."""
+        """Let the value continue from where it is at a time, towards its target."""
         self._time = time
         self._value = value
 
     def state(self, time: float) -> float | None:
-        """Return the current value, to continue from after a restart."""
+        """Return the current value, to continue its approach after a restart."""
         return self._value

@@ -81,7 +81,7 @@ class Authority:
         return cls(_build(name, None, days=days, extensions=_authority_extensions(None)))
 
     def intermediate(self, name: str, *, days: float = 3650.0) -> "Authority":
-        """Issue an intermediate authority below this one."""
+        """Issue the certificate of an intermediate authority below this one."""
         return Authority(_build(name, self.issued, days=days, extensions=_authority_extensions(0)))
 
     def server(
