@@ -23,7 +23,7 @@ def page(name: str) -> str:
 
 @pytest.mark.clause("T19")
 def test_the_defaults_are_those_of_the_parameter_classes_and_the_guides_keepalive_stands_beside_ours() -> None:
-    assert_up_to_date("defaults_table.py")
+    assert_up_to_date("option_tables.py")
     text = page("defaults.md")
     assert "| idle time before the first probe | 2 hours | 60 s |" in text
     assert "| time between probes | 75 s | 10 s |" in text

@@ -50,11 +50,9 @@ def test_no_section_is_empty(text: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_of_behaviour_is_explained_with_its_keys(kind: str, text: str) -> None:
+def test_every_kind_of_behaviour_is_explained(kind: str, text: str) -> None:
     section = text.partition("\n## Behaviours\n")[2].partition("\n## ")[0]
-    (row,) = re.findall(rf"^\| `{kind}` \|.*$", section, re.MULTILINE)
-    own = set(KINDS[kind].model_fields) - set(BehaviourSection.model_fields) - {"kind"}
-    assert all(f"`{key}`" in row for key in own)
+    assert len(re.findall(rf"^\| `{kind}` \| (?!.*\|.*\|.*\|).*$", section, re.MULTILINE)) == 1
 
 
 def test_every_key_of_points_and_of_the_simulation_is_explained(text: str) -> None:

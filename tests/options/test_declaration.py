@@ -9,14 +9,34 @@ from typing import Annotated, Any, ClassVar
 
 import pytest
 
+import busway.cli.config
 import busway.client.settings
 import busway.options.offer
 from busway.cli.config import config
 from busway.client.option_types import LinkOptions
 from busway.client.settings import link_settings
-from busway.config.files.gateway import GatewayListenerSection, GatewaySection, RouteSection, UpstreamSection
+from busway.config.files.behaviours import KINDS
+from busway.config.files.collector import CollectorFile
+from busway.config.files.device import DeviceFile
+from busway.config.files.gateway import (
+    GatewayFile,
+    GatewayListenerSection,
+    GatewaySection,
+    RouteSection,
+    UpstreamSection,
+)
+from busway.config.files.lines import Path as KeyPath
 from busway.config.files.options import OptionSection, with_options_of
-from busway.config.files.schema import Section, json_schema, parse_file
+from busway.config.files.schema import (
+    FileProblems,
+    Section,
+    json_schema,
+    keys_of,
+    parse_file,
+    read_section,
+    sections_of,
+)
+from busway.config.files.simulation import SimulationFile
 from busway.config.files.system import AuditSection, ControlSection, LinkSection, MetricsSection, SystemFile
 from busway.errors import ConfigError
 from busway.options.declaration import (
@@ -180,13 +200,13 @@ def test_an_option_that_is_added_appears_everywhere(
     key = json_schema(section, "x")["properties"]["haste"]
     assert key == {"type": "number", "description": "seconds between two of these.", "minimum": 0.5, "maximum": 20}
     # help
-    config("options", "tcp://h", device=False, simulation=False, gateway=False)
+    config("options", "tcp://h", device=False, simulation=False, gateway=False, collector=False)
     assert re.search(r"^  haste +2 \(TCP, TLS, UDP\).* 0.5…20 seconds +seconds between", capsys.readouterr().out, re.M)
     # the types of keywords, and the table of the reference
     keys = script("option_types").Source("client").keys(kinds, role="client")
     assert (keys["haste"], keys["hurry"], keys["width"]) == ("float", "float", "int | None")
     row = "| `haste` | 2 (TCP, TLS, UDP); 4 (RTU) | 0.5…20 seconds | seconds between two of these. |"
-    assert row in script("defaults_table").render(AddedParameters)
+    assert row in script("option_tables").render(AddedParameters)
 
 
 SCHEMA = json_schema(SystemFile, "x")
@@ -228,13 +248,81 @@ def test_the_options_of_gateways_are_in_files_schema_and_table(section: type[Sec
         assert f"| `{option.name}` | {option.default_text} | {option.values} | {option.help} |" in TABLE
 
 
-def test_help_lists_every_option_of_links_servers_and_sections_of_files(capsys: pytest.CaptureFixture[str]) -> None:
-    config("options", None, device=False, simulation=False, gateway=False)
-    listed = re.findall(r"^  (\w+) ", capsys.readouterr().out, re.MULTILINE)
-    sections = (AuditParameters, MetricsParameters, ControlParameters, GatewayParameters)
-    of_gateways = (GatewayListenerParameters, UpstreamParameters, RouteParameters)
-    of_files = [name for kind in (*sections, *of_gateways) for name in declared(kind)]
-    assert listed == [*LINK_OPTIONS, *SERVER_OPTIONS, *of_files]
+FILES = (SystemFile, DeviceFile, SimulationFile, GatewayFile, CollectorFile)
+SECTIONS = list(dict.fromkeys(section for file in FILES for section in sections_of(file)))
+"""Every table that a file may have."""
+
+
+def printed_options(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """The lines of ``busway config options``."""
+    config("options", None, device=False, simulation=False, gateway=False, collector=False)
+    return capsys.readouterr().out.splitlines()
+
+
+def test_help_lists_every_option_and_every_key_of_files_once(capsys: pytest.CaptureFixture[str]) -> None:
+    listed = [found[1] for line in printed_options(capsys) if (found := re.match(r"  (\w+) ", line))]
+    of_links_and_servers = [*LINK_OPTIONS, *SERVER_OPTIONS]
+    assert listed[: len(of_links_and_servers)] == of_links_and_servers
+    keys: list[Option] = []
+    for section in SECTIONS:
+        keys += [option for option in keys_of(section).values() if option not in keys]
+    known = [*LINK_OPTIONS.values(), *SERVER_OPTIONS.values()]
+    assert sorted(listed[len(known) :]) == sorted(option.name for option in keys if option not in known)
+
+
+@pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.__name__)
+def test_every_key_of_a_file_says_what_it_means_and_so_does_the_schema(section: type[Section]) -> None:
+    properties = json_schema(section, "x").get("properties", {})
+    for name, option in keys_of(section).items():
+        assert option.help.endswith((".", "`.")), f"{section.__name__}.{name}"
+        shown = properties.get(name, {"description": option.help})  # a section that holds itself is a reference
+        assert shown["description"] == option.help
+
+
+def test_every_table_of_a_file_is_on_a_page() -> None:
+    shown = {kind for parts in script("option_tables").PAGES.values() for kinds in parts.values() for kind in kinds}
+    shown |= {parent for kind in shown for parent in kind.__mro__} | set(KINDS.values())
+    unnamed = {"Hexadecimal", "HolesSection", "SimulatedUnitSection", "SimulatedPointSection", "SimulatedGroupSection"}
+    left_out = [
+        section.__name__
+        for section in SECTIONS
+        if section not in shown
+        and section.__name__ not in unnamed
+        and not (issubclass(section, OptionSection) and section.kinds)  # those are tables of parameter classes
+        and section not in FILES
+    ]
+    assert left_out == []
+
+
+@pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.__name__)
+def test_a_key_that_is_added_to_a_table_appears_everywhere(
+    section: type[Section], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hint = Annotated[float, Range(0.5, 20, "seconds"), "seconds between two", "of these."]
+    names = {"__annotations__": {"haste": hint}, "haste": 4.0, "__module__": section.__module__, "__doc__": "Added."}
+    added = type(section)("Added", (section,), names)
+    # TOML, with what is said about a wrong value, and about a wrong key
+    faults = dict(faults_of_reading(added, {"haste": 30.0}))
+    assert faults["haste",] == "must be 0.5…20 seconds, not 30"
+    assert faults_of_reading(added, {"hast": 1.0})["hast",] == "unknown key; is it haste?"
+    # JSON Schema
+    key = {"type": "number", "description": "seconds between two of these.", "minimum": 0.5, "maximum": 20}
+    document = json_schema(added, "x")
+    properties = document["properties"] if "properties" in document else document["$defs"]["Added"]["properties"]
+    assert properties["haste"] == {**key, "default": 4.0}
+    # help
+    monkeypatch.setattr(busway.cli.config, "_schemas", lambda: {"": added})
+    assert any(re.match(r"  haste +4 +0\.5…20 seconds +seconds between", line) for line in printed_options(capsys))
+    # the table of the reference
+    row = "| `haste` | 4 | 0.5…20 seconds | seconds between two of these. |"
+    assert row in script("option_tables").render(added)
+
+
+def faults_of_reading(section: type[Section], data: dict[str, object]) -> dict[KeyPath, str]:
+    """What is wrong with a table, by path."""
+    with pytest.raises(FileProblems) as caught:
+        read_section(section, data)
+    return dict(caught.value.faults)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from typing import Final, TypeVar
 
 from ..codes import ExceptionCode, Table
 from ..errors import ConfigError
+from ..options import declaration
 from ..options.endpoints import SCHEMES, parse_endpoint
 from ..options.networks import NetworkIndex, Networks
 from ..values.refusal import shown
@@ -28,6 +29,8 @@ from .notation import Function, Range, parse_files, parse_functions, parse_items
 from .question import END, FILES, Asker, Space
 
 EVERYWHERE: Final[tuple[Range, ...]] = ((0, END),)
+RATES: Final = declaration.Range(0.001, 1_000_000)
+"""What the rate of a rule may be: requests per second and host."""
 DEFAULT_RULE: Final = "default"
 """The name in logs of a decision that no rule made."""
 _NOWHERE: Final[tuple[Range, ...]] = ()
@@ -155,8 +158,8 @@ class Rule:
         if self.limits is not None and self.items and Table.HOLDING_REGISTERS not in self.items:
             raise ConfigError("limits are for holding registers", key="values")
         if self.rate is not None:
-            if isinstance(self.rate, bool) or not 0.001 <= self.rate <= 1_000_000:
-                raise ConfigError(f"requests per second are 0.001…1000000, not {shown(self.rate)}", key="rate")
+            if isinstance(self.rate, bool) or not RATES.has(self.rate):
+                raise ConfigError(f"requests per second are {RATES}, not {shown(self.rate)}", key="rate")
             if self.action is Action.DENY:
                 raise ConfigError("a rule that denies lets nothing through", key="rate")
         for key, given in (("peers", self.peers), ("roles", self.roles), ("units", self.units)):

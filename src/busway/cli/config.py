@@ -5,7 +5,8 @@
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -13,12 +14,16 @@ from ..errors import ConfigError
 from .exits import ExitCode
 from .output import json_text, print_aligned
 
+if TYPE_CHECKING:
+    from ..config.files.schema import Section
+    from ..options.declaration import Option
+
 EXAMPLES = """\b
 Examples:
   busway config check plant.toml
   busway config show plant.toml
   busway config schema > busway.schema.json
-  busway config schema --simulation
+  busway config schema --collector
   busway config options
   busway config options rtu:///dev/ttyUSB0
 """
@@ -32,10 +37,11 @@ def config(
     device: bool = typer.Option(False, "--device", help="schema: of device files alone."),
     simulation: bool = typer.Option(False, "--simulation", help="schema: of simulation files."),
     gateway: bool = typer.Option(False, "--gateway", help="schema: of gateway files."),
+    collector: bool = typer.Option(False, "--collector", help="schema: of collector files."),
 ) -> int:
-    """Check and explain configuration files; list the options of links and servers."""
+    """Check and explain configuration files; list all options."""
     actions: dict[str, Callable[[str], None]] = {"check": _check, "show": _show}
-    kinds = {"--device": device, "--simulation": simulation, "--gateway": gateway}
+    kinds = {"--device": device, "--simulation": simulation, "--gateway": gateway, "--collector": collector}
     if action == "schema":
         if file is not None:
             raise ConfigError("schema takes no file", key=file)
@@ -75,46 +81,61 @@ def _show(file: str) -> None:
 
 def _print_options(url: str | None) -> None:
     """Print name, default, values and meaning of each option: of a link to a URL, or of all that files configure."""
-    from ..options import gateway, service
     from ..options.endpoints import parse_endpoint
+    from ..options.offer import LINKS, Offer
+
+    if url is not None:
+        endpoint = parse_endpoint(url)
+        _print_keys(f"of a link to {endpoint.url}:", Offer.at(endpoint, "client", LINKS).options.values())
+        return
+    for title, options in _all_options():
+        _print_keys(title, options)
+
+
+def _all_options() -> Iterator[tuple[str, list["Option"]]]:
+    """The options of links and servers, and the keys of every section of files; what stands in several, once."""
+    from ..config.files.schema import keys_of, sections_of
     from ..options.offer import LINKS, SERVERS, Offer
 
-    if url is None:
-        offers = {
-            "of links:": Offer.of(*LINKS, role="client"),
-            "of servers:": Offer.of(*SERVERS, role="server"),
-            "[audit]": Offer.of(service.AuditParameters),
-            "[metrics]": Offer.of(service.MetricsParameters),
-            "[control]": Offer.of(service.ControlParameters),
-            "[gateway]": Offer.of(gateway.GatewayParameters),
-            "[[listener]] of a gateway:": Offer.of(gateway.GatewayListenerParameters),
-            "[[link]] of a gateway:": Offer.of(gateway.UpstreamParameters),
-            "[[route]] of a gateway:": Offer.of(gateway.RouteParameters),
-        }
-    else:
-        endpoint = parse_endpoint(url)
-        offers = {f"of a link to {endpoint.url}:": Offer.at(endpoint, "client", LINKS)}
-    for title, offer in offers.items():
-        print(title)
-        rows = [[one.name, one.default_text, one.values, one.help] for one in offer.options.values()]
-        print_aligned([["  " + name, *(cell.replace("`", "") for cell in cells)] for name, *cells in rows])
+    of_links = list(Offer.of(*LINKS, role="client").options.values())
+    of_servers = list(Offer.of(*SERVERS, role="server").options.values())
+    yield "of links:", of_links
+    yield "of servers:", of_servers
+    told = [*of_links, *of_servers]
+    for section in dict.fromkeys(each for schema in _schemas().values() for each in sections_of(schema)):
+        new = [option for option in keys_of(section).values() if option not in told]
+        told += new
+        if new:
+            title = (section.__doc__ or "").partition("\n\n")[0].replace("``", "")
+            yield " ".join(title.split()), new
 
 
-def _print_schema(kinds: list[str]) -> None:
-    from ..config.files import device, gateway, simulation, system
-    from ..config.files.schema import Section, json_schema
+def _print_keys(title: str, options: Iterable["Option"]) -> None:
+    print(title)
+    rows = [[one.name, one.default_text, one.values, one.help] for one in options]
+    print_aligned([["  " + name, *(cell.replace("`", "") for cell in cells)] for name, *cells in rows])
 
-    schemas: dict[str, type[Section]] = {
+
+def _schemas() -> dict[str, type["Section"]]:
+    """The schemas of files by the option that chooses them; that of configuration files without one."""
+    from ..config.files import collector, device, gateway, simulation, system
+
+    return {
+        "": system.SystemFile,
         "--device": device.DeviceFile,
         "--simulation": simulation.SimulationFile,
         "--gateway": gateway.GatewayFile,
+        "--collector": collector.CollectorFile,
     }
+
+
+def _print_schema(kinds: list[str]) -> None:
+    from ..config.files.schema import json_schema
+    from ..config.files.simulation import simulation_schema
+
     if len(kinds) > 1:
         raise ConfigError(f"goes without {kinds[0]}", key=kinds[1])
-    schema = schemas[kinds[0]] if kinds else system.SystemFile
-    if kinds == ["--simulation"]:
-        document = simulation.simulation_schema("busway simulation file")
-        print(json_text(document, indent=2))
-        return
-    title = f"busway {kinds[0].removeprefix('--')} file" if kinds else "busway configuration"
-    print(json_text(json_schema(schema, title), indent=2))
+    kind = kinds[0] if kinds else ""
+    title = f"busway {kind.removeprefix('--')} file" if kind else "busway configuration"
+    is_simulation = kind == "--simulation"
+    print(json_text(simulation_schema(title) if is_simulation else json_schema(_schemas()[kind], title), indent=2))

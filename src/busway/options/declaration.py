@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from enum import Enum
 from types import MappingProxyType, NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Final, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 from ..errors import ConfigError
 from ..values.refusal import shown
@@ -234,7 +234,7 @@ class Option:
 
     def check(self, value: object) -> None:
         """Raise `ConfigError` if a value of the right type is out of range, or is no member of the enum."""
-        if (value is None and self.is_optional) or (self.limits is None and not self.choices):
+        if (value is None and (self.is_optional or self.default is None)) or (self.limits is None and not self.choices):
             return
         if self.choices and (isinstance(value, Enum) or value in self.choices):
             return
@@ -277,10 +277,10 @@ def option_of(name: str, hint: Any, default: object, on: tuple[On, ...] = ()) ->
     if get_origin(hint) is Annotated:
         hint, *rest = get_args(hint)
         marks = tuple(rest)
-    kinds = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
     return Option(
         name,
-        tuple(kind for kind in kinds if kind is not NoneType),
+        tuple(get_args(kind)[0] if get_origin(kind) is Annotated else kind for kind in kinds if kind is not NoneType),
         NoneType in kinds,
         default,
         help=" ".join(mark for mark in marks if isinstance(mark, str)),
@@ -306,7 +306,9 @@ def _shown(default: object) -> str:
         return str(default).lower()
     if isinstance(default, Enum):
         return f"`{default.value}`"
-    return f"{default:g}" if isinstance(default, float) else str(default)
+    if isinstance(default, float):
+        return f"{default:g}"
+    return str(default) if isinstance(default, int) else "its defaults"
 
 
 def _members(kind: Any) -> tuple[Any, ...]:  # a type, and the values of its members
@@ -321,8 +323,6 @@ def _kind_words(kind: Any) -> str:  # a type
     if kind in _KIND_WORDS:
         return _KIND_WORDS[kind]
     origin = get_origin(kind) or kind
-    if origin is Annotated:
-        return _kind_words(get_args(kind)[0])
     if hasattr(origin, "written_as"):
         return ", ".join(_kind_words(one) for one in get_args(origin.written_as))
     if hasattr(origin, "parse") or origin in (list, tuple, Sequence):
@@ -331,4 +331,4 @@ def _kind_words(kind: Any) -> str:  # a type
 
 
 def _number(value: float) -> str:
-    return str(value) if isinstance(value, int) else f"{value:g}"
+    return f"{value:g}" if isinstance(value, float) and not value.is_integer() else f"{value:.0f}"

@@ -12,17 +12,9 @@ from busway.codes import Table
 from busway.config.devices import build_units
 from busway.config.files.device import (
     DeviceFile,
-    FifoSection,
-    FileSection,
-    GroupSection,
-    PointSection,
-    ReadSection,
     ServerSection,
-    TableSection,
-    UnitSection,
     parse_device_file,
 )
-from busway.config.files.points import AlarmSection, LinearSection, ReportSection, WriteSection
 from busway.config.files.problems import FileError
 from busway.errors import ConfigError
 from busway.options.server import ListenerParameters, ServerParameters
@@ -99,7 +91,7 @@ def test_a_file_of_one_unit_is_enough() -> None:
             UNIT + "coils = { size = 9 }\n",
             "x.toml:3: unit[0].coils.size: unknown key; the keys allowed here are first, count",
         ),
-        (UNIT + "exception_status = 256\n", "x.toml:3: unit[0].exception_status: must be at most 255, not 256"),
+        (UNIT + "exception_status = 256\n", "x.toml:3: unit[0].exception_status: must be 0…255, not 256"),
         (UNIT + "functions = [0]\n", "x.toml:3: unit[0].functions[0]: must be at least 1, not 0"),
         (UNIT + "server_id = 5\n", 'x.toml:3: unit[0].server_id: must be a text or { hex = "…" }, not 5'),
         (UNIT + 'server_id = { hex = "0" }\n', "x.toml:3: unit[0].server_id: '0' is not hexadecimal"),
@@ -112,7 +104,7 @@ def test_a_file_of_one_unit_is_enough() -> None:
             "x.toml:3: unit[0].identification.revision: an obj",
         ),
         (UNIT + '[[unit.fifo]]\naddress = "0x1"\n', "x.toml:4: unit[0].fifo[0].address: address 0x1 means coil"),
-        (UNIT + "[[unit.file]]\nnumber = 0\n", "x.toml:4: unit[0].file[0].number: must be at least 1, not 0"),
+        (UNIT + "[[unit.file]]\nnumber = 0\n", "x.toml:4: unit[0].file[0].number: must be 1…65535, not 0"),
         (UNIT + "[[unit.file]]\nnumber = 1\ncount = 10001\n", "x.toml:3: unit[0].file[0]: offsets are 0…9999"),
         (POINT, "x.toml:3: unit[0].point[0].address: is missing"),
         (POINT + 'address = "17"\n', "x.toml:5: unit[0].point[0].address: address '17' does not say which table"),
@@ -237,11 +229,3 @@ def test_the_example_of_the_reference_is_right_and_its_mistakes_are_reported_as_
         parse_device_file(wrong, "tank.toml")
     for sentence in re.findall(r"^tank\.toml:.*$", page, re.MULTILINE):
         assert sentence.removesuffix("…") in str(caught.value)
-
-
-def test_the_reference_names_every_key() -> None:
-    page = REFERENCE.read_text(encoding="utf-8")
-    sections = (DeviceFile, ServerSection, UnitSection, TableSection, FileSection, FifoSection, PointSection)
-    sections += (GroupSection, ReadSection, WriteSection, ReportSection, AlarmSection, LinearSection)
-    missing = {key for section in sections for key in section.model_fields if f"`{key}`" not in page}
-    assert not missing

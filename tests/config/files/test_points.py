@@ -180,7 +180,7 @@ def test_fields_halves_and_overlaps_are_served_with_their_first_values() -> None
             "bits of a register are int16 or uint16",
         ),
         (UNIT + "read = { forbidden = ['4x'] }\n", "x.toml:3: unit[0].read.forbidden[0]: "),
-        (UNIT + "read = { max_registers = 126 }\n", "x.toml:3: unit[0].read.max_registers: must be at most 125"),
+        (UNIT + "read = { max_registers = 126 }\n", "x.toml:3: unit[0].read.max_registers: must be 1…125, not 126"),
         (UNIT + "[[unit.group]]\nname='g'\ncount=2\npoint=[{name='a',address='4x1'}]\n", "group[0].stride: is missing"),
         (UNIT + "[[unit.group]]\nname='g'\n", "x.toml:3: unit[0].group[0].point: is missing"),
         (

@@ -7,21 +7,6 @@ formula (only their position; the simulator, which knows the points, checks them
 
     behaviour = { kind = "sine", mean = 230.0, amplitude = 4.0, period = 60 }
 
-==================  ==============================================================================
-kind                value, ``t`` seconds after the beginning
-==================  ==============================================================================
-``constant``        ``value``
-``ramp``            ``first`` → ``last`` in ``duration`` seconds; then as ``at_end`` says
-``sine``            ``mean`` ± ``amplitude``, once around in ``period`` seconds
-``square``          ``low`` and ``high`` in turn; ``high`` for the part ``duty`` of each ``period``
-``noise``           ``mean`` ± ``spread``, each step by itself: ``uniform`` or ``gauss``
-``random-walk``     a step of at most ``step`` up or down each time, within ``low``…``high``
-``counter``         the sum of ``rate`` per second; begins again from 0 at ``rollover``
-``lag``             towards ``target``, 63 % of the way in ``time_constant`` seconds
-``formula``         an expression over other points of the unit, of other units, and ``t``
-``replay``          what stands in a file of lines ``time,value``
-==================  ==============================================================================
-
 1. ``rate``, ``target`` and ``formula`` take an expression, a text; the first two also a number.
 2. Numbers are in the point's unit of measure. One bit is on where the value is 0.5 or more.
 """
@@ -32,6 +17,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from ...options.declaration import Name, Range
 from ...values.refusal import shown
 from .schema import FileProblems, Section, read_section
 
@@ -39,9 +25,10 @@ FASTEST: Final = 0.01
 """Seconds between two changes, at least: below, the timers of a system are no longer exact."""
 SLOWEST: Final = 86_400.0
 
+KIND: Final = "what makes the value."
 Number = Annotated[float, Field(allow_inf_nan=False)]
-Seconds = Annotated[float, Field(ge=0.001, le=1e9)]
-Degrees = Annotated[float, Field(ge=-360, le=360)]
+Seconds = Annotated[float, Range(0.001, 1e9)]
+Degrees = Annotated[float, Range(-360, 360)]
 
 
 def _as_expression(value: object) -> object:
@@ -63,46 +50,54 @@ class BehaviourSection(Section):
     begins: ClassVar[bool] = False
     """Whether it goes on from the point's first value."""
 
-    every: float = Field(default=1.0, ge=FASTEST, le=SLOWEST)
-    resume_after: float | None = Field(default=None, ge=0, le=1e9)
+    every: Annotated[
+        float,
+        Range(FASTEST, SLOWEST),
+        "seconds between two values. Moments are whole multiples of it, counted from the beginning: nothing drifts.",
+    ] = 1.0
+    resume_after: Annotated[
+        float | None,
+        Range(0, 1e9),
+        "seconds after which a written value gives way to the behaviour again, 0 at once; None: it holds.",
+    ] = None
 
 
 class ConstantSection(BehaviourSection):
     """Behaviour ``constant``: the value never changes."""
 
-    kind: Literal["constant"]
-    value: Number | bool
+    kind: Annotated[Literal["constant"], KIND]
+    value: Annotated[Number | bool, "the value."]
 
 
 class RampSection(BehaviourSection):
     """Behaviour ``ramp``: the value rises or falls linearly."""
 
-    kind: Literal["ramp"]
-    first: Number = 0.0
-    last: Number
-    duration: Seconds
-    at_end: Literal["hold", "repeat", "return"] = "repeat"
+    kind: Annotated[Literal["ramp"], KIND]
+    first: Annotated[Number, "value at the beginning."] = 0.0
+    last: Annotated[Number, "value at the end."]
+    duration: Annotated[Seconds, "seconds from the first to the last."]
+    at_end: Annotated[Literal["hold", "repeat", "return"], "what comes then; `return`: the way it came."] = "repeat"
 
 
 class SineSection(BehaviourSection):
     """Behaviour ``sine``: the value follows a sine wave."""
 
-    kind: Literal["sine"]
-    mean: Number = 0.0
-    amplitude: Number
-    period: Seconds
-    phase: Degrees = 0.0
+    kind: Annotated[Literal["sine"], KIND]
+    mean: Annotated[Number, "value in the middle."] = 0.0
+    amplitude: Annotated[Number, "how far it goes up and down from there."]
+    period: Annotated[Seconds, "seconds once around."]
+    phase: Annotated[Degrees, "degrees at the beginning."] = 0.0
 
 
 class SquareSection(BehaviourSection):
     """Behaviour ``square``: the value alternates between two values."""
 
-    kind: Literal["square"]
-    low: Number = 0.0
-    high: Number = 1.0
-    period: Seconds
-    duty: float = Field(default=0.5, ge=0, le=1)
-    phase: Degrees = 0.0
+    kind: Annotated[Literal["square"], KIND]
+    low: Annotated[Number, "the lower value."] = 0.0
+    high: Annotated[Number, "the upper value, which comes first."] = 1.0
+    period: Annotated[Seconds, "seconds once around."]
+    duty: Annotated[float, Range(0, 1), "the part of a period for which it is high."] = 0.5
+    phase: Annotated[Degrees, "degrees at the beginning."] = 0.0
 
 
 class NoiseSection(BehaviourSection):
@@ -110,10 +105,10 @@ class NoiseSection(BehaviourSection):
     deviation.
     """
 
-    kind: Literal["noise"]
-    mean: Number = 0.0
-    spread: float = Field(ge=0, allow_inf_nan=False)
-    distribution: Literal["uniform", "gauss"] = "uniform"
+    kind: Annotated[Literal["noise"], KIND]
+    mean: Annotated[Number, "value in the middle."] = 0.0
+    spread: Annotated[Number, Range(0, math.inf), "how far a value may be from it; of `gauss` the standard deviation."]
+    distribution: Annotated[Literal["uniform", "gauss"], "how values are distributed."] = "uniform"
 
 
 class RandomWalkSection(BehaviourSection):
@@ -121,10 +116,10 @@ class RandomWalkSection(BehaviourSection):
 
     begins: ClassVar[bool] = True
 
-    kind: Literal["random-walk"]
-    step: float = Field(gt=0, allow_inf_nan=False)
-    low: Number | None = None
-    high: Number | None = None
+    kind: Annotated[Literal["random-walk"], KIND]
+    step: Annotated[Number, Range(0, math.inf, above=True), "the longest step up or down."]
+    low: Annotated[Number | None, "where it turns back; None: at the minimum of the point."] = None
+    high: Annotated[Number | None, "where it turns back; None: at the maximum of the point."] = None
 
     @model_validator(mode="after")
     def _check(self) -> "RandomWalkSection":
@@ -139,9 +134,13 @@ class CounterSection(BehaviourSection):
     begins: ClassVar[bool] = True
     expressions: ClassVar[tuple[str, ...]] = ("rate",)
 
-    kind: Literal["counter"]
-    rate: Expression
-    rollover: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    kind: Annotated[Literal["counter"], KIND]
+    rate: Annotated[Expression, "what is added in a second."]
+    rollover: Annotated[
+        Number | None,
+        Range(0, math.inf, above=True),
+        "value at which it begins again from 0; None: where a whole-number type ends.",
+    ] = None
 
 
 class LagSection(BehaviourSection):
@@ -150,9 +149,9 @@ class LagSection(BehaviourSection):
     begins: ClassVar[bool] = True
     expressions: ClassVar[tuple[str, ...]] = ("target",)
 
-    kind: Literal["lag"]
-    target: Expression
-    time_constant: Seconds
+    kind: Annotated[Literal["lag"], KIND]
+    target: Annotated[Expression, "the value that it follows."]
+    time_constant: Annotated[Seconds, "seconds for 63 % of the way."]
 
 
 class FormulaSection(BehaviourSection):
@@ -160,17 +159,17 @@ class FormulaSection(BehaviourSection):
 
     expressions: ClassVar[tuple[str, ...]] = ("formula",)
 
-    kind: Literal["formula"]
-    formula: str
+    kind: Annotated[Literal["formula"], KIND]
+    formula: Annotated[str, "the expression."]
 
 
 class ReplaySection(BehaviourSection):
     """Behaviour ``replay``: the value follows recorded values of a file."""
 
-    kind: Literal["replay"]
-    file: str = Field(min_length=1)
-    at_end: Literal["repeat", "hold"] = "repeat"
-    between: Literal["step", "line"] = "step"
+    kind: Annotated[Literal["replay"], KIND]
+    file: Annotated[str, Name("the path of a file"), "the file, of lines `time,value`."]
+    at_end: Annotated[Literal["repeat", "hold"], "what comes behind the last line."] = "repeat"
+    between: Annotated[Literal["step", "line"], "what it is between two lines; `line`: on a straight line."] = "step"
 
 
 AnyBehaviour = (

@@ -36,7 +36,7 @@ Rules:
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BeforeValidator, Field
 
@@ -44,11 +44,12 @@ from ...options.declaration import Name, Range
 from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url
-from .schema import Section
+from .schema import NO_LIST, NO_TABLE, Section
 from .simulation import Parameter
 from .sinks import AnySink
 from .system import SystemFile, twice
 
+NOTHING: Final = "none: a collector serves nothing."
 Role = Literal["view", "operate", "configure"]
 
 
@@ -90,7 +91,7 @@ class PageAccessSection(Section):
     revocation_list: Annotated[str | None, Name("the path of a file"), "which of them are revoked."] = None
     subjects: Annotated[
         dict[str, Role], 'role by the subject of a client certificate: `"CN=anna,O=plant" = "operate"`.'
-    ] = Field(default_factory=dict)
+    ] = NO_TABLE
 
 
 class PollClassSection(Section):
@@ -142,14 +143,12 @@ class CollectorFile(SystemFile):
         CollectorSection()
     )
     page_access: Annotated[PageAccessSection, "who may see and change what on the page."] = PageAccessSection()
-    poll_class: Annotated[dict[str, PollClassSection], "how often points are read, by name of the class."] = Field(
-        default_factory=dict
-    )
-    device: Annotated[list[CollectedDeviceSection], "the devices to poll."] = Field(default_factory=list)
-    sink: Annotated[list[AnySink], "systems that get the samples."] = Field(default_factory=list)
-    unit: Annotated[list[UnitSection], BeforeValidator(_none_here)] = Field(default_factory=list)
-    listen: Annotated[list[Url], BeforeValidator(_none_here)] = Field(default_factory=list)
-    listener: Annotated[list[ListenerSection], BeforeValidator(_none_here)] = Field(default_factory=list)
+    poll_class: Annotated[dict[str, PollClassSection], "how often points are read, by name of the class."] = NO_TABLE
+    device: Annotated[list[CollectedDeviceSection], "the devices to poll."] = NO_LIST
+    sink: Annotated[list[AnySink], "systems that get the samples."] = NO_LIST
+    unit: Annotated[list[UnitSection], BeforeValidator(_none_here), NOTHING] = NO_LIST
+    listen: Annotated[list[Url], BeforeValidator(_none_here), NOTHING] = NO_LIST
+    listener: Annotated[list[ListenerSection], BeforeValidator(_none_here), NOTHING] = NO_LIST
 
     def class_of(self, device: CollectedDeviceSection) -> str:
         """Return the poll class of a device's points that name none; empty if it is not clear which."""

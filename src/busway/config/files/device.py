@@ -36,6 +36,7 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from ...codes import MAX_FILE_RECORD_NUMBER, MAX_READ_BITS, MAX_READ_REGISTERS, TABLE_SIZE, Table
 from ...errors import ConfigError, InvalidRequest
+from ...options.declaration import Name, Range
 from ...options.offer import SERVERS
 from ...options.server import ListenerParameters
 from ...options.text import build_parameters
@@ -47,7 +48,7 @@ from .listeners import Url
 from .options import OptionSection, with_options_of
 from .points import MOST_REPEATED, STAND_IN, PointSection, WholeSection, checked, resolved
 from .problems import FileError
-from .schema import FileProblems, Section, read_source
+from .schema import NO_LIST, NO_TABLE, FileProblems, Section, read_source
 
 OBJECT_NUMBERS: Final = {
     "vendor_name": 0,
@@ -116,13 +117,18 @@ def _as_server_id(value: object) -> object:
 class Hexadecimal(Section):
     """Bytes written in hexadecimal in a file: ``{ hex = "01 02" }``."""
 
-    hex: str
+    hex: Annotated[str, 'the bytes: `"01 02"`.']
 
 
+ServerId = Annotated[
+    bytes, BeforeValidator(_as_server_id, json_schema_input_type=str | Hexadecimal), Field(max_length=251)
+]
 Bytes = Annotated[bytes, BeforeValidator(_as_bytes, json_schema_input_type=str | Hexadecimal)]
 Whole = Annotated[int, Field(ge=0, le=0xFFFF)]
 TableSize = Annotated[int, Field(ge=0, le=TABLE_SIZE)]
 UnitNumber = Annotated[int, Field(ge=0, le=255)]
+PresetWord = Literal["standard", "strict"]
+OF_GROUP: Final = "its points, with the addresses of the first place."
 
 
 @with_options_of(*SERVERS, role="server")
@@ -134,7 +140,9 @@ class ServerSection(OptionSection):
     retired: ClassVar[dict[str, str]] = {"shared_places": "shared_slots"}
     checked_later: ClassVar[tuple[type[Any], ...]] = (ListenerParameters,)  # with the listeners
 
-    preset: Literal["standard", "strict"] = "standard"
+    preset: Annotated[
+        PresetWord, "`strict` sets each option by which a deviation ends; what contradicts it is refused."
+    ] = "standard"
 
     def options(self) -> dict[str, Any]:  # of several types
         """Return the options of `busway.serve` that this section sets."""
@@ -148,10 +156,15 @@ class TableSection(Section):
     ``read_only`` has ranges as ``[first, count]``.
     """
 
-    first: Whole = 0
-    count: TableSize | None = None
-    values: list[int | bool] | None = None
-    read_only: list[Annotated[list[int], Field(min_length=2, max_length=2)]] = Field(default_factory=list)
+    first: Annotated[Whole, "offset of the first item, 0-based."] = 0
+    count: Annotated[TableSize | None, "number of items; None: as many as there are `values`."] = None
+    values: Annotated[
+        list[int | bool] | None, "what the items hold at first: 0…65535, or `true` and `false`; None: zero."
+    ] = None
+    read_only: Annotated[
+        list[Annotated[list[int], Field(min_length=2, max_length=2)]],
+        "ranges `[first, count]` that Modbus cannot write (exception 02).",
+    ] = NO_LIST
 
     @property
     def size(self) -> int:
@@ -190,14 +203,14 @@ DeclaredTable = Annotated[
 class FileSection(TableSection):
     """``[[unit.file]]``: the records of a file, for functions 20 and 21."""
 
-    number: int = Field(ge=1, le=0xFFFF)
+    number: Annotated[int, Range(1, 0xFFFF), "number of the file; records are 0…9999."]
 
 
 class FifoSection(Section):
     """``[[unit.fifo]]``: a queue of registers, for function 24."""
 
-    address: str
-    values: list[Whole] = Field(default_factory=list)
+    address: Annotated[str, 'address of the pointer of the queue: `"4x1247"`.']
+    values: Annotated[list[Whole], "registers in the queue."] = NO_LIST
 
     @property
     def place(self) -> Address:
@@ -213,13 +226,20 @@ class FifoSection(Section):
 class GroupSection(WholeSection):
     """``[[unit.group]]``: a group of points, present once or repeated at several places."""
 
-    name: str = Field(min_length=1)
-    count: Annotated[int, Field(ge=1, le=MOST_REPEATED)] | None = None
-    count_from: str = ""
-    stride: Annotated[int, Field(ge=0, le=TABLE_SIZE)] = 0
-    atomic: bool = False
-    point: Sequence[PointSection] = Field(default_factory=list)
-    group: "Sequence[GroupSection]" = Field(default_factory=list)
+    name: Annotated[str, Name("the name of a group"), "text, with which the names of its points begin."]
+    count: Annotated[
+        int | None,
+        Range(1, MOST_REPEATED),
+        "how often it is there; its points are then `string.1.voltage`, `string.2.voltage` …; None: once, and its",
+        "points are `string.voltage`.",
+    ] = None
+    count_from: Annotated[
+        str, "name of a point that says how many there are, also a computed one; `count` is the most."
+    ] = ""
+    stride: Annotated[int, Range(0, TABLE_SIZE), "items from one place to the next; must be there with `count`."] = 0
+    atomic: Annotated[bool, "whether what stands at one place is read in one request."] = False
+    point: Annotated[Sequence[PointSection], OF_GROUP] = NO_LIST
+    group: Annotated["Sequence[GroupSection]", "groups in it."] = NO_LIST
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:
@@ -290,15 +310,23 @@ class PlacedPoint:
 class ReadSection(Section):
     """``read`` of a unit: limits of read requests, such as the largest one and forbidden ranges."""
 
-    max_registers: Annotated[int, Field(ge=1, le=MAX_READ_REGISTERS)] = MAX_READ_REGISTERS
-    max_bits: Annotated[int, Field(ge=1, le=MAX_READ_BITS)] = MAX_READ_BITS
-    readable: list[str] = Field(default_factory=list)
-    forbidden: list[str] = Field(default_factory=list)
-    exact: list[str] = Field(default_factory=list)
-    bridge: bool = False
-    one_point: bool = False
-    pause: Annotated[float, Field(ge=0, le=3600)] = 0.0
-    poll_class: str = ""
+    max_registers: Annotated[int, Range(1, MAX_READ_REGISTERS), "registers that one request may ask for."] = (
+        MAX_READ_REGISTERS
+    )
+    max_bits: Annotated[int, Range(1, MAX_READ_BITS), "coils or discrete inputs that one request may ask for."] = (
+        MAX_READ_BITS
+    )
+    readable: Annotated[
+        list[str],
+        'ranges such as `"4x1-4x100"` where reads may go, also between points; none: everywhere, and nothing between',
+        "points.",
+    ] = NO_LIST
+    forbidden: Annotated[list[str], "ranges that no read may touch."] = NO_LIST
+    exact: Annotated[list[str], "ranges that are read whole or not at all."] = NO_LIST
+    bridge: Annotated[bool, "whether what lies between points may be read to save a request."] = False
+    one_point: Annotated[bool, "whether each point takes a request of its own."] = False
+    pause: Annotated[float, Range(0, 3600), "seconds between a reply and the next request."] = 0.0
+    poll_class: Annotated[str, "the class of points that name none."] = ""
 
     @model_validator(mode="after")
     def _check(self) -> "ReadSection":
@@ -358,30 +386,38 @@ class UnitSection(WholeSection):
     unit: Annotated[
         list[UnitNumber],
         BeforeValidator(_as_list, json_schema_input_type=UnitNumber | list[UnitNumber]),
-        Field(min_length=1),
+        Name("at least one unit"),
+        "0…255, or a list of them: then each is a device of its own, all alike.",
     ]
-    name: str = ""
-    description: str = ""
-    holding_registers: DeclaredTable | None = None
-    input_registers: DeclaredTable | None = None
-    coils: DeclaredTable | None = None
-    discrete_inputs: DeclaredTable | None = None
-    point: Sequence[PointSection] = Field(default_factory=list)
-    group: Sequence[GroupSection] = Field(default_factory=list)
-    read: ReadSection = ReadSection()
-    file: list[FileSection] = Field(default_factory=list)
-    fifo: list[FifoSection] = Field(default_factory=list)
-    identification: dict[str, Bytes] = Field(default_factory=dict)
-    server_id: (
-        Annotated[
-            bytes,
-            BeforeValidator(_as_server_id, json_schema_input_type=str | Hexadecimal),
-            Field(max_length=251),
-        ]
-        | None
-    ) = None
-    exception_status: int = Field(default=0, ge=0, le=255)
-    functions: list[Annotated[int, Field(ge=1, le=127)]] | None = None
+    name: Annotated[str, "text, for people."] = ""
+    description: Annotated[str, "text, for people."] = ""
+    holding_registers: Annotated[
+        DeclaredTable | None, "number of items, list of values, or a table; None: exactly the items of its points."
+    ] = None
+    input_registers: Annotated[DeclaredTable | None, "the same."] = None
+    coils: Annotated[DeclaredTable | None, "the same."] = None
+    discrete_inputs: Annotated[DeclaredTable | None, "the same."] = None
+    point: Annotated[Sequence[PointSection], "its points."] = NO_LIST
+    group: Annotated[Sequence[GroupSection], "points that belong together."] = NO_LIST
+    read: Annotated[ReadSection, "how the unit lets itself be read; left out: no limits but those of Modbus."] = (
+        ReadSection()
+    )
+    file: Annotated[list[FileSection], "files, for functions 20 and 21."] = NO_LIST
+    fifo: Annotated[list[FifoSection], "queues of registers, for function 24."] = NO_LIST
+    identification: Annotated[
+        dict[str, Bytes],
+        f'objects of function 43/14: {", ".join(f"`{name}`" for name in OBJECT_NUMBERS)}, or numbers `"0x80"`; each a',
+        'text or `{ hex = "01 02" }`, at most 244 bytes; left out: vendor, product and revision of busway.',
+    ] = NO_TABLE
+    server_id: Annotated[
+        ServerId | None,
+        'function 17: a text, to which the run indicator FF is added, or `{ hex = "…" }` as it stands; None: `busway`.',
+    ] = None
+    exception_status: Annotated[int, Range(0, 255), "what function 07 gives."] = 0
+    functions: Annotated[
+        list[Annotated[int, Field(ge=1, le=127)]] | None,
+        "codes of the functions that the device offers; others get exception 01; None: all.",
+    ] = None
 
     def table(self, table: Table) -> TableSection | None:
         """Return the declaration of a table of this unit; None if it is not declared."""
@@ -485,9 +521,11 @@ class UnitSection(WholeSection):
 class DeviceFile(Section):
     """The checked contents of a device file."""
 
-    listen: Annotated[list[Url], Field(min_length=1)] = Field(default_factory=lambda: ["tcp://127.0.0.1:5020"])
-    server: ServerSection = ServerSection()
-    unit: Sequence[UnitSection] = Field(min_length=1)
+    listen: Annotated[list[Url], Name("at least one endpoint"), "endpoints to listen on."] = Field(
+        default_factory=lambda: ["tcp://127.0.0.1:5020"]
+    )
+    server: Annotated[ServerSection, "options of the server."] = ServerSection()
+    unit: Annotated[Sequence[UnitSection], Name("at least one unit"), "the devices."]
 
     @model_validator(mode="after")
     def _check_units(self) -> "DeviceFile":

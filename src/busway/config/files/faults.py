@@ -17,18 +17,21 @@ Knows the keys, and which requests a section chooses; what goes wrong is in the 
     parameters = { delay = 2.0 }
 """
 
+import math
 import re
 from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from ...access.notation import Range, merged, parse_functions, parse_items, parse_units
+from ...access.notation import Range as ItemRange
+from ...access.notation import merged, parse_functions, parse_items, parse_units
 from ...codes import Table
 from ...errors import ConfigError
+from ...options.declaration import Name, Range
 from ...values.refusal import shown
 from .lines import Path
 from .policy import Numbers
-from .schema import FileProblems, Section, Source
+from .schema import NO_TABLE, FileProblems, Section, Source, keys_of
 
 _MOST_SECONDS: Final = 366 * 86_400.0
 _OFFSETS: Final = re.compile(r"\s*[0-9]{1,4}\s*((\.\.|…|-)\s*[0-9]{1,5}\s*)?")
@@ -49,11 +52,15 @@ ParameterValue = Annotated[
 class ScheduleSection(Section):
     """``schedule``: when a fault is active, counted from the time it was switched on."""
 
-    from_: float = Field(default=0.0, ge=0, le=_MOST_SECONDS, alias="from")
-    for_: float | None = Field(default=None, ge=0, le=_MOST_SECONDS, alias="for")
-    every: float | None = Field(default=None, gt=0, le=_MOST_SECONDS)
-    skip: int = Field(default=0, ge=0)
-    times: int | None = Field(default=None, ge=0)
+    from_: Annotated[float, Range(0, _MOST_SECONDS), "seconds before it begins."] = Field(default=0.0, alias="from")
+    for_: Annotated[float | None, Range(0, _MOST_SECONDS), "seconds that it lasts; None: for ever."] = Field(
+        default=None, alias="for"
+    )
+    every: Annotated[
+        float | None, Range(0, _MOST_SECONDS, above=True), "seconds after which it begins again; at least `for`."
+    ] = None
+    skip: Annotated[int, Range(0, math.inf), "requests that pass first."] = 0
+    times: Annotated[int | None, Range(0, math.inf), "requests after which it ends; None: never."] = None
 
     @model_validator(mode="after")
     def _check(self) -> "ScheduleSection":
@@ -67,15 +74,19 @@ class FaultSection(Section):
 
     retired: ClassVar[dict[str, str]] = {"personality": "fault_profile"}
 
-    name: str = ""
-    fault_profile: str = Field(min_length=1)
-    units: Numbers | None = None
-    functions: Numbers | None = None
-    addresses: Numbers | None = None
-    probability: float = Field(default=1.0, ge=0, le=1)
-    schedule: ScheduleSection = ScheduleSection()
-    on: bool = True
-    parameters: dict[str, ParameterValue] = Field(default_factory=dict)
+    name: Annotated[str, "what it is switched by; left out: the fault profile."] = ""
+    fault_profile: Annotated[str, Name("the name of a fault profile"), "what goes wrong."]
+    units: Annotated[Numbers | None, 'units, `"1-3"`; None: all.'] = None
+    functions: Annotated[Numbers | None, "codes and names of functions; None: all."] = None
+    addresses: Annotated[
+        Numbers | None, 'items, `"4x101-4x110"`; a number without a table: the items of every table; None: all.'
+    ] = None
+    probability: Annotated[float, Range(0, 1), "the part of the requests that it strikes."] = 1.0
+    schedule: Annotated[ScheduleSection, "when it is active, counted from the time it was switched on."] = (
+        ScheduleSection()
+    )
+    on: Annotated[bool, "whether it is switched on at the start."] = True
+    parameters: Annotated[dict[str, ParameterValue], "parameters of the fault profile."] = NO_TABLE
 
     @model_validator(mode="after")
     def _check(self) -> "FaultSection":
@@ -103,11 +114,11 @@ class FaultSection(Section):
                 raise ConfigError(f"a fault is for a whole function, not for sub-function {code}/{sub_code}")
         return frozenset(code for code, _ in found)
 
-    def chosen_addresses(self) -> dict[Table, tuple[Range, ...]] | None:
+    def chosen_addresses(self) -> dict[Table, tuple[ItemRange, ...]] | None:
         """Return the item ranges that the fault applies to, by table; None for all."""
         if self.addresses is None:
             return None
-        found: dict[Table, list[Range]] = {}
+        found: dict[Table, list[ItemRange]] = {}
         for each in self.addresses:
             for part in each.split(",") if isinstance(each, str) else [each]:
                 for table, ranges in _items(part).items():
@@ -115,7 +126,7 @@ class FaultSection(Section):
         return {table: merged(ranges) for table, ranges in found.items()}
 
 
-def _items(part: str | int) -> dict[Table, tuple[Range, ...]]:
+def _items(part: str | int) -> dict[Table, tuple[ItemRange, ...]]:
     if isinstance(part, str) and not _OFFSETS.fullmatch(part):
         return parse_items(part, None)
     return {table: ranges for table in Table for _, ranges in parse_items(part, table).items()}
@@ -140,19 +151,13 @@ def parse_fault_words(text: str) -> FaultSection:
     return _checked(section, text)
 
 
-_TEXTS: Final = frozenset({"name", "units", "functions", "addresses"})
-_SEVERAL: Final = frozenset({"units", "functions"})
-_SCHEDULE: Final = frozenset({"from", "for", "every", "skip", "times"})
-
-
 def _put(section: dict[str, Any], key: str, value: str) -> None:
-    if key in _TEXTS:
-        section[key] = value
-    elif key in _SCHEDULE:
+    keys = keys_of(FaultSection)
+    if key in keys:
+        section[key] = _plain(key, value) if {bool, float}.intersection(keys[key].kinds) else value
+    elif key in keys_of(ScheduleSection):
         section.setdefault("schedule", {})[key] = _plain(key, value)
-    elif key in ("probability", "on"):
-        section[key] = _plain(key, value)
-    elif f"{key}s" in _SEVERAL:
+    elif f"{key}s" in keys:
         raise ConfigError(f"unknown key; is it {key}s?", key=key)
     else:
         section.setdefault("parameters", {})[key] = _plain(key, value)

@@ -30,7 +30,7 @@ Rules:
 from collections.abc import Container, Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Final
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, model_validator
 
 from ...access.notation import parse_functions, parse_items, parse_table, parse_units
 from ...codes import Table
@@ -40,7 +40,7 @@ from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, clashes
 from .options import OptionSection, with_options_of
-from .schema import FileProblems
+from .schema import NO_LIST, FileProblems
 from .system import LinkSection, SystemFile, twice
 
 NOT_OF_GATEWAYS: Final = {
@@ -62,7 +62,7 @@ class GatewayListenerSection(ListenerSection):
 
     on_lines: ClassVar[frozenset[str]] = frozenset({"url", "name", "client_deadline"})
 
-    name: str = ""
+    name: Annotated[str, "the name of the listener in routes; left out: its URL."] = ""
 
     @property
     def title(self) -> str:
@@ -74,7 +74,9 @@ class GatewayListenerSection(ListenerSection):
 class UpstreamSection(LinkSection):
     """``[[link]]`` of a gateway: a serial line or a server that requests are forwarded to."""
 
-    same_device: list[list[int]] = Field(default_factory=list)
+    same_device: Annotated[
+        list[list[int]], "units that are one device: a write to one of them makes remembered reads of all old."
+    ] = NO_LIST
 
 
 @with_options_of(RouteParameters)
@@ -164,11 +166,11 @@ class GatewayFile(SystemFile):
 
     retired: ClassVar[dict[str, str]] = {"line": "[[link]]"}
 
-    listener: Sequence[GatewayListenerSection] = Field(default_factory=list)
-    link: Sequence[UpstreamSection] = Field(default_factory=list)
-    route: list[RouteSection] = Field(default_factory=list)
-    gateway: GatewaySection = GatewaySection()
-    unit: Annotated[list[UnitSection], BeforeValidator(_no_units)] = Field(default_factory=list)
+    listener: Annotated[Sequence[GatewayListenerSection], "where clients reach the gateway."] = NO_LIST
+    link: Annotated[Sequence[UpstreamSection], "serial lines and servers that requests are forwarded to."] = NO_LIST
+    route: Annotated[list[RouteSection], "which requests go where; none: all go to the one link."] = NO_LIST
+    gateway: Annotated[GatewaySection, "options of the whole gateway."] = GatewaySection()
+    unit: Annotated[list[UnitSection], BeforeValidator(_no_units), "none: a gateway has no units of its own."] = NO_LIST
 
     @model_validator(mode="before")
     @classmethod

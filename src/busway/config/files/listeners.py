@@ -7,7 +7,7 @@ server's own class when the configuration is put together (`busway.config`).
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Final
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, model_validator
 
 from ...options.declaration import declared
 from ...options.endpoints import parse_endpoint
@@ -15,7 +15,8 @@ from ...options.server import ListenerParameters
 from ...options.tls import TlsParameters
 from .lines import Path
 from .options import OptionSection, with_options_of
-from .schema import FileProblems
+from .policy import Hosts, RefusedHosts, Secure
+from .schema import NO_LIST, FileProblems
 
 
 def _checked_url(url: str) -> str:
@@ -38,10 +39,10 @@ class ListenerSection(OptionSection):
     on_lines: ClassVar[frozenset[str]] = frozenset({"url"})
     """Keys that have an effect on a serial line too."""
 
-    url: Url
-    allow: list[str] = Field(default_factory=list)
-    deny: list[str] = Field(default_factory=list)
-    secure: bool | None = None
+    url: Annotated[Url, "the endpoint to listen on."]
+    allow: Hosts = NO_LIST
+    deny: RefusedHosts = NO_LIST
+    secure: Secure = None
 
     @model_validator(mode="after")
     def _check_scheme(self) -> "ListenerSection":

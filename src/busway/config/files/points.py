@@ -43,6 +43,7 @@ from pydantic import BeforeValidator, Field, ModelWrapValidatorHandler, Validati
 
 from ...codes import TABLE_SIZE, Table
 from ...errors import ConfigError, InvalidRequest
+from ...options.declaration import Name, Range
 from ...points import AlarmRule, Conversion, Linear, Point, ReportRule, WriteRule
 from ...points.conversion import converter
 from ...points.expression import Expression, parse_expression
@@ -50,11 +51,10 @@ from ...points.point_rules import ranged
 from ...values import Address, ValueType, format_address, parse_address, value_type
 from ...values.refusal import shown
 from .lines import Path
-from .schema import FileProblems, Section, faults_in
+from .schema import NO_LIST, NO_TABLE, FileProblems, Section, faults_in
 
 Result = TypeVar("Result")
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Seconds = Annotated[float, Field(ge=0, le=1e9)]
 MOST_REPEATED: Final = 10_000
 """Points that the groups of one unit may come to."""
 
@@ -98,9 +98,9 @@ def checked(key: str, make: Callable[[], Result]) -> Result:
 class LinearSection(Section):
     """``linear = { raw = [0, 27648], value = [0.0, 100.0], clamp = true }``: a linear scale of a point."""
 
-    raw: Annotated[list[Finite], Field(min_length=2, max_length=2)]
-    value: Annotated[list[Finite], Field(min_length=2, max_length=2)]
-    clamp: bool = False
+    raw: Annotated[list[Finite], Field(min_length=2, max_length=2), "two numbers as the registers hold them."]
+    value: Annotated[list[Finite], Field(min_length=2, max_length=2), "the two values that belong to them."]
+    clamp: Annotated[bool, "whether what lies beyond becomes the nearer end."] = False
 
     @model_validator(mode="after")
     def _check(self) -> "LinearSection":
@@ -118,11 +118,15 @@ class LinearSection(Section):
 class WriteSection(Section):
     """``write`` of a point: how it is written, and how the write is verified."""
 
-    function: Literal[5, 6, 15, 16, 22] | None = None
-    verify: str = "none"
-    step: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
-    on: int | None = None
-    off: int | None = None
+    function: Annotated[Literal[5, 6, 15, 16, 22] | None, "the code of the function; None: the one that fits."] = None
+    verify: Annotated[str, "`none`, `read-back`, or the address where the device shows the value."] = "none"
+    step: Annotated[
+        Finite | None,
+        Range(0, math.inf, above=True),
+        "values are whole numbers of steps above the minimum, or 0; None: any.",
+    ] = None
+    on: Annotated[int | None, "what the register of a switch holds where it is on; there with `off`."] = None
+    off: Annotated[int | None, "what it holds where it is off."] = None
 
     @property
     def place(self) -> Literal["none", "read-back"] | Address:
@@ -155,10 +159,18 @@ def _as_deadband(value: object) -> object:
 class ReportSection(Section):
     """``report`` of a point: which samples are passed on, such as only after a change."""
 
-    when: Literal["every", "change", "change_or_period"] = "every"
-    period: Annotated[float, Field(gt=0, le=1e9)] | None = None
-    deadband: Annotated[float | str, BeforeValidator(_as_deadband)] = 0.0
-    max_silence: Annotated[float, Field(gt=0, le=1e9)] | None = None
+    when: Annotated[Literal["every", "change", "change_or_period"], "which samples are handed on."] = "every"
+    period: Annotated[
+        float | None, Range(0, 1e9, above=True), "seconds, for `change_or_period`, where it must be there."
+    ] = None
+    deadband: Annotated[
+        float | str,
+        BeforeValidator(_as_deadband),
+        'a change is more than this: a number in the unit of measure, or `"1 %"` of the value reported before.',
+    ] = 0.0
+    max_silence: Annotated[
+        float | None, Range(0, 1e9, above=True), "seconds after which a sample is reported in any case; None: never."
+    ] = None
 
     @model_validator(mode="after")
     def _check(self) -> "ReportSection":
@@ -182,12 +194,20 @@ Report = Annotated[ReportSection, BeforeValidator(_as_report, json_schema_input_
 class AlarmSection(Section):
     """``alarm`` of a point: a limit of its value, or values that are an alarm."""
 
-    kind: Literal["HH", "H", "L", "LL", "state"]
-    limit: Finite | None = None
-    delay: Seconds = 0.0
-    hysteresis: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
-    acknowledge: bool = False
-    states: list[bool | str] = Field(default_factory=list)
+    kind: Annotated[Literal["HH", "H", "L", "LL", "state"], "what it is; a point has each at most once."]
+    limit: Annotated[
+        Finite | None, "in the unit of measure; H above it, L below. Must be there, but not with `state`."
+    ] = None
+    delay: Annotated[
+        float, Range(0, 1e9), "seconds for which the value has to be beyond it, or in one of the states."
+    ] = 0.0
+    hysteresis: Annotated[Finite, Range(0, math.inf), "how far it has to come back."] = 0.0
+    acknowledge: Annotated[bool, "whether a person has to acknowledge it."] = False
+    states: Annotated[
+        list[bool | str],
+        "with `state`, where they must be there: names of the enumeration or flags that are an alarm; `true` or",
+        "`false` of one bit.",
+    ] = NO_LIST
 
     @model_validator(mode="after")
     def _check(self) -> "AlarmSection":
@@ -278,33 +298,73 @@ class WholeSection(Section):
 class PointSection(WholeSection):
     """``[[unit.point]]``: one named value of a device."""
 
-    name: str = Field(min_length=1)
-    address: str = ""
-    formula: str = ""
-    type: str | None = None
-    order: str = "ABCD"
-    value: Any = None
-    unit_of_measure: str = ""
-    scale: float = 1.0
-    offset: Finite = 0.0
-    scale_from: str = ""
-    linear: LinearSection | None = None
-    invalid: list[int | float] = Field(default_factory=list)
-    valid: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
-    enumeration: dict[str, int] = Field(default_factory=dict)
-    flags: dict[str, Annotated[int, Field(ge=0, le=63)]] = Field(default_factory=dict)
-    minimum: Finite | None = None
-    maximum: Finite | None = None
-    access: Literal["read", "read-write"] | None = None
-    rollover: bool | Annotated[float, Field(gt=0, allow_inf_nan=False)] = False
-    overlaps: bool = False
-    poll_class: str = ""
-    write: WriteSection | None = None
-    report: Report = ReportSection()
-    alarm: list[AlarmSection] = Field(default_factory=list)
-    was: str = ""
-    description: str = ""
-    meta: dict[str, Any] = Field(default_factory=dict)  # Any: what TOML has
+    name: Annotated[str, Name("the name of a point"), "text, one of a kind in its unit."]
+    address: Annotated[
+        str,
+        'a notation that names the table: `"4x1"`, `"holding:0"`, `"0x1"`; one bit of a register as `"4x1.3"`, some',
+        'bits of it as `"4x1.4-7"`. Must be there, or `formula`.',
+    ] = ""
+    formula: Annotated[
+        str, "instead of an address: an expression over other points of the unit, computed by what reads it."
+    ] = ""
+    type: Annotated[
+        str | None,
+        "type of the value; not for bits. A field of bits is `uint16`, or `int16` with a sign; None: `uint16`.",
+    ] = None
+    order: Annotated[str, "order of bytes and registers."] = "ABCD"
+    # Any: what TOML has, here and in `meta`
+    value: Annotated[Any, "the first value, in the unit of measure; `true` or `false` for bits; left out: zero."] = None
+    unit_of_measure: Annotated[str, 'text: `"m"`, `"°C"`.'] = ""
+    scale: Annotated[float, "value = what the registers hold · scale + offset; a number other than 0."] = 1.0
+    offset: Annotated[Finite, "see `scale`."] = 0.0
+    scale_from: Annotated[
+        str,
+        "name of a point; the value is multiplied with ten to the power of what that holds, -10…10 (SunSpec's scale",
+        "factors).",
+    ] = ""
+    linear: Annotated[
+        LinearSection | None,
+        "instead of them, two ends of a line: `{ raw = [0, 27648], value = [0.0, 100.0], clamp = true }`.",
+    ] = None
+    invalid: Annotated[
+        list[int | float],
+        "numbers as the registers hold them that stand for no value: `[0x8000]`; of types with a sign also as the",
+        "pattern of bits. NaN never is a value.",
+    ] = NO_LIST
+    valid: Annotated[
+        Annotated[list[float], Field(min_length=2, max_length=2)] | None,
+        "`[low, high]` in the unit of measure: a value outside is kept and is *uncertain*; an end may be `inf` or",
+        "`-inf`.",
+    ] = None
+    enumeration: Annotated[
+        dict[str, int], "names of numbers: `{ off = 0, auto = 1 }`; other numbers cannot be written (04)."
+    ] = NO_TABLE
+    flags: Annotated[
+        dict[str, Annotated[int, Field(ge=0, le=63)]],
+        "names of bits of a whole number, 0 the least significant: `{ overload = 0, door = 5 }`.",
+    ] = NO_TABLE
+    minimum: Annotated[
+        Finite | None,
+        "the least that may be written, in the unit of measure; what lies outside is refused (04); None: that of the",
+        "type.",
+    ] = None
+    maximum: Annotated[Finite | None, "the most that may be written."] = None
+    access: Annotated[
+        Literal["read", "read-write"] | None, "`read`: Modbus cannot write it; None: what its table allows."
+    ] = None
+    rollover: Annotated[
+        bool | Annotated[float, Field(gt=0, allow_inf_nan=False)],
+        "the number at which a counter begins again from 0, in the unit of measure, or `true`: where its type ends.",
+        "What reads it counts on.",
+    ] = False
+    overlaps: Annotated[bool, "whether it may share registers with other points."] = False
+    poll_class: Annotated[str, "how often it is read, by name; left out: that of `read` of the unit."] = ""
+    write: Annotated[WriteSection | None, "how it is written; None: by the function that fits."] = None
+    report: Annotated[Report, "when its samples are handed on: a word of `when`, or a table."] = ReportSection()
+    alarm: Annotated[list[AlarmSection], "limits and states that are an alarm."] = NO_LIST
+    was: Annotated[str, "the name that it had before; its history goes on. Two points may exchange their names."] = ""
+    description: Annotated[str, "text, for people."] = ""
+    meta: Annotated[dict[str, Any], "table of your own."] = NO_TABLE
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:

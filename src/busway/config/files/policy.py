@@ -20,14 +20,15 @@ or in one word: ``policy = "read-only"``.
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, model_validator
 
 from ...access.addresses import AddressList
-from ...access.rules import AccessRules, Action, Limits, Policy, Rule
+from ...access.rules import RATES, AccessRules, Action, Limits, Policy, Rule
 from ...errors import ConfigError
+from ...options.declaration import Name
 from ...values.refusal import shown
 from .lines import Path
-from .schema import FileProblems, Section, parse_file
+from .schema import NO_LIST, FileProblems, Section, parse_file
 
 
 def _as_numbers(value: object) -> object:
@@ -49,6 +50,9 @@ MOST_RULES: Final = 100_000
 Numbers = Annotated[list[int | str], BeforeValidator(_as_numbers, json_schema_input_type=int | str | list[int | str])]
 Texts = Annotated[list[str], BeforeValidator(_as_texts, json_schema_input_type=str | list[str])]
 ActionWord = Literal["allow", "deny", "read-only"]
+Hosts = Annotated[list[str], 'addresses and networks that may connect: `"10.0.0.7"`, `"10.0.0.0/8"`, `"fe80::/64"`.']
+RefusedHosts = Annotated[list[str], "those that may not, whatever `allow` says."]
+Secure = Annotated[bool | None, "whether those in neither list are refused; None: if there is an `allow`."]
 
 
 def parse_policy_file(text: str, name: str) -> AccessRules:
@@ -67,9 +71,9 @@ def parse_policy_file(text: str, name: str) -> AccessRules:
 class ValuesSection(Section):
     """``values``: the range of values that may be written to each register of the rule."""
 
-    min: int | None = None
-    max: int | None = None
-    signed: bool = False
+    min: Annotated[int | None, "the least value; None: the least that a register holds."] = None
+    max: Annotated[int | None, "the greatest value; None: the greatest that a register holds."] = None
+    signed: Annotated[bool, "whether registers are numbers with a sign."] = False
 
     @model_validator(mode="after")
     def _check(self) -> "ValuesSection":
@@ -88,20 +92,44 @@ class ValuesSection(Section):
 class RuleSection(Section):
     """``[[policy.rule]]``: one rule; keys that are left out match everything."""
 
-    name: str = ""
-    action: ActionWord = "allow"
-    peers: list[str] | None = None
-    roles: list[str] | None = None
-    listeners: list[str] | None = Field(default=None, min_length=1)
-    units: Numbers | None = None
-    functions: Numbers | None = None
-    table: Texts | None = None
-    addresses: Numbers | None = None
-    files: Numbers | None = None
-    access: Literal["read", "write", "any"] = "any"
-    values: ValuesSection | None = None
-    rate: float | None = None
-    code: Literal[1, 2] = 1
+    name: Annotated[str, "what logs call the rule; left out: `rule 1`, `rule 2` and so on."] = ""
+    action: Annotated[ActionWord, "what is done; `read-only`: reads are permitted and writes denied."] = "allow"
+    peers: Annotated[list[str] | None, "addresses and networks of clients; None: all."] = None
+    roles: Annotated[
+        list[str] | None, "roles of certificates; None: all. A client without a certificate is in no role."
+    ] = None
+    listeners: Annotated[
+        list[str] | None,
+        Name("at least one listener"),
+        "where the request arrived: URLs as they were configured (`tcp://:502`) or as they are bound, or schemes,",
+        '`["tls://"]`; None: anywhere.',
+    ] = None
+    units: Annotated[
+        Numbers | None,
+        'units asked, `"1-5,7"`, and all that their device is listed as; None: all. A sole device answers to 0 and 255',
+        "too.",
+    ] = None
+    functions: Annotated[
+        Numbers | None,
+        'codes, `"8/1"` (sub-function), names, and the groups `read` (1–4, 20, 24), `write` (5, 6, 15, 16, 21–23),',
+        "`diagnostics` (7, 8, 11, 12, 17); None: all.",
+    ] = None
+    table: Annotated[
+        Texts | None, "items of a table: `holding`, `input`, `coil`, `discrete`, or a list; None: see `addresses`."
+    ] = None
+    addresses: Annotated[
+        Numbers | None,
+        'items, `"4x101-4x110"`, `"holding:100-109"`, `"%MW100-%MW109"`; with a `table` also offsets `"100-109"`;',
+        "None: all of the table, or any.",
+    ] = None
+    files: Annotated[Numbers | None, 'records of functions 20 and 21, by number of the file, `"1-4"`.'] = None
+    access: Annotated[
+        Literal["read", "write", "any"],
+        "reads or writes of items; a request that touches none is a write if read-only denies it.",
+    ] = "any"
+    values: Annotated[ValuesSection | None, "limits of what may be written to a holding register."] = None
+    rate: Annotated[float | None, RATES, "requests a second, for each host; None: no limit."] = None
+    code: Annotated[Literal[1, 2], "exception code of a refusal; 2 for a rule with items and without roles."] = 1
 
     @model_validator(mode="after")
     def _check(self) -> "RuleSection":
@@ -114,32 +142,18 @@ class RuleSection(Section):
 
     def rule(self) -> Rule:
         """Return the section as an access `Rule`. Raises `ConfigError` with the key at fault."""
-        return Rule.of(
-            name=self.name,
-            action=self.action,
-            peers=self.peers,
-            roles=self.roles,
-            listeners=self.listeners or (),
-            units=self.units,
-            functions=self.functions,
-            table=self.table,
-            addresses=self.addresses,
-            files=self.files,
-            access=self.access,
-            values=None if self.values is None else self.values.limits(),
-            rate=self.rate,
-            code=self.code,
-        )
+        given = {name: value for name, value in self if name in self.model_fields_set}
+        return Rule.of(**{**given, "values": None if self.values is None else self.values.limits()})
 
 
 class PolicySection(Section):
     """``[policy]``: address lists, the default, and rules in their order."""
 
-    default: ActionWord
-    secure: bool | None = None
-    allow: list[str] = Field(default_factory=list)
-    deny: list[str] = Field(default_factory=list)
-    rule: list[RuleSection] = Field(default_factory=list)
+    default: Annotated[ActionWord, "what holds where no rule fits."]
+    secure: Secure = None
+    allow: Hosts = NO_LIST
+    deny: RefusedHosts = NO_LIST
+    rule: Annotated[list[RuleSection], "the rules, of which the first that fits decides."] = NO_LIST
 
     @model_validator(mode="before")
     @classmethod
@@ -191,4 +205,4 @@ class PolicySection(Section):
 class PolicyFile(Section):
     """The checked contents of a file that holds only a policy."""
 
-    policy: PolicySection
+    policy: Annotated[PolicySection, "who may ask what."]

@@ -15,10 +15,13 @@ import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Final, TypeVar, get_args
+from functools import reduce
+from operator import or_
+from types import MappingProxyType, NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Final, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic_core import PydanticUndefined
 
 from ...errors import ConfigError
 from ...options.declaration import REQUIRED, Name, Option, Range, option_of
@@ -95,12 +98,33 @@ def _limited(section: type[Section]) -> Mapping[str, Option]:
 
 
 def _option(name: str, field: Any) -> Option:  # as pydantic has it
-    """The option of a field; one that was generated from a declared option has it among its marks."""
+    """The option of a field; one that was generated from a declared option has it among its marks. Another one that
+    may be None is left out where it is: a file has no word for it.
+    """
     made = next((mark for mark in field.metadata if isinstance(mark, Option)), None)
     if made is not None:
         return made
     default = REQUIRED if field.is_required() else field.get_default(call_default_factory=True)
-    return option_of(name, Annotated[field.annotation, None, *field.metadata], default)
+    return option_of(name, Annotated[_written_as(field.annotation, field.metadata), None, *field.metadata], default)
+
+
+def _written_as(annotation: Any, marks: Sequence[Any]) -> Any:  # types as annotations have them
+    """The type of what stands in the file, where a validator makes another one of it."""
+    for mark in marks:
+        if isinstance(mark, BeforeValidator) and mark.json_schema_input_type is not PydanticUndefined:
+            return _written_as(mark.json_schema_input_type, ())
+    origin, inner = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _written_as(inner[0], inner[1:])
+    if origin in (Union, UnionType):
+        return reduce(or_, (_written_as(each, ()) for each in inner if each is not NoneType))
+    return annotation
+
+
+NO_LIST: Final[Any] = Field(default_factory=list)
+"""The default of a key that is a list: an empty one."""
+NO_TABLE: Final[Any] = Field(default_factory=dict)
+"""The default of a key that is a table of the user's own keys: an empty one."""
 
 
 class FileProblems(ValueError):
@@ -321,10 +345,22 @@ def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
     return schema
 
 
+def sections_of(schema: type[Section]) -> list[type[Section]]:
+    """A section and all sections in it, each once, in the order of the keys."""
+    found = [schema]
+    for section in found:
+        for field in section.model_fields.values():
+            inner = (each for part in (field.annotation, *field.metadata) for each in _sections_in(part))
+            found += [each for each in dict.fromkeys(inner) if each not in found]
+    return found
+
+
 def _sections_in(annotation: Any) -> Iterator[type[Section]]:
     """Return the schema classes in a type annotation, however deep."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         yield annotation
+    if isinstance(annotation, BeforeValidator):
+        yield from _sections_in(annotation.json_schema_input_type)
     for each in get_args(annotation):
         yield from _sections_in(each)
 

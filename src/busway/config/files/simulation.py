@@ -32,6 +32,7 @@ Rules:
    would never be seen and is refused.
 """
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, Final
@@ -40,14 +41,15 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ...codes import Table
 from ...errors import ConfigError, InvalidRequest
+from ...options.declaration import Name, Range
 from ...points.expression import parse_expression
 from ...values.refusal import shown
 from .behaviours import ConstantSection, DeclaredBehaviour
-from .device import GroupSection, UnitSection, Whole
+from .device import OF_GROUP, GroupSection, UnitSection, Whole
 from .faults import FaultSection
 from .lines import Path
 from .points import PointSection, checked, resolved
-from .schema import Section, json_schema
+from .schema import NO_LIST, NO_TABLE, Section, json_schema
 from .system import DEFAULT_LISTEN, SystemFile
 
 REFUSE: Final = "refuse"
@@ -70,10 +72,10 @@ Hole = Annotated[str | int, BeforeValidator(_as_hole, json_schema_input_type=Who
 class HolesSection(Section):
     """``holes`` of a simulated unit: what is read at addresses between its points, by table."""
 
-    holding_registers: Hole = REFUSE
-    input_registers: Hole = REFUSE
-    coils: Hole = REFUSE
-    discrete_inputs: Hole = REFUSE
+    holding_registers: Annotated[Hole, "`refuse` (exception 02), or the value that is read."] = REFUSE
+    input_registers: Annotated[Hole, "the same of input registers."] = REFUSE
+    coils: Annotated[Hole, "the same of coils."] = REFUSE
+    discrete_inputs: Annotated[Hole, "the same of discrete inputs."] = REFUSE
 
     def value(self, table: Table) -> int | None:
         """Return the value read between the points of a table; None if reading there is refused."""
@@ -89,7 +91,9 @@ DeclaredHoles = Annotated[HolesSection, BeforeValidator(_as_holes, json_schema_i
 class SimulatedPointSection(PointSection):
     """``[[unit.point]]`` of a simulation: one named value and the behaviour that changes it."""
 
-    behaviour: DeclaredBehaviour | None = None
+    behaviour: Annotated[
+        DeclaredBehaviour | None, "what makes the value of a number or a single bit change; None: it is written alone."
+    ] = None
 
     def faults(self) -> Iterator[tuple[Path, str]]:
         """Return errors between the keys of this point, each with its path and a sentence."""
@@ -131,16 +135,21 @@ class SimulatedPointSection(PointSection):
 class SimulatedGroupSection(GroupSection):
     """``[[unit.group]]`` of a simulation: a group of points with behaviours."""
 
-    point: Sequence[SimulatedPointSection] = Field(default_factory=list)
-    group: "Sequence[SimulatedGroupSection]" = Field(default_factory=list)
+    point: Annotated[Sequence[SimulatedPointSection], OF_GROUP] = NO_LIST
+    group: Annotated["Sequence[SimulatedGroupSection]", "groups in it."] = NO_LIST
 
 
 class SimulatedUnitSection(UnitSection):
     """``[[unit]]`` of a simulation: a device whose points have behaviours."""
 
-    point: Sequence[SimulatedPointSection] = Field(default_factory=list)
-    group: Sequence[SimulatedGroupSection] = Field(default_factory=list)
-    holes: DeclaredHoles = HolesSection()
+    point: Annotated[Sequence[SimulatedPointSection], "its points."] = NO_LIST
+    group: Annotated[Sequence[SimulatedGroupSection], "points that belong together."] = NO_LIST
+    holes: Annotated[
+        DeclaredHoles,
+        "what is answered for the addresses between the first and the last item of a table that no point takes:",
+        "`refuse` (exception 02), a value that is read there, or a table that says it for each table. A table that is",
+        "declared has none.",
+    ] = HolesSection()
 
 
 def unit_numbers(text: str) -> list[int]:
@@ -168,9 +177,13 @@ Parameter = int | float | bool | str
 class IncludeSection(Section):
     """``[[include]]``: adds the units of another file, or one unit of it several times."""
 
-    file: str = Field(min_length=1)
-    units: str | None = None
-    with_: dict[str, Parameter] = Field(default_factory=dict, alias="with")
+    file: Annotated[str, Name("the path of a file"), "the file, relative to this one."]
+    units: Annotated[
+        str | None, 'which units are made of its one unit, `"1-100"`; None: all of its units, with their numbers.'
+    ] = None
+    with_: Annotated[dict[str, Parameter], "its parameters: `with = { base = 231.5 }`."] = Field(
+        default_factory=dict, alias="with"
+    )
 
     def numbers(self) -> list[int] | None:
         """Return the unit numbers that the include creates; None for those of the included file."""
@@ -185,31 +198,34 @@ class IncludeSection(Section):
 class ParameterKeys(Section):
     """Keys of an included file for its parameters and its own includes."""
 
-    parameters: dict[str, Parameter] = Field(default_factory=dict)
-    required: list[str] = Field(default_factory=list)
-    include: list[IncludeSection] = Field(default_factory=list)
+    parameters: Annotated[dict[str, Parameter], "parameters with their defaults, for `${name}` in texts."] = NO_TABLE
+    required: Annotated[list[str], "names of parameters without a default."] = NO_LIST
+    include: Annotated[list[IncludeSection], "other files whose units are added."] = NO_LIST
 
 
 class ProfileFile(ParameterKeys):
     """The contents of an included file; its units are checked one by one as they are created."""
 
-    unit: list[dict[str, Any]] = Field(default_factory=list)  # Any: they may hold parameters still
+    # Any: they may hold parameters still
+    unit: Annotated[list[dict[str, Any]], "its units."] = NO_LIST
 
 
 class SimulationSection(Section):
     """``[simulation]``: options that apply to the whole simulation."""
 
-    keep: str | None = Field(default=None, min_length=1)
-    keep_every: float = Field(default=10.0, ge=0.1, le=86_400)
-    seed: int = Field(default=0, ge=0)
+    keep: Annotated[
+        str | None, Name("the path of a file"), "file that keeps values over a restart; None: they are not kept."
+    ] = None
+    keep_every: Annotated[float, Range(0.1, 86_400), "seconds after which it is written again."] = 10.0
+    seed: Annotated[int, Range(0, math.inf), "what chance depends on: the same seed gives the same values."] = 0
 
 
 class SimulationFile(SystemFile, ParameterKeys):
     """The checked contents of a simulation file."""
 
-    simulation: SimulationSection = SimulationSection()
-    fault: list[FaultSection] = Field(default_factory=list)
-    unit: Sequence[SimulatedUnitSection] = Field(default_factory=list)
+    simulation: Annotated[SimulationSection, "options that apply to the whole simulation."] = SimulationSection()
+    fault: Annotated[list[FaultSection], "faults that its devices have."] = NO_LIST
+    unit: Annotated[Sequence[SimulatedUnitSection], "the devices."] = NO_LIST
 
     def places(self) -> list[tuple[Path, str]]:
         """Return the URLs to listen on, each with its path in the file."""

@@ -36,19 +36,20 @@ Rules:
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, ClassVar, Final, Literal
+from typing import Annotated, Any, ClassVar, Final
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, model_validator
 
+from ...options.declaration import Name, Range
 from ...options.offer import LINKS
 from ...options.service import AuditParameters, ControlParameters, MetricsParameters
 from ...options.tls import TlsParameters
-from .device import DeviceFile, UnitSection
+from .device import DeviceFile, PresetWord, UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url, clashes
 from .options import OptionSection, with_options_of
 from .policy import ActionWord, PolicySection
-from .schema import FileProblems
+from .schema import NO_LIST, FileProblems
 
 DEFAULT_LISTEN: Final = "tcp://127.0.0.1:5020"
 """Where units are served if the file does not say."""
@@ -62,7 +63,7 @@ def _unchanged(value: object) -> object:
 class LinkKeys(OptionSection):
     """Base of the sections with options of a link; one that the file leaves out stays unset."""
 
-    preset: Literal["standard", "strict"] | None = None
+    preset: Annotated[PresetWord | None, "a set of options; `strict` ends each deviation from the documents."] = None
 
     def options(self) -> dict[str, Any]:  # of several types
         """Return the options of a link that the section sets, by name."""
@@ -74,8 +75,8 @@ class LinkSection(LinkKeys):
 
     checked_later: ClassVar[tuple[type[Any], ...]] = LINKS  # together with its scheme, where the link is put together
 
-    name: str = Field(min_length=1)
-    url: Url
+    name: Annotated[str, Name("the name of a link"), "by which programs open it, and routes and devices name it."]
+    url: Annotated[Url, "the endpoint."]
 
 
 class ClientSection(LinkKeys):
@@ -83,7 +84,9 @@ class ClientSection(LinkKeys):
 
     retired: ClassVar[dict[str, str]] = {"link": "[[link]]"}
 
-    supported_connections: int | None = Field(default=None, ge=1, le=65_535)
+    supported_connections: Annotated[
+        int | None, Range(1, 65_535), "connections that the process may have opened at once; None: no limit."
+    ] = None
 
 
 @with_options_of(TlsParameters, without=frozenset({"server_name"}))
@@ -114,16 +117,19 @@ DeclaredPolicy = Annotated[
 class SystemFile(DeviceFile):
     """The checked contents of a configuration file."""
 
-    listen: list[Url] = Field(default_factory=list)
-    listener: Sequence[ListenerSection] = Field(default_factory=list)
-    security: SecuritySection = SecuritySection()
-    client: ClientSection = ClientSection()
-    link: Sequence[LinkSection] = Field(default_factory=list)
-    audit: AuditSection | None = None
-    metrics: MetricsSection | None = None
-    control: ControlSection = ControlSection()
-    policy: DeclaredPolicy | None = None
-    unit: Sequence[UnitSection] = Field(default_factory=list)
+    listen: Annotated[list[Url], "endpoints to listen on, without options of their own."] = NO_LIST
+    listener: Annotated[
+        Sequence[ListenerSection],
+        "endpoints with options of their own; with neither, units are served on `tcp://127.0.0.1:5020`.",
+    ] = NO_LIST
+    security: Annotated[SecuritySection, "certificates."] = SecuritySection()
+    client: Annotated[ClientSection, "options for all links."] = ClientSection()
+    link: Annotated[Sequence[LinkSection], "named ways to other devices, with options of their own."] = NO_LIST
+    audit: Annotated[AuditSection | None, "the audit log."] = None
+    metrics: Annotated[MetricsSection | None, "metrics for Prometheus."] = None
+    control: Annotated[ControlSection, "the socket that `busway status` asks."] = ControlSection()
+    policy: Annotated[DeclaredPolicy | None, 'who may ask what, or in one word `"read-only"`; None: no rules.'] = None
+    unit: Annotated[Sequence[UnitSection], "the devices; where something is listened on, there must be one."] = NO_LIST
 
     @property
     def audit_parameters(self) -> AuditParameters | None:
