@@ -73,7 +73,7 @@ def find_reply(
 
 
 def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool) -> Place:
-    """Find the first position from ``start`` where any request or reply begins whose length one look-up gives."""
+    """Find the first position from ``start`` where a request or reply of a function with a simple length begins."""
     size = len(buffer)
     shapes, checks = lengths.shapes, _checks()
     for at, code in enumerate(buffer[start + 1 : size - SHORTEST + 2], start):
@@ -101,7 +101,7 @@ def _to_end(start: int, size: int, *, at_limit: bool) -> Place:
 
 
 def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
-    """Return the length rules of the expected reply and its exception, by function code; (0, 0) if not simple."""
+    """Return where the expected reply and its exception have their length; (0, 0) if that needs more than a look-up."""
     function, exception = due.function, due.function | 0x80
     shapes = {code: shape_of(lengths.replies[code]) for code in (function, exception)}
     if due.size > 0:

@@ -84,7 +84,7 @@ class Name:
     pattern: str = ""
 
     def has(self, value: object) -> bool:
-        """Whether a value is a text that looks like this, or a list that is not empty."""
+        """Whether a value is a text of the allowed form, or a list that is not empty."""
         return bool(value) and (not self.pattern or re.fullmatch(self.pattern, str(value)) is not None)
 
     def __str__(self) -> str:

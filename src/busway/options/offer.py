@@ -120,7 +120,7 @@ class ChosenOptions:
         return build_parameters(kind, self.values.get(kind, {}), framing=self.offer.framing)
 
     def serial_settings(self) -> SerialSettings | None:
-        """Build the settings of the serial line; None where no port has an effect. Raises `ConfigError`."""
+        """Build the settings of the serial line from the given options; None without a port. Raises `ConfigError`."""
         given = self.values.get(SerialSettings)
         return None if given is None else SerialSettings.from_options(given, binary=self.offer.framing == "rtu")
 

@@ -1,4 +1,4 @@
-"""Options of sinks: which samples a sink gets, and what each kind of sink may say. Pure."""
+"""Options of sinks: which samples a sink gets, in what batches, and the options of each kind of sink."""
 
 from dataclasses import dataclass, field
 from enum import Enum
@@ -14,7 +14,7 @@ LONGEST_SECONDS: Final = 86_400.0
 
 @dataclass(frozen=True, slots=True)
 class DeliveryOptions:
-    """Options of every sink that is sent to: which samples it gets, and in what batches."""
+    """Options that all sinks which are sent samples have: which samples, and in what batches."""
 
     points: Annotated[
         tuple[str, ...],
@@ -66,7 +66,7 @@ class CertificateOptions:
 
 @dataclass(frozen=True, slots=True)
 class MqttOptions:
-    """Options of a sink over MQTT 5."""
+    """Options of a sink that publishes samples by MQTT 5."""
 
     topic: Annotated[str, "topic of the samples; has `{device}`. `/`, `+` and `#` in names become `_`."] = (
         "busway/{device}"
@@ -82,7 +82,7 @@ class MqttOptions:
 
 @dataclass(frozen=True, slots=True)
 class SparkplugOptions:
-    """Options of a sink by Sparkplug B."""
+    """Options of a sink that publishes samples by Sparkplug B."""
 
     group: Annotated[str, Name("the name of a group"), "name of the group in all topics."]
     edge_node: Annotated[str, Name("the name of an edge node"), "name of the edge node in all topics."]
@@ -95,7 +95,7 @@ class SparkplugOptions:
 
 @dataclass(frozen=True, slots=True)
 class PostgresqlOptions:
-    """Options of a sink in PostgreSQL or TimescaleDB."""
+    """Options of a sink that writes samples to PostgreSQL or TimescaleDB."""
 
     table: Annotated[
         str, "name of the table, `schema.table` where it is not in the search path: small letters, digits, `_`."
@@ -105,14 +105,14 @@ class PostgresqlOptions:
 
 @dataclass(frozen=True, slots=True)
 class InfluxOptions:
-    """Options of a sink by InfluxDB line protocol."""
+    """Options of a sink that posts samples in InfluxDB line protocol."""
 
     measurement: Annotated[str, "the measurement of all lines."] = "samples"
 
 
 @dataclass(frozen=True, slots=True)
 class NatsOptions:
-    """Options of a sink in NATS JetStream."""
+    """Options of a sink that publishes samples to NATS JetStream."""
 
     subject: Annotated[str, "subject of the samples; has `{device}`."] = "busway.{device}"
     stream: Annotated[
@@ -130,6 +130,6 @@ class FileFormat(Enum):
 
 @dataclass(frozen=True, slots=True)
 class FileOptions:
-    """Options of a sink that writes files."""
+    """Options of a sink that writes samples to files."""
 
     format: Annotated[FileFormat | None, "the format; None: what the name ends with."] = None

@@ -286,7 +286,7 @@ def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
 
 
 def _range_test(name: str, field: FixedField, *, received: bool = False) -> str:
-    """Return source code that tests whether a field value is out of range; empty if received bytes cannot be."""
+    """Return Python source that tests whether a field's value is out of range; empty if no bytes can be."""
     if field.values is not None:
         return f"{name} not in {field.values}"
     whole = 0xFF if field.width == 1 else 0xFFFF

@@ -190,7 +190,7 @@ class RequestQueue:
         self.waiting += call.places
 
     def share(self, room: int) -> int:
-        """Return how many requests a caller may send in one turn, with ``room`` for so many: the burst or more."""
+        """Return how many requests a caller may send in its turn, of ``room`` in all: the burst, or more alone."""
         callers = len(self._callers)
         if callers == 1:
             return room

@@ -369,7 +369,7 @@ class Collector:
         return self._committer.writer.newest_commit
 
     async def flush(self) -> bool:
-        """Commit what was taken so far; False where the store could not be written in ten seconds."""
+        """Commit all samples taken so far; returns False if the store could not be written in ten seconds."""
         assert self._committer is not None
         return await asyncio.to_thread(self._committer.flush)
 

@@ -209,9 +209,7 @@ def _sinks(
 
 
 def _rooted(section: SinkSection, name: str) -> SinkSection:
-    """A sink with paths that are relative to the folder of its file made absolute, or relative to the working
-    directory.
-    """
+    """Return a sink whose paths are no longer relative to the folder of its file."""
     files = {key for key, option in keys_of(type(section)).items() if Mark.FILE in option.marks}
     paths = {key: within(name, getattr(section, key)) for key in files & section.model_fields_set}
     if section.url.startswith(_FILE):

@@ -208,7 +208,7 @@ class Knowledge:
         )
 
     def kinds(self) -> list[tuple[str, str]]:
-        """Return the pairs of profile and firmware for which `offered` has something."""
+        """Return the kinds of devices (profile, firmware) of which two devices or more have learnt the same."""
         found = {(one.profile, one.firmware) for one in self._devices.values()}
         return sorted(kind for kind in found if any((self.offered(*kind).holes, self.offered(*kind).limits)))
 

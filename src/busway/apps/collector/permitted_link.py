@@ -1,4 +1,4 @@
-"""A link whose transactions must be permitted one by one. Knows the permission and the link; nothing of either."""
+"""A link that asks for permission before each transaction, for collectors that share links with others."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,7 +9,7 @@ from .poller import PollLink
 
 
 class PermittedLink:
-    """A link that asks before it sends.
+    """A link that sends requests only after a function has permitted it.
 
     Args:
         name: of the link.
@@ -21,7 +21,7 @@ class PermittedLink:
         self._name, self._link, self._permit = name, link, permit
 
     async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
-        """A reply or an error for each request; the error of the permission for all, with nothing sent."""
+        """Send requests and return a reply or error for each; without permission the same error for all."""
         try:
             self._permit(self._name)
         except LinkDown as error:

@@ -199,7 +199,7 @@ class PlanBook:
         return not (self._rules.exact or self._rules.one_point)
 
     def answered(self, read: PlannedRead, outcome: ReadOutcome, seconds: float, code: int = 0) -> bool:
-        """Note the result of a read from `question`. Returns whether refused ranges or limits were learnt."""
+        """Note the result of a read for learning. Returns whether refused ranges or limits were learnt from it."""
         if read is self._probe:
             self._probe = None
             if outcome is ReadOutcome.SUCCESS:

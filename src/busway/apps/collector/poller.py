@@ -310,14 +310,14 @@ class LinkPoller:
             self._wake.set()
 
     def finish(self) -> None:
-        """End the task after the transaction that runs, so that no reply is left on its way."""
+        """End polling after the transaction in progress, so that no reply is still on its way."""
         self._is_finishing = True
         self.wake()
 
     # The task.
 
     async def run(self) -> None:
-        """Poll until the task is cancelled, or after `finish`."""
+        """Poll the devices of the link until the task is cancelled, or after `finish`."""
         self._wake = asyncio.Event()
         try:
             while not self._is_finishing:

@@ -1,4 +1,4 @@
-"""The balance of a zone: which collector takes a free shard, and which shards move.
+"""The balance of a zone's load: which collector takes a shard without owner, and which shards move to another one.
 
 Pure; knows loads and names. Every collector computes the same from what it sees, and does its own part only.
 
@@ -28,7 +28,7 @@ MOST_MOVES: Final = 64
 
 @dataclass(slots=True)
 class Share:
-    """What one collector has.
+    """The load and the capacity of one collector of a zone.
 
     Attributes:
         name, host: its names.
@@ -44,13 +44,13 @@ class Share:
     draining: bool = False
 
     def relative(self, extra: float = 0.0) -> float:
-        """Load for its capacity, with so much more."""
+        """Return the collector's load divided by its capacity, with so much more load added."""
         return (self.load + extra) / self.capacity
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """A shard that is to change its owner."""
+    """A shard that is to move from its owner to another collector."""
 
     shard: str
     giver: str
@@ -58,7 +58,7 @@ class Move:
 
 
 def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]:
-    """Who takes which free shard; shards that none may take are left out.
+    """Return which collector takes which shard without owner; shards that no collector may take are left out.
 
     Args:
         free: the cost of each free shard.
@@ -75,7 +75,7 @@ def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]
 
 
 def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, moving: bool = False) -> list[Move]:
-    """The moves that make the loads of a zone fair.
+    """Return the moves of shards that make the loads of a zone's collectors fair.
 
     Args:
         owned: owner and cost of each shard.
@@ -97,7 +97,7 @@ def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, mo
 
 
 def _drained(owned: Mapping[str, tuple[str, float]], state: Mapping[str, Share], able: list[Share]) -> list[Move]:
-    """The moves that empty those that drain."""
+    """Return the moves of shards away from collectors that are being emptied."""
     found: list[Move] = []
     leaving = [(cost, shard, owner) for shard, (owner, cost) in owned.items() if owner in state]
     for cost, shard, owner in sorted(leaving, reverse=True):
@@ -138,7 +138,7 @@ def _level(
 
 
 def _best(costs: list[tuple[float, str]], giver: Share, taker: Share) -> tuple[float, str] | None:
-    """The shard that levels two collectors best; None where none makes the greater load less."""
+    """Return the shard whose move levels the loads of two collectors best; None if no move helps."""
     if giver is taker:
         return None
     wanted = (giver.relative() - taker.relative()) / (1 / giver.capacity + 1 / taker.capacity)

@@ -1,4 +1,4 @@
-"""The interface of coordinators: a small table of entries that collectors of one zone change by compare-and-set.
+"""The interface of coordinators: each keeps a small table that the collectors of a zone change by compare-and-set.
 
 Knows no engine. The backends in `coordinators` keep these rules, which one set of tests checks for all of them:
 
@@ -25,16 +25,16 @@ class CoordinatorDown(ModbusError):
 
 
 class OutcomeUnknown(ModbusError):
-    """Error: nothing says whether the entry was changed."""
+    """Error: it is not known whether the coordinator changed the entry."""
 
 
 class RevisionConflict(ModbusError):
-    """Error: the entry has another revision than expected. Nothing was changed."""
+    """Error: the coordinator's entry has another revision than expected. Nothing was changed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """An entry as it was at one revision.
+    """One entry of a coordinator's table, as it was at one revision.
 
     Attributes:
         key: letters, digits, ``.``, ``-``, ``_``, at most 200.
@@ -55,10 +55,10 @@ SNAPSHOT_ENDS: Final = Entry("", b"ends", 0)
 
 
 class Coordinator(Protocol):
-    """A table of entries, shared by the collectors of a zone."""
+    """Interface of a table of entries that the collectors of a zone share."""
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add an entry that never existed; gives its revision.
+        """Add an entry that never existed; returns its revision.
 
         Raises:
             RevisionConflict: it exists.
@@ -67,7 +67,7 @@ class Coordinator(Protocol):
         """
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry that has this revision; gives the new one.
+        """Change an entry if it still has this revision; returns the new one.
 
         Raises:
             RevisionConflict: it has another one, or does not exist.
@@ -76,10 +76,10 @@ class Coordinator(Protocol):
         """
 
     def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """The entries whose keys begin with a prefix, and their changes, until the iterator is closed (rule 4).
+        """Yield the entries whose keys begin with a prefix, then their changes, until closed (rule 4).
 
         Raises nothing for a lost connection; `ConfigError` where it can never work (rights, a wrong bucket).
         """
 
     async def close(self) -> None:
-        """End the connection. Entries stay as they are."""
+        """End the connection to the coordinator. Entries stay as they are."""

@@ -1,4 +1,4 @@
-"""A collector of a fleet: polls the links of the shards that it owns, and no others.
+"""A collector of a fleet: polls only the links of the shards that it owns, as the coordinator says.
 
 Knows the collector, the member and the log of ownership; what is owned is decided by `member`.
 
@@ -117,7 +117,7 @@ class FleetCollector:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Hand everything back, then stop."""
+        """Give all owned shards back to the fleet, then stop."""
         async with AsyncExitStack() as steps:
             steps.callback(self.ownership.close)
             steps.push_async_exit(self.collector)
@@ -131,7 +131,7 @@ class FleetCollector:
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
     def _permit(self, link: str) -> None:
-        """Raise `LinkDown` where a transaction of a link may not begin (rule 2)."""
+        """Raise `LinkDown` if a transaction on a link may not begin, because its shard is not surely owned (rule 2)."""
         if link not in self._active or not self.member.may_begin(self._shard_of[link], self._now(), self._worst[link]):
             raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent")
 
@@ -151,7 +151,7 @@ class FleetCollector:
             await self._apply(events)
 
     async def _apply(self, events: Sequence[ShardEvent]) -> None:
-        """Stop what is not owned any more, begin what is owned now, hand on what has stopped."""
+        """Stop polling links whose shards are no longer owned, begin with newly owned ones, give stopped ones back."""
         ended = [event for event in events if event.step is not Step.GAINED]
         for event in ended:
             for link in self._links_of.get(event.shard, ()):
@@ -178,7 +178,7 @@ class FleetCollector:
             await self._poll_active()
 
     def _is_owned(self, event: ShardEvent) -> bool:
-        """Whether an ownership that was gained still holds."""
+        """Whether this collector still owns a shard under the epoch in which it got it."""
         owned = self.member.owned.get(event.shard)
         is_kept = owned is not None and owned.epoch == event.epoch and owned.leaving is None
         return event.step is Step.GAINED and is_kept

@@ -1,4 +1,4 @@
-"""The times of leases, and what a holder may do by them. Pure: every call is handed the time.
+"""The times of leases: until when an owner of a shard may send requests, and when another may take the shard.
 
 The clock is one that counts while the machine sleeps (``CLOCK_BOOTTIME``), and is never set.
 """
@@ -10,7 +10,7 @@ from ...errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class LeaseTimes:
-    """The times of all leases of a zone; every collector of it must have the same.
+    """Lengths of leases and of renewals; all collectors of a zone must have the same.
 
     Attributes:
         ttl: seconds for which a lease holds from the moment its last successful renewal was begun, 3…300.
@@ -43,17 +43,19 @@ class LeaseTimes:
             raise ConfigError(f"an answer is waited for up to {self.ttl / 3:g} s, not {self.answer:g}", key="answer")
 
     def deadline(self, asked: float) -> float:
-        """Until when transactions of a holder must have ended whose last successful renewal was begun at ``asked``."""
+        """Return when transactions of an owner must have ended that began its last successful renewal at ``asked``."""
         return asked + self.ttl - self.guard
 
     def free_at(self, seen: float) -> float:
-        """When another collector may take a lease whose revision it has first seen at ``seen``, by its own clock."""
+        """Return when another collector may take a shard whose lease's revision it first saw at ``seen``, by its
+        clock.
+        """
         return seen + self.ttl + self.guard
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Epoch:
-    """The number of an ownership: of two owners of one shard the later one has the greater epoch.
+    """The number of an ownership of a shard: a later owner has a greater one.
 
     Attributes:
         generation: raised by an operator who restores the coordinator from a backup, so that epochs never go back.

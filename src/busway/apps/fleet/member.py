@@ -1,4 +1,4 @@
-"""One collector as a member of its zone: which shards it owns, takes, renews and hands on.
+"""One collector as a member of its zone: decides, without IO, which shards it takes, renews and gives away.
 
 Pure: entries, outcomes and the time go in; proposals and events come out. Knows no engine, socket or clock. The driver
 (`running`) makes each proposal once, and tells `FleetMember.outcome`; links stop before `FleetMember.left` is called.
@@ -49,7 +49,7 @@ MOST_LEAVING: Final = 8
 
 
 class Step(Enum):
-    """What happens to a shard of this collector."""
+    """What happens to a shard of this collector: gained, to be left in order, or lost."""
 
     GAINED = "gained"  # its links may begin
     LEAVE = "leave"  # its links are to stop after what runs; then call `FleetMember.left`
@@ -58,7 +58,7 @@ class Step(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ShardEvent:
-    """An event of a shard.
+    """One event of a shard, for the collector: it may begin or must stop to poll the shard's links.
 
     Attributes:
         shard: its name.
@@ -75,7 +75,7 @@ class ShardEvent:
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """A change that the driver asks the coordinator for, once.
+    """One change of an entry that this collector asks the coordinator for.
 
     Attributes:
         key, value: the entry.
@@ -90,7 +90,7 @@ class Proposal:
 
 
 class NotConfirmed(Enum):
-    """Outcomes of a proposal that was not confirmed."""
+    """Why a proposal to the coordinator was not confirmed."""
 
     CONFLICT = "conflict"
     UNKNOWN = "unknown"
@@ -112,7 +112,7 @@ class _SeenMember:
 
 @dataclass(slots=True)
 class OwnedShard:
-    """A shard that this collector owns.
+    """A shard that this collector owns, with its lease.
 
     Attributes:
         epoch: of the ownership.
@@ -135,7 +135,7 @@ class OwnedShard:
 
 @dataclass(slots=True)
 class MemberCounts:
-    """What a member has counted since it began."""
+    """What this collector has counted as a member of the fleet since it began."""
 
     taken: int = 0
     lapsed: int = 0
@@ -146,7 +146,7 @@ class MemberCounts:
 
 
 class FleetMember:
-    """One collector in its zone.
+    """The state of one collector in its zone: owned shards, leases and members known, proposals to make.
 
     Args:
         name, run, host: as in `MemberRecord`.
@@ -196,70 +196,70 @@ class FleetMember:
 
     @property
     def name(self) -> str:
-        """The name of this collector."""
+        """The name of this collector in the fleet."""
         return self._me.name
 
     def cost(self, shard: str) -> float:
-        """Seconds of line time per second that a shard needs."""
+        """Return the seconds per second that polling the links of a shard needs."""
         return self._costs.get(shard, 0.0)
 
     def set_shards(self, costs: Mapping[str, float]) -> None:
-        """Set the shards that the fleet has to own, with their costs; others are handed back."""
+        """Set which shards the fleet has, with their costs; owned ones that are not among them are given back."""
         self._costs = costs
         self._look_at = 0.0
 
     def set_revision(self, revision: int) -> None:
-        """Tell others the configuration that this collector works with."""
+        """Tell the other collectors which configuration this one works with."""
         self._me = replace(self._me, revision=revision)
 
     def drain(self, *, draining: bool = True) -> None:
-        """Hand all shards on, and take none; or take part again."""
+        """Give all shards to other collectors and take none; or take part again."""
         self._me = replace(self._me, draining=draining)
         self._my_renewal = 0.0
 
     def end(self) -> None:
-        """Hand back all shards whose links have stopped, then tell that this collector is gone."""
+        """Give back all shards whose links have stopped, then tell the others that this collector is gone."""
         self._ends = True
         self._me = replace(self._me, draining=True)
         self._my_renewal = self._look_at = 0.0
 
     @property
     def has_ended(self) -> bool:
-        """Whether nothing is left to be handed back after `end`."""
+        """Whether all shards are given back after `end`."""
         return self._ends and not self.owned and self._me.gone and f"{MEMBERS}{self.name}" not in self._open
 
     def deadline(self, shard: str) -> float:
-        """Until when all transactions of a shard must have ended; minus infinity where it is not owned."""
+        """Return until when all transactions of a shard must have ended; minus infinity if it is not owned."""
         owned = self.owned.get(shard)
         if owned is None or owned.has_left:
             return float("-inf")
         return self.times.deadline(owned.asked)
 
     def may_begin(self, shard: str, now: float, worst: float) -> bool:
-        """Whether a transaction that may take ``worst`` seconds may begin."""
+        """Whether a transaction of a shard that may take ``worst`` seconds may begin now."""
         return now + worst < self.deadline(shard)
 
     def members(self, now: float) -> list[MemberRecord]:
-        """The collectors that live, this one included, by name."""
+        """Return the collectors of the zone that live, this one included, by name."""
         found = [each.record for each in self._members.values() if self._lives(each, now)]
         return sorted((*found, self._me), key=lambda each: each.name)
 
     def leases(self) -> dict[str, LeaseRecord]:
-        """The last known lease of each shard."""
+        """Return the last known lease of each shard."""
         return {shard: each.record for shard, each in self._leases.items() if each.record is not None}
 
     # What comes in.
 
     def begin_snapshot(self) -> None:
-        """The watch begins (again): entries that exist follow."""
+        """Note that the coordinator's watch begins, or begins again: entries that exist follow."""
         self._complete_at = None
 
     def end_snapshot(self, now: float) -> None:
-        """All entries that existed have been given."""
+        """Note that the watch has given all entries that existed."""
         self._complete_at = now
 
     def entry(self, entry: Entry, now: float) -> None:
-        """Take an entry of the watch, or a change of one."""
+        """Take an entry of the coordinator, or a change of one, from the watch."""
         if entry.key.startswith(LEASES):
             self._lease(entry.key[len(LEASES) :], entry, now)
         elif entry.key.startswith(MEMBERS):
@@ -279,7 +279,7 @@ class FleetMember:
         self._compare(shard)
 
     def _compare(self, shard: str) -> None:
-        """Hold what this collector owns against what its entry says."""
+        """Compare what this collector owns with what the coordinator's entry says, and give up what it lost."""
         owned, seen = self.owned.get(shard), self._leases.get(shard)
         if owned is None or seen is None or seen.revision <= owned.revision:
             return
@@ -311,7 +311,7 @@ class FleetMember:
             self._members[name] = _SeenMember(record, entry.revision, now)
 
     def outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
-        """Take the outcome of a proposal: its new revision, or why there is none."""
+        """Take the coordinator's answer to a proposal: the new revision, or why there is none."""
         if self._open.pop(proposal.key, None) is None:
             return
         if result is NotConfirmed.CONFLICT:
@@ -370,7 +370,7 @@ class FleetMember:
         self._compare(shard)
 
     def left(self, shard: str) -> None:
-        """The links of a shard have stopped, and their samples are stored: hand it on."""
+        """Give a shard away: its links have stopped, and their samples are stored."""
         owned = self.owned.get(shard)
         if owned is not None:
             owned.has_left = True
@@ -379,12 +379,12 @@ class FleetMember:
     # What goes out.
 
     def events(self) -> list[ShardEvent]:
-        """What has happened since the last call, in order."""
+        """Return what has happened to shards since the last call, in order."""
         found, self._events = self._events, []
         return found
 
     def turn(self, now: float) -> list[Proposal]:
-        """The proposals that are due; looks for lapsed leases first."""
+        """Return the proposals to send to the coordinator now; takes expired leases into account."""
         for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
             self.counts.lapsed += 1
             self._lose(shard, "it could not be renewed in time")
@@ -398,7 +398,7 @@ class FleetMember:
         return found
 
     def next_turn(self) -> float:
-        """When `turn` is due, by the clock that it is called with; earlier after any input."""
+        """Return when `turn` must be called, by the same clock; earlier after any other call."""
         due = [self._look_at if self._complete_at is not None else float("inf")]
         if f"{MEMBERS}{self.name}" not in self._open:
             due.append(self._my_renewal)
@@ -456,7 +456,7 @@ class FleetMember:
                 self._propose(f"{LEASES}{shard}", record.encode(), 0 if seen is None else seen.revision, now, found)
 
     def _free(self, now: float) -> dict[str, float]:
-        """The shards that this collector could take now, with their costs."""
+        """Return the shards that this collector could take now, with their costs."""
         found: dict[str, float] = {}
         for shard, cost in self._costs.items():
             if shard in self.owned:
@@ -479,7 +479,7 @@ class FleetMember:
         return seen.at if record.run == self._me.run else self.times.free_at(seen.at)
 
     def _hand_on(self, now: float) -> None:
-        """Begin to hand on what this collector should not own (`balance`)."""
+        """Begin to give away the shards that this collector should not own (`balance`)."""
         leaving = sum(each.leaving is not None for each in self.owned.values())
         for shard, owned in self.owned.items():
             unwanted = shard not in self._costs or self._ends
@@ -540,6 +540,6 @@ class FleetMember:
 
 
 def record_epoch(proposal: Proposal) -> Epoch | None:
-    """The epoch in the lease that a proposal makes; None where it takes the shard."""
+    """Return the epoch in the lease of a proposal; None if the proposal takes the shard."""
     record = decode_lease(proposal.value)
     return None if record is None else record.epoch

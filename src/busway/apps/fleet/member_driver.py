@@ -1,4 +1,4 @@
-"""Drives a member by asyncio: its proposals go to the coordinator, what the coordinator says comes back.
+"""The asyncio driver of a fleet member: sends its proposals to the coordinator, and passes on what comes back.
 
 Knows tasks and the clock; what is proposed, and what follows from an answer, is decided by `member`.
 
@@ -27,13 +27,13 @@ _log = logging.getLogger("busway.fleet")
 
 
 def boot_time() -> float:
-    """Seconds of a clock that is never set and counts while the machine sleeps, where there is one."""
+    """Return the seconds of a clock that is never set and, if there is such a one, runs while the machine sleeps."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic() if clock is None else time.clock_gettime(clock)
 
 
 class MemberDriver:
-    """Runs one member on a coordinator.
+    """Runs one member of a fleet with a coordinator, in a task.
 
     Args:
         member: whose proposals are made.
@@ -59,11 +59,11 @@ class MemberDriver:
 
     @property
     def error(self) -> str | None:
-        """Why the coordinator did not confirm the last change; None where it did."""
+        """Why the coordinator did not confirm the last change; None if it did."""
         return self._error
 
     async def run(self) -> None:
-        """Take part until cancelled. Raises `ConfigError` where the zone can never be watched."""
+        """Take part in the fleet until cancelled. Raises `ConfigError` if the zone can never be watched."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._watch())
@@ -74,11 +74,11 @@ class MemberDriver:
             await asyncio.gather(*self._asking, return_exceptions=True)
 
     def wake(self) -> None:
-        """Have a turn now: something was changed in the member."""
+        """Let the member work now, because something in it was changed."""
         self._wake.set()
 
     async def end(self, seconds: float) -> bool:
-        """Hand everything back, while `run` still runs; gives whether that was done in time.
+        """Give all shards back, while `run` still runs; returns whether that was done in time.
 
         Args:
             seconds: how long it may take.

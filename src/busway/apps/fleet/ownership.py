@@ -1,4 +1,4 @@
-"""What this collector owned, and in which epoch its samples were taken: one SQLite file beside the store.
+"""The record of which links this collector owned when, and in which epoch: an SQLite file beside the store.
 
 Knows epochs and commit numbers; knows no coordinator.
 
@@ -31,7 +31,7 @@ CREATE TABLE IF NOT EXISTS ownership (
 
 @dataclass(frozen=True, slots=True)
 class Ownership:
-    """The time in which this collector owned a link.
+    """A period in which this collector owned a link, with its epoch and commits.
 
     Attributes:
         link: its name.
@@ -51,7 +51,7 @@ class Ownership:
 
 
 class OwnershipLog:
-    """The log of one store; usable from any thread.
+    """The record of the links that this collector owned, beside its store; usable from any thread.
 
     Args:
         folder: of the store, whose lock this process holds.
@@ -76,12 +76,12 @@ class OwnershipLog:
             self._epochs.setdefault(each.link, []).append((each.after_commit, each.epoch))
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file of the record."""
         with self._lock:
             self._database.close()
 
     def begin(self, links: Iterable[str], epoch: Epoch, after_commit: int, now: int) -> None:
-        """Links are owned from now on. Raises `sqlite3.Error`: then they must not be polled."""
+        """Record that links are owned from now on. Raises `sqlite3.Error`; then they must not be polled."""
         rows = [(link, epoch.generation, epoch.revision, after_commit, now) for link in links]
         with self._lock:
             self._database.execute("BEGIN IMMEDIATE")
@@ -95,7 +95,7 @@ class OwnershipLog:
                 self._epochs.setdefault(link, []).append((after_commit, epoch))
 
     def end(self, links: Iterable[str], epoch: Epoch, last_commit: int, now: int) -> None:
-        """Links are no longer owned; all their samples are committed. Raises `sqlite3.Error`."""
+        """Record that links are no longer owned; all their samples are committed. Raises `sqlite3.Error`."""
         rows = [(last_commit, now, link, epoch.generation, epoch.revision) for link in links]
         with self._lock:
             self._database.executemany(
@@ -104,13 +104,13 @@ class OwnershipLog:
             )
 
     def epoch_of(self, link: str, commit: int) -> Epoch | None:
-        """The epoch in which a sample of a link was taken that has this commit; None for one from before the fleet."""
+        """Return the epoch in which a link's sample with this commit was taken; None for one from before the fleet."""
         known = self._epochs.get(link, ())
         place = bisect_left(known, commit, key=lambda each: each[0])
         return known[place - 1][1] if place else None
 
     def all(self) -> list[Ownership]:
-        """All that was owned, the oldest first."""
+        """Return all periods in which links were owned, the oldest first."""
         with self._lock, closing(self._database.cursor()) as cursor:
             rows = cursor.execute("SELECT * FROM ownership ORDER BY after_commit, begin, link").fetchall()
         return [

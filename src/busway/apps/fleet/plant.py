@@ -1,4 +1,4 @@
-"""The part of a plant's configuration that one collector works on. Pure."""
+"""The part of a plant's configuration that one collector of a fleet works on, and what its links need."""
 
 from collections.abc import Container, Mapping
 from dataclasses import replace
@@ -10,7 +10,7 @@ from .lease_times import LeaseTimes
 
 
 def restricted(configuration: CollectorConfiguration, links: Container[str]) -> CollectorConfiguration:
-    """A configuration with some of its links, and their devices; all else stays.
+    """Return a configuration with only some of its links, and their devices; all else stays.
 
     Args:
         configuration: of the whole plant.
@@ -25,7 +25,7 @@ def restricted(configuration: CollectorConfiguration, links: Container[str]) -> 
 
 
 def longest_transaction(configuration: CollectorConfiguration, link: str) -> float:
-    """Seconds from the decision to begin a transaction on a link until nothing of it can reach the device any more.
+    """Return the longest time in seconds from deciding on a transaction until none of it can reach the device.
 
     It may have to connect first; a poller repeats nothing. A gateway that keeps requests in a queue of its own adds to
     this: its longest wait belongs to the guard of the leases.
@@ -36,7 +36,7 @@ def longest_transaction(configuration: CollectorConfiguration, link: str) -> flo
 
 
 def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) -> None:
-    """Raise `ConfigError` for a link whose transactions may last longer than a lease that is renewed in time."""
+    """Raise `ConfigError` for a link whose transactions may last longer than a lease allows."""
     longest = times.ttl - times.guard - 2 * times.renew
     for name in configuration.links:
         seconds = longest_transaction(configuration, name)
@@ -50,5 +50,5 @@ def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) 
 
 
 def costs_by_link(configuration: CollectorConfiguration, loads: Mapping[str, float]) -> dict[str, float]:
-    """Seconds of its time that each link needs in a second; at least a thousandth, so that each counts."""
+    """Return how busy polling keeps each link, in seconds per second, at least 0.001."""
     return {name: max(0.001, loads.get(name, 0.0)) for name in configuration.links}

@@ -1,4 +1,4 @@
-"""The records that collectors share through the coordinator: leases, members, the generation. Pure.
+"""The entries that collectors share through a coordinator, as data and as bytes: leases, members, the generation.
 
 Each record is a line of JSON. What cannot be read is treated as if it were not there, and told: a newer version of this
 program must not stop an older one.
@@ -17,7 +17,7 @@ GENERATION: Final = "generation"
 
 @dataclass(frozen=True, slots=True)
 class LeaseRecord:
-    """The record of the lease of one shard.
+    """The lease of one shard: who owns it, in which epoch.
 
     Attributes:
         owner, run: the collector, and a word for this start of it; two processes of one name are two owners.
@@ -37,7 +37,7 @@ class LeaseRecord:
     target: str = ""
 
     def encode(self) -> bytes:
-        """The content of its entry."""
+        """Return the lease as the bytes of its entry."""
         epoch = None if self.epoch is None else [self.epoch.generation, self.epoch.revision]
         return json.dumps(
             [self.owner, self.run, int(self.held), self.count, round(self.cost, 6), epoch, self.target],
@@ -47,7 +47,7 @@ class LeaseRecord:
 
 @dataclass(frozen=True, slots=True)
 class MemberRecord:
-    """The record of one collector that runs.
+    """One running collector, as others see it: name, capacity, configuration.
 
     Attributes:
         name, run: as in `LeaseRecord`.
@@ -69,7 +69,7 @@ class MemberRecord:
     gone: bool = False
 
     def encode(self) -> bytes:
-        """The content of its entry."""
+        """Return the member as the bytes of its entry."""
         return json.dumps(
             [
                 self.name,
@@ -86,7 +86,7 @@ class MemberRecord:
 
 
 def decode_lease(value: bytes) -> LeaseRecord | None:
-    """A lease; None where the bytes are none."""
+    """Return the lease that an entry's bytes hold; None if they are none."""
     try:
         owner, run, held, count, cost, epoch, target = _list(value)[:7]
         return LeaseRecord(
@@ -103,7 +103,7 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
 
 
 def decode_member(value: bytes) -> MemberRecord | None:
-    """A member; None where the bytes are none."""
+    """Return the member that an entry's bytes hold; None if they are none."""
     try:
         name, run, host, count, capacity, draining, revision, gone = _list(value)[:8]
         return MemberRecord(
@@ -121,7 +121,7 @@ def decode_member(value: bytes) -> MemberRecord | None:
 
 
 def decode_generation(value: bytes) -> int:
-    """The generation; 1 where the bytes say none."""
+    """Return the generation that an entry's bytes hold; 1 if they hold none."""
     try:
         return max(1, int(value))
     except ValueError:

@@ -1,4 +1,4 @@
-"""Shards: the groups of links that collectors of a zone own.
+"""Shards: the groups of links that move between the collectors of a zone as a whole.
 
 Pure; knows names only. A lease costs the coordinator a message every few seconds, so links are owned in groups. The
 group of a link follows from its name alone: every collector finds the same one without asking.
@@ -19,7 +19,7 @@ _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 
 
 def shard_of(link: str, shards: int) -> str:
-    """The shard that a link belongs to, as its name: ``0000`` … ``1023``.
+    """Return the name of the shard that a link belongs to: ``0000`` … ``1023``.
 
     With another number of shards as few links as possible move: n of n + 1 stay where a shard is added.
 
@@ -38,22 +38,22 @@ def shard_of(link: str, shards: int) -> str:
 
 
 def pinned_shard(hosts: Sequence[str]) -> str:
-    """The shard of links that only these hosts can reach, such as a serial port: ``pin.<first host>.<second>``."""
+    """Return the name of the shard for links that only these hosts can reach: ``pin.<first host>.<second>``."""
     return PINNED + ".".join(hosts)
 
 
 def hosts_of(shard: str) -> tuple[str, ...]:
-    """The hosts that may own a shard, the preferred one first; empty where all of the zone may."""
+    """Return the hosts whose collectors may own a shard, the preferred one first; empty for all of the zone."""
     return tuple(shard.removeprefix(PINNED).split(".")) if shard.startswith(PINNED) else ()
 
 
 def shard_names(shards: int) -> list[str]:
-    """The names of all shards of a zone that are not pinned."""
+    """Return the names of all shards of a zone that any host may own."""
     return [f"{number:04d}" for number in range(shards)]
 
 
 def links_by_shard(links: Iterable[tuple[str, Sequence[str]]], shards: int) -> dict[str, list[str]]:
-    """Links grouped by shard; shards without links are left out.
+    """Return links grouped by shard; shards without links are left out.
 
     Args:
         links: the name of each link, and the hosts that can reach it; no hosts where all collectors can.
@@ -66,7 +66,7 @@ def links_by_shard(links: Iterable[tuple[str, Sequence[str]]], shards: int) -> d
 
 
 def checked_name(name: str, what: str) -> str:
-    """A name of a zone, host or collector, which becomes part of keys and subjects. Raises `ConfigError`."""
+    """Check the name of a zone, host or collector, which becomes part of keys and subjects. Raises `ConfigError`."""
     if not _NAME.fullmatch(name):
         raise ConfigError(
             f"{what} {name!r} cannot be a name: use up to 63 letters, digits, - and _, the first a letter or digit",

@@ -236,7 +236,7 @@ class Engine:
             self._changed(changed, time)
 
     def hold(self, point: SimulatedPoint, time: float) -> None:
-        """Keep a point at the value set by hand at a time, for as long as its behaviour says, or until `release`."""
+        """Keep a point at the value set by hand, as long as its behaviour says, or until `release`."""
         driven = self._driven.get(point)
         if driven is None:
             return

@@ -31,7 +31,7 @@ from .problems import FileError
 
 
 def _describe(schema: dict[str, Any], section: "type[Section]") -> None:  # what JSON has
-    """Add to the JSON Schema of a section what its keys declare: meaning and range."""
+    """Add meaning and range of each key, as declared, to the JSON Schema of a section."""
     for name, option in keys_of(section).items():
         found = schema.get("properties", {}).get(name)
         if found is not None:
@@ -78,7 +78,7 @@ _LIMITED: Final[dict[type[Section], Mapping[str, Option]]] = {}
 
 
 def keys_of(section: type[Section]) -> Mapping[str, Option]:
-    """The keys that a section declares, by the name that stands in the file, in their order."""
+    """Return the keys that a section declares, by the name they have in the file, in their order."""
     found = _KEYS.get(section)
     if found is None:
         options = (_option(field.alias or name, field) for name, field in section.model_fields.items())
@@ -87,7 +87,7 @@ def keys_of(section: type[Section]) -> Mapping[str, Option]:
 
 
 def _limited(section: type[Section]) -> Mapping[str, Option]:
-    """The keys with a range, by the name of their field. Options of components are checked by their class."""
+    """Return the keys of a section that have a range, by field name, except options, which their class checks."""
     found = _LIMITED.get(section)
     if found is None:
         pairs = zip(section.model_fields.items(), keys_of(section).values(), strict=True)
@@ -242,7 +242,7 @@ def _densest_line(text: str) -> int:
 
 
 def read_section(schema: type[File], data: object) -> File:
-    """Check part of a file by its section class, where that is chosen by what stands in it. Raises `FileProblems`."""
+    """Check part of a file by a section class that was chosen by the part's contents. Raises `FileProblems`."""
     try:
         return schema.model_validate(data)
     except ValidationError as error:
@@ -250,7 +250,7 @@ def read_section(schema: type[File], data: object) -> File:
 
 
 def faults_in(error: ValidationError, schema: type[Section]) -> list[tuple[Path, str]]:
-    """Translate an error of pydantic to paths in the section, and sentences."""
+    """Return an error of pydantic as paths in the section, and sentences."""
     return [fault for each in error.errors() for fault in faults_of(each, schema)]
 
 

@@ -1,4 +1,4 @@
-"""The schema of sinks: ``[[sink]]`` of a collector file, one section class for each kind; the URL's scheme says which.
+"""Keys of ``[[sink]]`` in collector files, one section class for each kind of sink, which the URL's scheme chooses.
 
 Knows the keys; what they mean is declared in `busway.options.sinks`, and `busway.apps.collector.sinks` makes the sinks.
 
@@ -43,7 +43,7 @@ def _checked_points(patterns: list[str]) -> list[str]:
 
 
 class SinkSection(OptionSection):
-    """``[[sink]]``: a system that gets the samples."""
+    """``[[sink]]`` of a collector file: another system that gets the samples."""
 
     name: Annotated[
         str,
@@ -73,7 +73,7 @@ class SentSection(SinkSection):
 
 
 class CommandsSection(Section):
-    """``commands``: which points may be written by messages from the server of a sink."""
+    """``commands`` of a sink: which points may be written by messages from the sink's server."""
 
     points: Annotated[
         list[str],
@@ -105,19 +105,19 @@ class NatsCommandsSection(CommandsSection):
 
 @with_options_of(sinks.MqttOptions, sinks.PasswordOptions, sinks.CertificateOptions)
 class MqttSinkSection(SentSection):
-    """``[[sink]]`` with ``mqtt://`` or ``mqtts://``: a broker of MQTT."""
+    """``[[sink]]`` with ``mqtt://`` or ``mqtts://``: an MQTT broker that gets the samples."""
 
     commands: Annotated[MqttCommandsSection | None, "which points may be written by messages."] = None
 
 
 @with_options_of(sinks.SparkplugOptions, sinks.PasswordOptions, sinks.CertificateOptions)
 class SparkplugSinkSection(SentSection):
-    """``[[sink]]`` with ``sparkplug+mqtt://`` or ``sparkplug+mqtts://``: a broker of Sparkplug B."""
+    """``[[sink]]`` with ``sparkplug+mqtt://`` or ``sparkplug+mqtts://``: a Sparkplug B broker."""
 
 
 @with_options_of(sinks.PostgresqlOptions, sinks.PasswordOptions, sinks.CertificateOptions)
 class PostgresqlSinkSection(SentSection):
-    """``[[sink]]`` with ``postgresql://``: a database."""
+    """``[[sink]]`` with ``postgresql://``: a database that gets the samples."""
 
 
 @with_options_of(sinks.InfluxOptions, sinks.TokenOptions, sinks.CertificateOptions)
@@ -134,7 +134,7 @@ class NatsSinkSection(SentSection):
 
 @with_options_of(sinks.FileOptions)
 class FileSinkSection(SentSection):
-    """``[[sink]]`` with ``file://``: files of samples."""
+    """``[[sink]]`` with ``file://``: files that get the samples."""
 
 
 class PrometheusSinkSection(SinkSection):
@@ -163,7 +163,7 @@ KINDS: Final[Mapping[str, type[SinkSection]]] = {
 
 
 def sink_section(value: Any) -> SinkSection:  # what stands in the file, of any type
-    """Read a sink by the section class of its kind. Raises `FileProblems`."""
+    """Check a table ``[[sink]]`` by the section class of its kind. Raises `FileProblems`."""
     if isinstance(value, SinkSection):
         return value
     if not isinstance(value, dict):

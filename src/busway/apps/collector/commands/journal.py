@@ -135,7 +135,7 @@ class CommandJournal:
 
     @contextmanager
     def _in_use(self, what: str = "read") -> Iterator[None]:
-        """Context manager that holds the lock; what SQLite raises becomes an `OSError`."""
+        """Context manager that holds the journal's lock and turns SQLite's errors into `OSError`."""
         with self._lock:
             try:
                 yield

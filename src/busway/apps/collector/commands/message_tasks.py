@@ -1,4 +1,4 @@
-"""Tasks that handle the messages of one connection to a broker; all have ended when the connection is left.
+"""The tasks that handle messages of one broker connection; all of them end before the connection is left.
 
 Knows tasks; knows no message and no broker.
 
@@ -20,7 +20,7 @@ _log = logging.getLogger("busway.collector.commands")
 
 
 class MessageTasks:
-    """The running tasks of one connection, while the ``async with`` block lasts."""
+    """The tasks that handle messages of one broker connection, while the ``async with`` block lasts."""
 
     def __init__(self) -> None:
         self._places = asyncio.Semaphore(MOST_AT_ONCE)
@@ -28,7 +28,7 @@ class MessageTasks:
         self._has_ended = False
 
     async def begin(self, handle: Callable[[], Awaitable[None]]) -> None:
-        """Handle a message in a task of its own, once there is room (rule 1); none after the end."""
+        """Start a task that handles a message, once there is room for one (rule 1); ignored after the end."""
         await self._places.acquire()
         if self._has_ended:  # while it waited
             self._places.release()  # the next that waits shall see it too
@@ -47,7 +47,7 @@ class MessageTasks:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End all tasks; those that have just been created take their first step before (rule 2)."""
+        """End all tasks that handle messages; one just created takes its first step before (rule 2)."""
         self._has_ended = True
         await asyncio.sleep(0)
         if self._tasks:

@@ -144,7 +144,7 @@ class MqttCommands:
 
 @contextlib.asynccontextmanager
 async def _connected(client: Any) -> AsyncIterator[Any]:  # the library's own
-    """Connection of a client, as the library's own ``async with``, but for `connect`."""
+    """Context manager that connects an MQTT client by `connect`, and disconnects it at the end."""
     await connect(client)
     try:
         yield client

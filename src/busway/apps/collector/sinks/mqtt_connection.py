@@ -1,4 +1,4 @@
-"""Connects clients of aiomqtt, so that none stays open which is not used.
+"""Connects MQTT clients (aiomqtt), and closes connections that were opened but cannot be used.
 
 Knows the library's client and the socket of paho below it; knows no topic.
 

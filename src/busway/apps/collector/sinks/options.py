@@ -52,14 +52,14 @@ def make_sink(section: SentSection, folder: Path | None = None) -> tuple[Sink, D
 
 
 def broker(section: SentSection) -> dict[str, Any]:  # arguments of different types
-    """What a client of MQTT is told about its broker: host, port, TLS, user, password. Raises `ConfigError`."""
+    """Return what an MQTT client needs to connect: host, port, TLS, user, password. Raises `ConfigError`."""
     encrypts = section.parts.scheme.endswith("mqtts")
     port = section.parts.port or (8883 if encrypts else 1883)
     return {"host": _host(section), "port": port, "tls": tls(section, encrypts), **_login(section)}
 
 
 def nats_server(section: SentSection) -> dict[str, Any]:  # arguments of different types
-    """What a client of NATS is told about its server: URL, TLS, user, password, token. Raises `ConfigError`."""
+    """Return what a NATS client needs to connect: URL, TLS, user, password, token. Raises `ConfigError`."""
     parts = section.parts
     url = parts._replace(netloc=f"{_host(section)}:{parts.port or 4222}").geturl()
     return {
@@ -82,7 +82,7 @@ def _login(section: SentSection) -> dict[str, str | None]:
 
 
 def secret(section: SentSection, key: str) -> str | None:
-    """A secret, from the file or the variable that a sink names; None for none."""
+    """Return a password or token, from the file or variable that a sink names; None without one."""
     file, variable = getattr(section, f"{key}_file"), getattr(section, f"{key}_variable")
     if file is not None and variable is not None:
         raise ConfigError(f"{key}_file and {key}_variable exclude each other", key=f"{key}_file")
@@ -101,7 +101,7 @@ def _secret_of(file: str) -> str:
 
 
 def tls(section: SentSection, wanted: bool) -> ssl.SSLContext | None:
-    """The TLS context of a sink if its URL asks for TLS; else None."""
+    """Return the TLS context of a sink if its URL asks for TLS; else None."""
     given = section.options_of(CertificateOptions)
     if wanted:
         return tls_context(**given)

@@ -93,7 +93,7 @@ def _written(source: Path, points: list[StoredPoint], step: Step) -> list[tuple[
 
 
 def _interpreter() -> list[str]:
-    """This Python, to import from where this process does: ``-m`` would look into the working folder first."""
+    """Return the command that starts this Python again, importing from where this process does."""
     is_own = any(path in ("", os.getcwd()) for path in sys.path)
     return [sys.executable] if is_own else [sys.executable, "-P"]
 

@@ -289,7 +289,7 @@ class StoreWriter:
 
     @property
     def newest_commit(self) -> int:
-        """The number of the last commit; a number before the next one where none was made since the start."""
+        """The number of the last commit; before the first one since the start, some number below the next."""
         return self._next - 1
 
     def _take_number(self) -> int:

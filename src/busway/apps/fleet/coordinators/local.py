@@ -1,4 +1,4 @@
-"""The coordinator of one machine: an SQLite file that its processes share. No server, no package.
+"""The coordinator for collectors on one machine: an SQLite file that they share. Needs no server and no package.
 
 1. The lock of SQLite makes changes one after the other; a change is on disk when it is confirmed.
 2. Watches look every `LOOK_EVERY` seconds for revisions that are newer than the last they have seen.
@@ -25,12 +25,12 @@ _T = TypeVar("_T")
 
 
 async def open_local(folder: str, zone: str) -> "LocalCoordinator":
-    """Open the file of a zone in a folder, which is made where it is missing. Raises `ConfigError`."""
+    """Open the file of a zone in a folder, created if it is missing. Raises `ConfigError`."""
     return await asyncio.to_thread(LocalCoordinator, Path(folder or "."), checked_name(zone, "zone"))
 
 
 class LocalCoordinator:
-    """The entries of one zone in ``<folder>/<zone>.fleet``."""
+    """Coordinator whose entries for one zone are in the file ``<folder>/<zone>.fleet``."""
 
     def __init__(self, folder: Path, zone: str) -> None:
         self.path: Path = folder / f"{zone}.fleet"
@@ -51,11 +51,11 @@ class LocalCoordinator:
         return await self._in_thread(lambda: self._changed(key, value, None))
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry that has this revision. Raises as `Coordinator.replace`."""
+        """Change an entry if it still has this revision. Raises as `Coordinator.replace`."""
         return await self._in_thread(lambda: self._changed(key, value, revision))
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """The entries and their changes, until the iterator is closed."""
+        """Yield the zone's entries, then their changes, until the iterator is closed."""
         last = 0
         first = True
         while True:
@@ -68,7 +68,7 @@ class LocalCoordinator:
             await asyncio.sleep(LOOK_EVERY)
 
     async def close(self) -> None:
-        """Close the file."""
+        """Close the file with the zone's entries."""
         await asyncio.to_thread(self._thread.shutdown)
         with self._lock:
             self._database.close()

@@ -38,7 +38,7 @@ _MOST_WAITING: Final = 65_536
 
 
 async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCoordinator":
-    """Connect, and find or make the bucket of a zone. Raises `ConfigError`, `CoordinatorDown`, `MissingExtra`."""
+    """Connect to NATS, and find or make a zone's bucket. Raises `ConfigError`, `CoordinatorDown`, `MissingExtra`."""
     require("nats", "a coordinator on NATS")
     bucket = f"busway-{checked_name(zone, 'zone')}"
     client = await connect_nats(url, options)
@@ -51,7 +51,7 @@ async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCo
 
 
 async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py's own
-    """Connect to a server of a URL that may name several; also used for streams. Raises as `open_nats`."""
+    """Connect to NATS by a URL that may name several servers; also used for streams. Raises as `open_nats`."""
     nats = import_module("nats")
     causes: list[str] = []
 
@@ -141,7 +141,7 @@ async def _find_bucket(client: Any, bucket: str, options: CoordinatorOptions) ->
 
 
 class NatsCoordinator:
-    """The entries of one zone in a key-value bucket.
+    """Coordinator whose entries for one zone are in a key-value bucket of NATS.
 
     Attributes:
         client: the connection, for the streams of the same collector.
@@ -157,7 +157,7 @@ class NatsCoordinator:
         return await self._changed(key, value, 0)
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry that has this revision. Raises as `Coordinator.replace`."""
+        """Change an entry if it still has this revision. Raises as `Coordinator.replace`."""
         return await self._changed(key, value, revision)
 
     async def _changed(self, key: str, value: bytes, revision: int) -> int:
@@ -181,7 +181,7 @@ class NatsCoordinator:
         return int(made.seq)
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """The entries and their changes, until the iterator is closed."""
+        """Yield the zone's entries, then their changes, until the iterator is closed."""
         first = True
         while True:
             if not first:
@@ -193,7 +193,7 @@ class NatsCoordinator:
             await asyncio.sleep(0.2)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Entries of one consumer, until it has a gap or is silent. Ends without an error."""
+        """Yield the entries that one NATS consumer gets, until it has a gap or is silent; raises nothing then."""
         nats, errors = import_module("nats"), import_module("nats.js.errors")
         waiting: asyncio.Queue[Any] = asyncio.Queue(_MOST_WAITING)
         inbox = self.client.new_inbox()
@@ -234,7 +234,7 @@ class NatsCoordinator:
                     await subscription.unsubscribe()
 
     async def _consume(self, prefix: str, inbox: str) -> int:
-        """Make the consumer of a watch; gives how many entries exist."""
+        """Make the NATS consumer of a watch; returns how many entries exist."""
         api = import_module("nats.js.api")
         config = api.ConsumerConfig(
             deliver_subject=inbox,
@@ -250,7 +250,7 @@ class NatsCoordinator:
         return int(info.num_pending or 0) + int(info.delivered.consumer_seq if info.delivered else 0)
 
     async def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from NATS."""
         nats = import_module("nats")
         with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone already
             await self.client.close()

@@ -1,4 +1,4 @@
-"""Opens a coordinator by its URL. Knows which backend belongs to which scheme; loads only that one."""
+"""Opens the coordinator of a fleet by its URL, whose scheme names the backend; loads only that one."""
 
 from dataclasses import dataclass
 from importlib import import_module
@@ -10,7 +10,7 @@ from ..coordinator import Coordinator
 
 @dataclass(frozen=True, slots=True)
 class CoordinatorOptions:
-    """How a coordinator is reached.
+    """Options of the connection to a coordinator: user, credentials, TLS files, replicas.
 
     Attributes:
         user, password, token: for the server; None where the URL or the credentials file says all.
@@ -32,7 +32,7 @@ class CoordinatorOptions:
 
 
 async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | None = None) -> Coordinator:
-    """Open the table of a zone; it is made where it is missing.
+    """Connect to the coordinator of a zone, whose table is created if it is missing.
 
     Args:
         url: ``local:FOLDER`` for the collectors of one machine, ``nats://host:4222`` (several hosts with commas,

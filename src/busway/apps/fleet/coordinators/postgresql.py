@@ -1,4 +1,4 @@
-"""The coordinator on PostgreSQL: one table for all zones of a database.
+"""The coordinator on PostgreSQL: one table for all zones.
 
 Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 
@@ -48,7 +48,7 @@ WHERE zone = $1 AND key = $2 AND revision = $5 RETURNING revision, pg_notify($4,
 
 
 async def open_postgresql(url: str, zone: str, options: CoordinatorOptions) -> "PostgresqlCoordinator":
-    """Connect, and find or make the table. Raises `ConfigError`, `CoordinatorDown`, `MissingExtra`."""
+    """Connect to PostgreSQL, and find or make the table. Raises `ConfigError`, `CoordinatorDown`, `MissingExtra`."""
     require("asyncpg", "a coordinator on PostgreSQL")
     coordinator = PostgresqlCoordinator(url, checked_name(zone, "zone"), options)
     await coordinator.open()
@@ -56,7 +56,7 @@ async def open_postgresql(url: str, zone: str, options: CoordinatorOptions) -> "
 
 
 class PostgresqlCoordinator:
-    """The entries of one zone in the table ``busway_fleet``."""
+    """Coordinator whose entries for one zone are in the table ``busway_fleet`` of PostgreSQL."""
 
     def __init__(self, url: str, zone: str, options: CoordinatorOptions) -> None:
         self._url, self._zone, self._options = url, zone, options
@@ -64,7 +64,7 @@ class PostgresqlCoordinator:
         self._pool: Any = None
 
     async def open(self) -> None:
-        """Connect and check the server. Raises `ConfigError`, `CoordinatorDown`."""
+        """Connect to PostgreSQL and check the server. Raises `ConfigError`, `CoordinatorDown`."""
         pg = import_module("asyncpg")
         try:
             async with asyncio.timeout(4 * self._options.answer):
@@ -115,7 +115,7 @@ class PostgresqlCoordinator:
         return await self._changed(key, value, _CREATE)
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry that has this revision. Raises as `Coordinator.replace`."""
+        """Change an entry if it still has this revision. Raises as `Coordinator.replace`."""
         return await self._changed(key, value, _REPLACE, revision)
 
     async def _changed(self, key: str, value: bytes, statement: str, *revision: int) -> int:
@@ -139,7 +139,7 @@ class PostgresqlCoordinator:
         return int(made)
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """The entries and their changes, until the iterator is closed."""
+        """Yield the zone's entries, then their changes, until the iterator is closed."""
         first = True
         while True:
             if not first:
@@ -151,7 +151,7 @@ class PostgresqlCoordinator:
             await asyncio.sleep(0.2)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Entries over one connection, until it is lost. Ends without an error."""
+        """Yield entries over one database connection, until it is lost; raises nothing then."""
         pg = import_module("asyncpg")
         told: set[str] = set()
         wake = asyncio.Event()
@@ -209,6 +209,6 @@ class PostgresqlCoordinator:
         return [Entry(key, bytes(value), revision) for key, value, revision in rows if key.startswith(prefix)]
 
     async def close(self) -> None:
-        """Disconnect."""
+        """Disconnect from PostgreSQL."""
         if self._pool is not None:
             self._pool.terminate()
