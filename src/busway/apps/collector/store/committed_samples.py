@@ -8,11 +8,11 @@ Knows how each kind of part is read in that order; knows no sink.
 4. A sample has the name that its point had when it was committed: a repetition after a rename has the same name.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST
@@ -23,6 +23,8 @@ from .manifest import AlarmRow, IntervalRow, Manifest, StoredPoint, StorePart
 from .parts import Row, open_part_facts, part_intervals, rows_of_table
 from .sealing import arrow
 from .segment import open_for_reading, sample_value
+
+Result = TypeVar("Result")
 
 _TRIES: Final = 10
 _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason", "half_width", "commit_number"]
@@ -104,15 +106,26 @@ class CommitReader:
             after: number of the commit that was read last; 0 for none.
             most: samples that are wanted; one commit more may be given, and at least one always is.
         """
-        for _ in range(_TRIES):
-            try:
-                return self._read(after, most)
-            except FileNotFoundError:  # sealed or dropped meanwhile
-                self._sealed = None
-        return self._read(after, most)
+        return self._tried(lambda: self._read(after, most))
 
     def count(self, after: int, last: int) -> int:
         """Return the number of samples in the commits after one number, up to another."""
+        return self._tried(lambda: self._count(after, last))
+
+    def last_before(self, moment: int, after: int) -> int:
+        """Return the last commit before a time, as far as known; ``after`` if there is none after that."""
+        return self._tried(lambda: self._last_before(moment, after))
+
+    def _tried(self, ask: Callable[[], Result]) -> Result:
+        """Return what ``ask`` does, repeated if a part was sealed or dropped meanwhile."""
+        for _ in range(_TRIES):
+            try:
+                return ask()
+            except FileNotFoundError:
+                self._sealed = None
+        return ask()
+
+    def _count(self, after: int, last: int) -> int:
         found = 0
         for part in self._parts(after):
             if (part.first_commit or 0) > last:
@@ -127,8 +140,7 @@ class CommitReader:
                 found += database.execute(asked, (after, last)).fetchone()[0]
         return found
 
-    def last_before(self, moment: int, after: int) -> int:
-        """Return the last commit before a time, as far as known; ``after`` if there is none after that."""
+    def _last_before(self, moment: int, after: int) -> int:
         last = after
         for part in self._parts(after):
             if part.kind == "sealed":
@@ -173,7 +185,7 @@ class CommitReader:
         else:
             self._sealed = None
             last, rows = self._segment_rows(segment[0], after, most)
-        intervals = [row for row in self._intervals(segment) if after < row.commit_number <= last]
+        intervals = [row for row in self._intervals(segment, after) if after < row.commit_number <= last]
         alarms = [row for row in alarm_rows(self._folder, self._manifest, after) if row.commit_number <= last]
         return CommitRange(last, self._samples(rows, intervals), self._committed_alarms(alarms))
 
@@ -183,7 +195,7 @@ class CommitReader:
 
     def _of_intervals_alone(self, after: int) -> CommitRange | None:
         """Return intervals and alarms of segments without samples, which left no file when they were sealed."""
-        intervals = [row for row in self._manifest.intervals() if row.commit_number > after]
+        intervals = self._manifest.intervals(after)
         alarms = self._manifest.alarms(after)
         numbers = [row.commit_number for row in intervals] + [row.commit_number for row in alarms]
         if not numbers:
@@ -233,11 +245,11 @@ class CommitReader:
             self._sealed = (part.file, arrow("parquet").read_table(path, columns=_COLUMNS))
         return self._sealed[1]
 
-    def _intervals(self, parts: Sequence[StorePart]) -> Iterator[IntervalRow]:
-        if parts[0].kind == "sealed":
-            yield from self._manifest.intervals()
-        else:
-            yield from part_intervals(self._folder, parts[0])
+    def _intervals(self, parts: Sequence[StorePart], after: int) -> Iterable[IntervalRow]:
+        """Return the intervals of a segment, and those of sealed ones before it that came after their last sample."""
+        own = [] if parts[0].kind == "sealed" else part_intervals(self._folder, parts[0])
+        # The manifest last: a segment that is sealed meanwhile has moved its intervals there.
+        return dict.fromkeys([*own, *self._manifest.intervals(after)])
 
     def _samples(self, rows: list[Row], intervals: list[IntervalRow]) -> list[CommittedSample]:
         self._look_up_points(rows, intervals)

@@ -49,6 +49,7 @@ CREATE TABLE IF NOT EXISTS intervals (
     commit_number INTEGER NOT NULL
 );
 CREATE INDEX IF NOT EXISTS intervals_by_end ON intervals ("end");
+CREATE INDEX IF NOT EXISTS intervals_by_commit ON intervals (commit_number);
 CREATE TABLE IF NOT EXISTS cursors (
     sink TEXT PRIMARY KEY, commit_number INTEGER NOT NULL, lost INTEGER NOT NULL DEFAULT 0
 ) WITHOUT ROWID;
@@ -317,9 +318,10 @@ class Manifest:
         with self.transaction() as database:
             database.execute("DELETE FROM unlinks WHERE file = ?", (file,))
 
-    def intervals(self) -> list[IntervalRow]:
-        """Return the intervals of sealed files in which devices were not read."""
-        return [IntervalRow(*row) for row in self._all("SELECT * FROM intervals ORDER BY commit_number")]
+    def intervals(self, after: int = 0) -> list[IntervalRow]:
+        """Return the intervals of sealed files in which devices were not read, told by commits after a number."""
+        rows = self._all("SELECT * FROM intervals WHERE commit_number > ? ORDER BY commit_number", after)
+        return [IntervalRow(*row) for row in rows]
 
     # Alarms, accumulators, maintenance
 
