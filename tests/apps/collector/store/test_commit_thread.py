@@ -10,6 +10,7 @@ from collected import NOON, PUMP, at, meter_read, read_of
 from waiting import wait_until
 
 from busway.apps.collector.samples import Gap, PointDescription, PointGroup, Reason, StateInterval
+from busway.apps.collector.store import commit_thread
 from busway.apps.collector.store.commit_thread import INTERVAL, MOST_WAITING, Committer
 from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.reading import Store
@@ -103,6 +104,87 @@ def test_a_defect_of_the_store_is_told_in_the_status_and_ends_no_thread(
     committer.close()
     assert len(Store(tmp_path).read("meter-7/voltage")) == 1
     assert "in an unexpected way" in caplog.text
+
+
+def test_a_defect_while_times_are_mended_is_told_in_the_status_and_ends_no_thread(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    committer = committer_of(tmp_path, interval=0.0)
+
+    def mend_next() -> bool:
+        raise ZeroDivisionError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(committer.writer, "mend_next", mend_next)
+        committer.mend(1)
+        wait_until(lambda: committer.status().upkeep_error == "ZeroDivisionError")
+    assert committer.flush()
+    assert committer.status().upkeep_error is None
+    committer.add(meter_read(1))
+    assert committer.flush()
+    committer.close()
+    assert caplog.text.count("cannot be mended yet") == 1
+
+
+def test_a_defect_of_upkeep_that_says_nothing_is_told_by_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commit_thread, "UPKEEP", 0.01)
+
+    def seal_closed(writer: StoreWriter) -> int:
+        raise AssertionError
+
+    with monkeypatch.context() as patched:
+        patched.setattr(StoreWriter, "seal_closed", seal_closed)
+        committer = committer_of(tmp_path)
+        wait_until(lambda: committer.status().upkeep_error == "AssertionError")
+    committer.close()
+
+
+def test_intervals_that_wait_for_a_full_disk_are_bounded_and_no_device_stays_silent_in_the_store(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commit_thread, "MOST_INTERVALS", 100)
+    committer = committer_of(tmp_path, interval=0.0)
+    committer.add_interval(StateInterval("meter-7", at(0), None, Reason.SUSPENDED))
+    committer.add(meter_read(0))
+    assert committer.flush()
+
+    def commit(*arguments: object) -> Commit:
+        raise OSError("the disk is full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(committer.writer, "commit", commit)
+        committer.add_interval(StateInterval("meter-7", at(0), at(1), Reason.SUSPENDED))
+        for second in range(2, 1000, 2):
+            committer.add_interval(StateInterval("meter-7", at(second), None, Reason.SUSPENDED))
+            committer.add_interval(StateInterval("meter-7", at(second), at(second + 1), Reason.SUSPENDED))
+            committer.add_interval(StateInterval("meter-7", at(second + 1), at(second + 2), Reason.SKIPPED))
+            assert len(committer._intervals) <= 101
+        committer.add_interval(StateInterval("meter-7", at(1000), None, Reason.SUSPENDED))
+    assert committer.flush()
+    committer.close()
+    table = Store(tmp_path).read("meter-7/*")
+    (lost,) = [each for each in table.gaps if each.reason == Reason.LOST]
+    assert (lost.begin, lost.lost) == (at(2), 0)
+    silent = [each for each in table.intervals if each.reason == Reason.SUSPENDED]
+    assert silent[0] == StateInterval("meter-7", at(0), at(1), Reason.SUSPENDED)
+    assert [each.begin for each in silent if each.end is None] == [at(1000)]
+    assert len(silent) < 60
+
+
+def test_what_cannot_be_stored_at_the_end_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    committer = committer_of(tmp_path, interval=0.0)
+
+    def commit(*arguments: object) -> Commit:
+        raise OSError("the disk is full")
+
+    monkeypatch.setattr(committer.writer, "commit", commit)
+    committer.add(meter_read(0))
+    committer.close(timeout=0.1)
+    assert "3 samples are lost with the end of the collector" in caplog.text
 
 
 def test_a_full_disk_is_told_and_survived_and_what_is_lost_is_a_gap_with_its_number(

@@ -1,5 +1,6 @@
 """Samples from before the wall clock was set: mended when it is, once, over crashes, and handed on with their time."""
 
+import threading
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,10 @@ from busway.apps.collector.sample_clock import SampleClock
 from busway.apps.collector.samples import Gap, Reason, SampleBatch, StateInterval
 from busway.apps.collector.sinks.delivery import CLOCK_WAIT
 from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.manifest import Manifest
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.retention import Retention
+from busway.apps.collector.store.segment import Segment
 from busway.apps.collector.store.upkeep import check_store_files
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
@@ -55,6 +58,34 @@ def voltages(folder: Path) -> list[tuple[int, object, int]]:
     table = Store(folder).read("meter-7/voltage")
     rows = zip(table.time, table.value, table.reason, strict=True)
     return [row for row in rows if row[1] is not None]
+
+
+def test_nothing_waits_for_a_segment_that_is_being_sealed(tmp_path: Path) -> None:
+    writer = written(tmp_path)
+    writer.begin_mending(SHIFT)
+    found: list[bool] = []
+    with writer._files:
+        thread = threading.Thread(target=lambda: found.append(writer.mend_next()), daemon=True)
+        thread.start()
+        thread.join(10)
+        assert found == [True]
+    mend(writer)
+    writer.close(at(2))
+    assert voltages(tmp_path) == wanted()
+
+
+def test_what_was_mended_is_durable_before_it_is_noted_as_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = written(tmp_path)
+    writer.begin_mending(SHIFT)
+    assert writer._segment is not None
+    order: list[str] = []
+    monkeypatch.setattr(Segment, "mend", lambda segment, first, shift: order.append("mended"))
+    monkeypatch.setattr(Segment, "sync", lambda segment: order.append("synced"))
+    with monkeypatch.context() as patched:
+        patched.setattr(Manifest, "set_fact", lambda manifest, name, value: order.append(f"{name} {value}"))
+        mend(writer)
+    assert order == ["mended", "synced", "mend_from None"]
+    writer.close(at(2))
 
 
 def test_times_move_by_the_difference_and_are_good(tmp_path: Path) -> None:

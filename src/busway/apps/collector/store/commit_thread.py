@@ -37,6 +37,8 @@ AT_ONCE: Final = 50_000
 """Values that are committed without waiting for the interval."""
 MOST_WAITING: Final = 1_000_000
 """Values that wait at most for a store that cannot be written: some 100 MB."""
+MOST_INTERVALS: Final = 100_000
+"""Rows of intervals that wait at most then; beyond it the oldest that have begun and ended meanwhile are lost."""
 MOST_ALARMS: Final = 10_000
 """Events of alarms that wait at most then; the oldest are dropped, and the state of each alarm is in its last one."""
 
@@ -52,8 +54,8 @@ class StoreStatus:
         waiting: samples that are not yet committed.
         lost: samples that were dropped since the start because the store could not be written.
         error: what is wrong with the store; None while it can be written.
-        upkeep_error: why parts could not be sealed or dropped, or commits not be made durable, when that was tried
-            last; None if they could.
+        upkeep_error: why parts could not be sealed or dropped, commits not be made durable, or times not be mended,
+            when that was tried last; None if they could.
         subscriber_failures: how often a subscriber of commits raised an error.
     """
 
@@ -105,6 +107,7 @@ class Committer:
         self._error: str | None = None
         self._upkeep_error: str | None = None
         self._sync_error: str | None = None
+        self._mend_error: str | None = None
         self._subscriber_failures = 0
         self._hurry = self._ending = self._committing = False
         self._ended = threading.Event()
@@ -135,6 +138,8 @@ class Committer:
         """Queue an interval in which a device is not read, when it begins (end None) or ends."""
         with self._changed:
             self._intervals.append(interval)
+            if len(self._intervals) > MOST_INTERVALS:
+                self._drop_whole_intervals()
             self._changed.notify_all()
 
     def add_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
@@ -158,7 +163,7 @@ class Committer:
                 self._waiting,
                 self._lost,
                 self._error,
-                self._upkeep_error or self._sync_error,
+                self._upkeep_error or self._sync_error or self._mend_error,
                 self._subscriber_failures,
             )
 
@@ -177,6 +182,12 @@ class Committer:
         """Commit everything queued within ``timeout`` seconds, and close the store."""
         self.flush(timeout)
         with self._changed:
+            if self._has_queued():
+                _log.error(
+                    "the store could not be written within %g s: %d samples are lost with the end of the collector",
+                    timeout,
+                    self._waiting,
+                )
             self._ending = True
             self._changed.notify_all()
         self._ended.set()
@@ -204,21 +215,32 @@ class Committer:
         """Correct times in the next segment, once all samples from before are committed; False if that failed."""
         with self._changed:
             shift = self._shift
-            if shift is None or any(batch.time < EARLIEST for batch in self._batches):
+            if shift is None or self._holds_early_times():
                 return True
         try:
             if not self._is_mending:
                 self.writer.begin_mending(shift)
                 self._is_mending = True
             more = self.writer.mend_next()
-        except (sqlite3.Error, OSError) as error:
-            _log.error("samples from before the clock was set cannot be mended yet: %s", error)
+        except Exception as error:  # as in `_commit_once`: told in the status, and tried again
+            if self._mend_error is None:
+                _log.exception("samples from before the clock was set cannot be mended yet")
+            self._mend_error = str(error) or type(error).__name__
             return False
+        self._mend_error = None
         if not more:
             _log.info("times from before the clock was set are mended: they were %.0f s behind", shift / 1e9)
             with self._changed:
                 self._shift, self._is_mending = None, False
         return True
+
+    def _holds_early_times(self) -> bool:
+        """Whether something queued has a time from before the wall clock was set. The lock is held."""
+        return (
+            any(batch.time < EARLIEST for batch in self._batches)
+            or any(each.begin < EARLIEST for each in self._intervals)
+            or any(event.at < EARLIEST for _, event in self._alarms)
+        )
 
     def _wait_for_work(self) -> bool:
         """Wait until a commit is due; returns False when the committer is to end."""
@@ -240,8 +262,10 @@ class Committer:
 
     def _is_due(self) -> bool:
         """Whether anything waits to be committed or corrected. The lock is held."""
-        waits = self._batches or self._intervals or self._descriptions or self._alarms
-        return bool(waits) or self._shift is not None
+        return self._has_queued() or self._shift is not None
+
+    def _has_queued(self) -> bool:
+        return bool(self._batches or self._intervals or self._descriptions or self._alarms)
 
     def _note_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
         """Queue alarm events with the number of the point descriptions that apply to them. The lock is held."""
@@ -362,6 +386,23 @@ class Committer:
             self._lost += len(batch)
             self._note_loss(Gap(batch.time, batch.time + 1, Reason.LOST, len(batch)))
 
+    def _drop_whole_intervals(self) -> None:
+        """Drop the older half of the intervals whose begin and end are both queued. The lock is held.
+
+        Rows of others stay, few for each device: without them it would be shown as silent for ever, or not at all.
+        """
+        begun = {_key_of(each) for each in self._intervals if each.end is None}
+        whole = [
+            each
+            for each in self._intervals
+            if each.end is not None and (each.reason == Reason.SKIPPED or _key_of(each) in begun)
+        ]
+        dropped = whole[: (len(whole) + 1) // 2]
+        keys = set(map(_key_of, dropped))
+        self._intervals = [each for each in self._intervals if _key_of(each) not in keys]
+        for each in dropped:
+            self._note_loss(Gap(each.begin, each.end or each.begin, Reason.LOST))
+
     def _note_loss(self, loss: Gap) -> None:
         known = self._lost_now
         if known is not None:
@@ -378,6 +419,11 @@ class Committer:
             except Exception as error:  # also what pyarrow raises: collecting goes on, and it is tried again
                 if self._upkeep_error is None:
                     _log.exception("parts of the store could not be sealed or dropped")
-                self._upkeep_error = str(error)
+                self._upkeep_error = str(error) or type(error).__name__
             else:
                 self._upkeep_error = None
+
+
+def _key_of(interval: StateInterval | Gap) -> tuple[str, int, int]:
+    """Identify an interval: the row of its begin and that of its end have the same."""
+    return "" if isinstance(interval, Gap) else interval.device, interval.begin, interval.reason

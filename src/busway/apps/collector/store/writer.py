@@ -247,15 +247,20 @@ class StoreWriter:
         first, shift = self.manifest.fact("mend_from"), self.manifest.fact("mend_by")
         if first is None or shift is None:
             return False
-        with self._files:
+        if not self._files.acquire(blocking=False):
+            return True  # the other thread seals or drops; samples do not wait for that
+        try:
             for part in self.manifest.parts():
                 if part.kind == "closed" and (part.low or EARLIEST) < EARLIEST and (part.last_commit or 0) >= first:
                     self._mend_closed(part, first, shift)
                     return True
             if self._segment is not None:
                 self._segment.mend(first, shift)
+                self._segment.sync()  # before the manifest says that all is done
             elif self._part is not None:
                 return True  # the next commit opens it again
+        finally:
+            self._files.release()
         self.manifest.set_fact("mend_from", None)
         return False
 
