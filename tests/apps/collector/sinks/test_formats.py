@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import os
 import threading
 import urllib.request
 from collections.abc import Iterator
@@ -71,6 +72,30 @@ async def test_lines_are_appended_and_a_cut_line_is_ended_first(tmp_path: Path) 
     rows = [row for row in csv.DictReader(path.read_text().splitlines()) if row["device"]]
     assert [row["value"] for row in rows if row["point"] == "current"] == ["0", "1", "2"]
     assert rows[0]["quality"] == "good"
+
+
+@pytest.mark.parametrize("name", ["samples.csv", "parquet"])
+async def test_new_files_and_folders_are_durable_by_their_names_too(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyarrow")
+    synced: list[str] = []
+    fsync = os.fsync
+
+    def noted(file: int) -> None:
+        synced.append(os.path.relpath(os.readlink(f"/proc/self/fd/{file}"), tmp_path))
+        fsync(file)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    sink = FileSink(tmp_path / "a" / "b" / name, "csv" if name.endswith("csv") else "parquet")
+    await sink.send([sample("p", 1.0)])
+    folder = "a/b" if name.endswith("csv") else f"a/b/{name}"
+    assert {".", "a", folder} <= set(synced)
+    assert synced[-1] == folder, "the name comes after the content"
+    if name.endswith("csv"):
+        synced.clear()
+        await sink.send([sample("p", 2.0)])
+        assert synced == ["a/b/samples.csv"]
 
 
 async def test_json_lines(tmp_path: Path) -> None:

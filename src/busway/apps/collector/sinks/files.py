@@ -22,7 +22,7 @@ from ....errors import ConfigError
 from ....options.sinks import FileFormat
 from ..samples import NANOSECONDS, reason_text
 from ..store.committed_samples import CommittedSample
-from ..store.folder import UNFINISHED, sync_file, sync_folder
+from ..store.folder import UNFINISHED, make_durably, sync_file, sync_folder
 from ..store.sealing import arrow
 from .documents import sample_document
 from .interface import SinkDown
@@ -70,7 +70,7 @@ class FileSink:
     def _append(self, samples: Sequence[CommittedSample]) -> None:
         day = datetime.fromtimestamp(samples[0].time // NANOSECONDS, UTC).date()
         path = Path(self._path.replace("{date}", day.isoformat()))
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_durably(path.parent)
         with path.open("a+b") as file:
             size = file.seek(0, os.SEEK_END)
             begin = self._header if size == 0 else ""
@@ -80,11 +80,13 @@ class FileSink:
             file.write((begin + self._lines(samples)).encode())
             file.flush()
             os.fsync(file.fileno())
+        if size == 0:
+            sync_folder(path.parent)
 
     def _write_parquet(self, samples: Sequence[CommittedSample]) -> None:
         pa = arrow()
         folder = Path(self._path)
-        folder.mkdir(parents=True, exist_ok=True)
+        make_durably(folder)
         whole = [sample.value if type(sample.value) is int and sample.value < 2**63 else None for sample in samples]
         table = pa.table(
             {

@@ -103,11 +103,20 @@ def holder_of(folder: Path) -> int | None:
 def make_folder(path: Path) -> None:
     """Create the folder of a store; a new one is private to its owner. Raises `ConfigError`."""
     try:
-        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        make_durably(path, mode=0o700)
         (path / SEGMENTS).mkdir(mode=0o700, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"the store cannot be made: {error.strerror}", file=str(path)) from error
     sync_folder(path)
+
+
+def make_durably(path: Path, *, mode: int = 0o777) -> None:
+    """Create a folder, and those above it that are missing, so that they survive a power failure. Raises `OSError`."""
+    missing = [each for each in (path, *path.parents) if not each.exists()]
+    path.mkdir(mode=mode, parents=True, exist_ok=True)
+    for each in missing:
+        with contextlib.suppress(PermissionError):  # a folder that may be entered and not listed
+            sync_folder(each.parent)
 
 
 def check_store(path: Path) -> None:
