@@ -113,6 +113,22 @@ async def test_a_refused_sample_is_found_set_aside_and_told_and_all_others_arriv
     }
 
 
+async def test_a_sink_that_has_refused_a_sample_is_said_to_be_down_only_while_it_is(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    sink = RecordingSink(poison=lambda sample: sample.point == "current" and sample.value == 0)
+    with filled(tmp_path, 1) as writer:
+        delivery = delivery_to(sink, writer)
+        await run_until(delivery, lambda: delivery.status().set_aside == 1)
+        sink.is_down = True
+        commit_reads(writer, 1, 1)
+        await run_until(delivery, lambda: delivery.status().error == "no answer")
+        assert caplog.text.count("sink sink is down: no answer") == 1
+        sink.is_down = False
+        await run_until(delivery, lambda: len(sink.taken) == 5)
+        assert delivery.status().error == "a value is refused"
+
+
 async def test_only_the_points_that_are_named_are_sent(tmp_path: Path) -> None:
     sink = RecordingSink()
     with filled(tmp_path, 5) as writer:

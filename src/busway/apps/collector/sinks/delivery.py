@@ -54,7 +54,7 @@ class SinkStatus:
         sent: samples that were taken since the start.
         lost: samples that were dropped for it, ever.
         set_aside: samples that it refused since the start.
-        error: why it is down or refused last; None where all is well.
+        error: why it is down; while it is not, what it refused last since the start; None where all is well.
     """
 
     name: str
@@ -106,12 +106,13 @@ class Delivery:
         self._point_rules: Mapping[tuple[str, str], ReportRule] = point_rules or {}
         self._reported: dict[tuple[str, str], CommittedSample] = {}
         self._sent = self._aside = 0
-        self._error: str | None = None
+        self._down_error: str | None = None
+        self._refusal: str | None = None
         self._is_open = False
 
     def note_defect(self, error: Exception) -> None:
         """Show in the sink's status why its delivery ended unexpectedly."""
-        self._error = f"failed unexpectedly: {str(error) or type(error).__name__}"
+        self._down_error = f"failed unexpectedly: {str(error) or type(error).__name__}"
 
     def set_point_rules(self, rules: Mapping[tuple[str, str], ReportRule]) -> None:
         """Use the report rules of a configuration that was read again. Safe from any thread."""
@@ -119,7 +120,9 @@ class Delivery:
 
     def status(self) -> SinkStatus:
         """Return the status of the sink. Safe from any thread."""
-        return SinkStatus(self.name, self._cursor, self._sent, self._lost, self._aside, self._error)
+        return SinkStatus(
+            self.name, self._cursor, self._sent, self._lost, self._aside, self._down_error or self._refusal
+        )
 
     async def run(self) -> None:
         """Send stored and new samples to the sink until cancelled."""
@@ -159,7 +162,7 @@ class Delivery:
             await self._send(wanted)
         if alarms and isinstance(sink, AlarmSink):
             await self._send_alarms(sink, alarms)
-        self._error = None if self._aside == 0 else self._error
+        self._down_error = None
         await asyncio.to_thread(self._move, found.last)
         for sample in wanted:
             self._reported[sample.device, sample.point] = sample
@@ -236,7 +239,7 @@ class Delivery:
                 return
             if self._aside == 0:
                 _log.error("sink %s refused a sample, which is set aside: %s", self.name, error)
-            self._error = str(error)
+            self._refusal = str(error)
             self._aside += 1
             await asyncio.to_thread(self._set_aside, samples[0], str(error))
 
@@ -247,7 +250,7 @@ class Delivery:
         except SinkRefused as error:
             if self._aside == 0:
                 _log.error("sink %s refused events of alarms, which are set aside: %s", self.name, error)
-            self._error = str(error)
+            self._refusal = str(error)
             self._aside += len(alarms)
             for each in alarms:
                 await asyncio.to_thread(self._write_aside, {**alarm_document(each).content, "error": str(error)})
@@ -274,8 +277,8 @@ class Delivery:
             file.write(json.dumps(line) + "\n")
 
     async def _down(self, error: SinkDown) -> None:
-        if self._error is None:
+        if self._down_error is None:
             _log.warning("sink %s is down: %s; samples wait in the store", self.name, error)
-        self._error = str(error)
+        self._down_error = str(error)
         self._is_open = False
         await self._sink.close()
