@@ -26,6 +26,7 @@ EXTRA_OF: Final = {
     "asyncpg": "postgresql",
     "httpx": "influxdb",
     "nats": "nats",
+    "msgpack": "fleet",
     "pandas": "frames",
     "polars": "frames",
 }

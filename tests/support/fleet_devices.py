@@ -1,13 +1,16 @@
-"""Devices of a plant on plain sockets, which write down every request: who asked, when, and for what.
-
-Knows bytes and asyncio; nothing of the library under test.
-"""
+"""Devices of a plant on plain sockets, which write down every request: who asked, when, and for what."""
 
 import asyncio
+import contextlib
 import struct
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
-FIRST_DUE = 0.0
+from busway.apps.collector.configuration import CollectorConfiguration, parse_collector
+from busway.apps.fleet.lease_times import LeaseTimes
+
+TIMES = LeaseTimes(ttl=3.0, renew=0.4, guard=0.3, answer=0.8)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,3 +72,46 @@ class FleetDevice:
             if not found or found[-1] != each.peer:
                 found.append(each.peer)
         return found
+
+
+METER = """
+[[unit]]
+[[unit.point]]
+name = "count"
+address = "4x1"
+type = "uint32"
+"""
+
+
+def plant(store: Path, devices: list[FleetDevice], options: str = "timeout = 0.5\nconnect_timeout = 0.5") -> str:
+    (store.parent / "meter.toml").write_text(METER)
+    text = f'[collector]\nstore = "{store}"\n[poll_class]\nfast.period = 0.1\n'
+    for device in devices:
+        text += f"""
+[[link]]
+name = "{device.name}"
+url = "tcp://127.0.0.1:{device.port}"
+{options}
+[[device]]
+name = "{device.name}"
+link = "{device.name}"
+unit = 1
+profile = "{store.parent / "meter.toml"}"
+poll_class = "fast"
+"""
+    return text
+
+
+def parsed(tmp_path: Path, name: str, devices: list[FleetDevice]) -> CollectorConfiguration:
+    return parse_collector(plant(tmp_path / name, devices), f"{name}.toml")
+
+
+@contextlib.asynccontextmanager
+async def devices_of(count: int) -> AsyncIterator[list[FleetDevice]]:
+    devices = [FleetDevice(f"link-{number}") for number in range(count)]
+    servers = [await device.serve() for device in devices]
+    try:
+        yield devices
+    finally:
+        for server in servers:
+            server.close()

@@ -6,64 +6,19 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
-from fleet_devices import FleetDevice
+from fleet_devices import TIMES, FleetDevice, devices_of, parsed, plant
 from waiting import until
 
 import busway
-from busway.apps.collector.configuration import CollectorConfiguration, parse_collector
+from busway.apps.collector.configuration import parse_collector
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
-from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.ownership import OwnershipLog
 from busway.errors import ConfigError
 
-TIMES = LeaseTimes(ttl=3.0, renew=0.4, guard=0.3, answer=0.8)
 LINKS = 8
 
 pytestmark = pytest.mark.real_time
-
-
-METER = """
-[[unit]]
-[[unit.point]]
-name = "count"
-address = "4x1"
-type = "uint32"
-"""
-
-
-def plant(store: Path, devices: list[FleetDevice], options: str = "timeout = 0.5\nconnect_timeout = 0.5") -> str:
-    (store.parent / "meter.toml").write_text(METER)
-    text = f'[collector]\nstore = "{store}"\n[poll_class]\nfast.period = 0.1\n'
-    for device in devices:
-        text += f"""
-[[link]]
-name = "{device.name}"
-url = "tcp://127.0.0.1:{device.port}"
-{options}
-[[device]]
-name = "{device.name}"
-link = "{device.name}"
-unit = 1
-profile = "{store.parent / "meter.toml"}"
-poll_class = "fast"
-"""
-    return text
-
-
-def parsed(tmp_path: Path, name: str, devices: list[FleetDevice]) -> CollectorConfiguration:
-    return parse_collector(plant(tmp_path / name, devices), f"{name}.toml")
-
-
-@contextlib.asynccontextmanager
-async def devices_of(count: int) -> AsyncIterator[list[FleetDevice]]:
-    devices = [FleetDevice(f"link-{number}") for number in range(count)]
-    servers = [await device.serve() for device in devices]
-    try:
-        yield devices
-    finally:
-        for server in servers:
-            server.close()
 
 
 @contextlib.asynccontextmanager

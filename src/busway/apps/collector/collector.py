@@ -51,7 +51,7 @@ from .sinks.prometheus import LastValues, PrometheusPage
 from .sinks.running import SinkThread
 from .store.commit_thread import Committer, StoreStatus
 from .store.journal import alarm_events, alarm_rows, counters_by_device
-from .store.manifest import MaintenanceRow
+from .store.manifest import MaintenanceRow, Manifest
 from .store.retention import Retention
 from .store.writer import Commit, StoreOptions, StoreWriter
 
@@ -367,6 +367,12 @@ class Collector:
         """The number of the last commit of samples to the store; 0 before the first."""
         assert self._committer is not None
         return self._committer.writer.newest_commit
+
+    @property
+    def manifest(self) -> Manifest:
+        """The manifest of the open store."""
+        assert self._committer is not None
+        return self._committer.writer.manifest
 
     async def flush(self) -> bool:
         """Commit all samples taken so far; returns False if the store could not be written in ten seconds."""

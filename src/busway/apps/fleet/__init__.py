@@ -11,6 +11,9 @@
 `member_driver`    runs a member by asyncio on a coordinator
 `plant`            the part of a plant's configuration that one collector works on
 `ownership`        what a collector owned, and in which epoch its samples were taken
+`messages`         samples of one link as a message
+`outbox`           what a collector has stored, sent until the sinks of the fleet have it
+`streams`          the stream of a zone: samples go in from collectors, and out to sinks
 `fleet_collector`  a collector that polls what it owns
 =================  ========================================================================================
 """

@@ -27,7 +27,8 @@ from ..collector.configuration import CollectorConfiguration
 from .coordinator import Coordinator
 from .lease_times import Epoch, LeaseTimes
 from .member import FleetMember, ShardEvent, Step
-from .member_driver import MemberDriver, boot_time
+from .member_driver import MemberDriver, boot_time, end_tasks
+from .outbox import Outbox, SampleStream
 from .ownership import OwnershipLog
 from .plant import costs_by_link, longest_transaction, refuse_slow_links, restricted
 from .shards import checked_name, links_by_shard
@@ -50,16 +51,19 @@ class FleetCollector:
         hosts: by link, the hosts that can reach it, the preferred one first; links that are missing all can reach.
         times: of the leases; the same for all collectors.
         capacity: how much this collector may take beside the others.
+        stream: where its samples are sent; None where they stay in its store alone.
         now: the clock of leases.
 
     Attributes:
         member: what it owns, as the zone sees it.
         collector: what polls.
         ownership: the log of what it owned.
+        outbox: sends its samples on; None without a stream.
     """
 
     collector: Collector
     ownership: OwnershipLog
+    outbox: Outbox | None
 
     def __init__(
         self,
@@ -72,12 +76,14 @@ class FleetCollector:
         hosts: Mapping[str, Sequence[str]] | None = None,
         times: LeaseTimes | None = None,
         capacity: float = 1.0,
+        stream: SampleStream | None = None,
         now: Callable[[], float] = boot_time,
     ) -> None:
         times = times or LeaseTimes()
         refuse_slow_links(configuration, times)
         self._configuration = configuration
         self._now = now
+        self._stream = stream
         self._links_of = links_by_shard(((link, (hosts or {}).get(link, ())) for link in configuration.links), shards)
         self._shard_of = {link: shard for shard, links in self._links_of.items() for link in links}
         self._worst = {link: longest_transaction(configuration, link) for link in configuration.links}
@@ -107,10 +113,13 @@ class FleetCollector:
             )
             self.ownership = OwnershipLog(Path(self._configuration.store))
             unless_started.callback(self.ownership.close)
+            self.outbox = self._opened_outbox()
             self._tasks = [
                 asyncio.create_task(self._driver.run(), name="busway fleet member"),
                 asyncio.create_task(self._apply_changes(), name="busway fleet links"),
             ]
+            if self.outbox is not None:
+                self._tasks.append(asyncio.create_task(self.outbox.run(), name="busway fleet outbox"))
             unless_started.pop_all()
         return self
 
@@ -125,10 +134,27 @@ class FleetCollector:
             if not any(task.done() for task in self._tasks) and not await self._driver.end(END_LIMIT):
                 _log.warning("not all shards were handed back in %g s: others take them later", END_LIMIT)
 
+    def _opened_outbox(self) -> Outbox | None:
+        if self._stream is None:
+            return None
+        link_of = {device.name: device.link for device in self._configuration.devices.values()}
+        return Outbox(
+            Path(self._configuration.store),
+            self.collector.manifest,
+            self._stream,
+            collector=self.member.name,
+            store=self.ownership.store,
+            link_of=lambda: link_of,
+            epoch_of=self.ownership.epoch_of,
+            now=self._now,
+        )
+
+    def shard_of(self, link: str) -> str:
+        """The shard of a link; "none" for one that is not in the file."""
+        return self._shard_of.get(link, "none")
+
     async def _end_tasks(self) -> None:
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await end_tasks(self._tasks)
 
     def _permit(self, link: str) -> None:
         """Raise `LinkDown` if a transaction on a link may not begin, because its shard is not surely owned (rule 2)."""

@@ -10,7 +10,7 @@ Knows tasks and the clock; what is proposed, and what follows from an answer, is
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import aclosing
 
 from .coordinator import (
@@ -30,6 +30,15 @@ def boot_time() -> float:
     """Return the seconds of a clock that is never set and, if there is such a one, runs while the machine sleeps."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic() if clock is None else time.clock_gettime(clock)
+
+
+async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:
+    """Cancel tasks until they have ended: on Python 3.11 a wait with a limit can swallow a cancellation."""
+    left = {task for task in tasks if not task.done()}
+    while left:
+        for task in left:
+            task.cancel()
+        _, left = await asyncio.wait(left, timeout=1.0)
 
 
 class MemberDriver:

@@ -8,6 +8,7 @@ Knows epochs and commit numbers; knows no coordinator.
 3. An ownership whose end is missing ended with the process.
 """
 
+import secrets
 import sqlite3
 import threading
 from bisect import bisect_left
@@ -22,6 +23,7 @@ from .lease_times import Epoch
 
 OWNERSHIP: Final = "fleet.sqlite"
 _SCHEMA: Final = """
+CREATE TABLE IF NOT EXISTS identity (store TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS ownership (
     link TEXT NOT NULL, generation INTEGER NOT NULL, revision INTEGER NOT NULL, after_commit INTEGER NOT NULL,
     begin INTEGER NOT NULL, last_commit INTEGER, "end" INTEGER, PRIMARY KEY (link, generation, revision)
@@ -56,9 +58,14 @@ class OwnershipLog:
     Args:
         folder: of the store, whose lock this process holds.
 
+    Attributes:
+        store: a word for this store, which no other one has.
+
     Raises:
         ConfigError: the file cannot be opened.
     """
+
+    store: str
 
     def __init__(self, folder: Path) -> None:
         path = folder / OWNERSHIP
@@ -68,7 +75,11 @@ class OwnershipLog:
             path.chmod(0o600)
             self._database.execute("PRAGMA journal_mode=WAL")
             self._database.execute("PRAGMA synchronous=FULL")
-            self._database.execute(_SCHEMA)
+            self._database.executescript(_SCHEMA)
+            self._database.execute(
+                "INSERT INTO identity SELECT ? WHERE NOT EXISTS (SELECT 1 FROM identity)", (secrets.token_hex(6),)
+            )
+            (self.store,) = self._database.execute("SELECT store FROM identity").fetchone()
         except (sqlite3.Error, OSError) as error:
             raise ConfigError(f"the log of ownership cannot be used: {error}", file=str(path)) from error
         self._epochs: dict[str, list[tuple[int, Epoch]]] = {}

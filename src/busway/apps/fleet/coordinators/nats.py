@@ -210,7 +210,8 @@ class NatsCoordinator:
                 yield SNAPSHOT_ENDS
             follows = 1
             while True:
-                message = await asyncio.wait_for(waiting.get(), QUIET)
+                async with asyncio.timeout(QUIET):
+                    message = await waiting.get()
                 if (message.headers or {}).get("Status") is not None:
                     last = message.headers.get("Nats-Last-Consumer")
                     if last is not None and int(last) >= follows:

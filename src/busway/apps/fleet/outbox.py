@@ -1,0 +1,193 @@
+"""The outbox of one collector: its store, sent to a stream until the sinks of the fleet have it.
+
+Knows commits and cursors; `streams` knows the engine.
+
+1. Samples are sent after their commit, in the order of commits, and again after each start from the cursor on: the
+   lowest commit up to which every sink has said that it keeps them. The stream may lose all that it has.
+2. The cursor is in the manifest of the store, where retention counts what it takes from before it.
+3. Where sinks do not move for `AGAIN_AFTER` seconds although something was sent, it is sent again from the cursor on.
+4. A stream that is full or away stops nothing: samples wait in the store. The status says so.
+"""
+
+import asyncio
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+from ...errors import ModbusError
+from ..collector.store.committed_samples import CommitReader, CommittedSample
+from ..collector.store.manifest import Manifest
+from .lease_times import Epoch
+from .messages import MOST_ROWS, SampleMessage, by_link
+
+OUTBOX: Final = "fleet"
+"""The name of its cursor in the manifest."""
+MOST: Final = 20_000
+"""Samples that are read at once."""
+IDLE: Final = 0.25
+"""Seconds between two looks for new commits."""
+AGAIN_AFTER: Final = 30.0
+PAUSE: Final = 0.5
+PAUSE_LIMIT: Final = 15.0
+
+_log = logging.getLogger("busway.fleet")
+
+
+class StreamDown(ModbusError):
+    """Error: the stream did not acknowledge: it is away, full, or refuses the rights. It may have the message."""
+
+
+class SampleStream(Protocol):
+    """What an outbox needs of a stream."""
+
+    async def publish(self, message: SampleMessage) -> None:
+        """Send a message; when it returns, the stream has it. Raises `StreamDown`."""
+
+    def kept(self, collector: str, store: str) -> int | None:
+        """The commit up to which every sink keeps the samples of a store; None where no sink is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class OutboxStatus:
+    """The status of an outbox.
+
+    Attributes:
+        sent: the last commit that the stream has.
+        kept: the last commit that all sinks keep.
+        messages: that were acknowledged since the start.
+        error: why the stream does not take more; None while it does.
+    """
+
+    sent: int
+    kept: int
+    messages: int
+    error: str | None
+
+
+class Outbox:
+    """Sends what a store keeps.
+
+    Args:
+        folder, manifest: of the store.
+        stream: where it is sent.
+        collector, store: names in the messages.
+        link_of: by device, its link; asked before each batch.
+        epoch_of: the epoch of a link in which a commit was made.
+        revision: of the configuration that holds.
+        now: seconds of a clock that is not set.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        manifest: Manifest,
+        stream: SampleStream,
+        *,
+        collector: str,
+        store: str,
+        link_of: Callable[[], Mapping[str, str]],
+        epoch_of: Callable[[str, int], Epoch | None],
+        revision: Callable[[], int] = lambda: 0,
+        now: Callable[[], float],
+    ) -> None:
+        self._manifest, self._stream = manifest, stream
+        self._collector, self._store = collector, store
+        self._link_of, self._epoch_of, self._revision, self._now = link_of, epoch_of, revision, now
+        self._reader = CommitReader(folder, manifest)
+        self._kept, self._lost = manifest.cursors().get(OUTBOX, (0, 0))
+        manifest.set_cursor(OUTBOX, self._kept, self._lost)
+        self._sent = self._kept
+        self._told = -1
+        self._moved_at = now()
+        self._messages = self._round = 0
+        self._error: str | None = None
+
+    def status(self) -> OutboxStatus:
+        """The current status."""
+        return OutboxStatus(self._sent, self._kept, self._messages, self._error)
+
+    async def run(self) -> None:
+        """Send until cancelled."""
+        wait = PAUSE
+        while True:
+            try:
+                more = await self.step()
+            except StreamDown as error:
+                if self._error is None:
+                    _log.warning("samples wait in the store: %s", error)
+                self._error = str(error)
+                await asyncio.sleep(wait)
+                wait = min(2 * wait, PAUSE_LIMIT)
+                continue
+            if self._error is not None:
+                _log.info("the stream takes samples again")
+            self._error, wait = None, PAUSE
+            if not more:
+                await asyncio.sleep(IDLE)
+
+    async def step(self) -> bool:
+        """Send the next batch; gives whether there may be more already. Raises `StreamDown`."""
+        await self._take_kept()
+        found = await asyncio.to_thread(self._reader.read, self._sent, MOST)
+        if found is None:
+            await self._tell_complete()
+            return False
+        # A batch without samples gets a message too: a sink believes the next one only if it has seen where this began.
+        for message in self._messages_of(found.samples) or [self._message("", 0, [])]:
+            await self._stream.publish(message)
+            self._messages += 1
+        self._sent = found.last
+        return len(found.samples) >= MOST
+
+    async def _take_kept(self) -> None:
+        """Move the cursor to what all sinks keep (rules 1 and 3)."""
+        kept = self._stream.kept(self._collector, self._store)
+        if kept is not None and kept > self._kept:
+            self._moved_at = self._now()
+            self._kept = min(kept, self._sent)
+            lost = self._manifest.cursors().get(OUTBOX, (0, 0))[1]
+            await asyncio.to_thread(self._manifest.set_cursor, OUTBOX, self._kept, lost)
+        elif self._sent <= self._kept:
+            self._moved_at = self._now()
+        elif kept is not None and self._now() >= self._moved_at + AGAIN_AFTER:
+            _log.warning("no sink has moved beyond commit %d for %g s: sent again", self._kept, AGAIN_AFTER)
+            self._moved_at = self._now()
+            self._sent, self._told = self._kept, -1
+            self._round += 1
+
+    async def _tell_complete(self) -> None:
+        """Tell sinks that all was sent, so that the cursor comes up to the last commit."""
+        if self._told < self._sent:
+            await self._stream.publish(self._message("", 0, []))
+            self._told = self._sent
+
+    def _messages_of(self, samples: list[CommittedSample]) -> list[SampleMessage]:
+        found: list[SampleMessage] = []
+        for link, group in by_link(samples, dict(self._link_of())):
+            for begin in range(0, len(group), MOST_ROWS):
+                found += self._of_one_epoch(link, begin // MOST_ROWS, group[begin : begin + MOST_ROWS])
+        return found
+
+    def _of_one_epoch(self, link: str, part: int, rows: list[CommittedSample]) -> list[SampleMessage]:
+        epochs: dict[Epoch | None, list[CommittedSample]] = {}
+        for row in rows:
+            epochs.setdefault(self._epoch_of(link, row.commit), []).append(row)
+        return [self._message(link, part, each, epoch) for epoch, each in epochs.items()]
+
+    def _message(
+        self, link: str, part: int, samples: list[CommittedSample], epoch: Epoch | None = None
+    ) -> SampleMessage:
+        return SampleMessage(
+            self._collector,
+            self._store,
+            link,
+            epoch,
+            self._revision(),
+            self._sent,
+            self._kept,
+            part,
+            self._round,
+            samples,
+        )

@@ -1,0 +1,388 @@
+"""The stream of a zone on NATS JetStream: samples go in from collectors, and out to durable sinks.
+
+Knows streams, subjects and consumers; the protocol is nats-py's (``busway[fleet]``). Works with nats-server 2.9.
+
+1. Subjects are ``busway.<zone>.samples.<shard>``; one stream has all of them. It drops the oldest when it is full:
+   collectors still have what no sink keeps, and send it again.
+2. A sink is a durable consumer with explicit acknowledgement. It tells how far it is by a cursor in the coordinator's
+   table, written after the sink has committed.
+3. A message that was sent and not acknowledged may be in the stream. Sent again it has the same ``Nats-Msg-Id``.
+"""
+
+import asyncio
+import contextlib
+import json
+import logging
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, Final
+
+from ...errors import ConfigError
+from ..collector.sinks.interface import Sink, SinkDown, SinkRefused
+from ..collector.store.committed_samples import CommittedSample
+from .coordinator import SNAPSHOT_ENDS, Coordinator, CoordinatorDown, Entry, OutcomeUnknown, RevisionConflict
+from .member_driver import end_tasks
+from .messages import SampleMessage, UnreadableMessage, decode_message
+from .outbox import StreamDown
+
+CURSORS: Final = "cursor."
+FETCH: Final = 64
+"""Messages that a sink takes at once."""
+ACK_SECONDS: Final = 10.0
+"""Seconds after which a message that a sink has not acknowledged is given to it again."""
+_log = logging.getLogger("busway.fleet")
+
+
+@dataclass(frozen=True, slots=True)
+class StreamOptions:
+    """How the stream of a zone keeps messages.
+
+    Attributes:
+        replicas: servers that keep each message, 1…5.
+        max_bytes: bytes on each server, at most.
+        max_age: seconds for which messages are kept, at most.
+        duplicate_window: seconds in which the server drops a message that it has already.
+    """
+
+    replicas: int = 1
+    max_bytes: int = 1 << 30
+    max_age: float = 86_400.0
+    duplicate_window: float = 120.0
+
+
+async def make_stream(client: Any, zone: str, options: StreamOptions | None = None) -> str:
+    """Find or make the stream of a zone; gives its name. Raises `ConfigError`, `StreamDown`."""
+    nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
+    options = options or StreamOptions()
+    name = f"busway-samples-{zone}"
+    jetstream = client.jetstream(timeout=10.0)
+    try:
+        try:
+            info = await jetstream.stream_info(name)
+        except errors.NotFoundError:
+            info = await jetstream.add_stream(
+                api.StreamConfig(
+                    name=name,
+                    subjects=[f"busway.{zone}.samples.>"],
+                    storage=api.StorageType.FILE,
+                    num_replicas=options.replicas,
+                    max_bytes=options.max_bytes,
+                    max_age=options.max_age,
+                    discard=api.DiscardPolicy.OLD,
+                    duplicate_window=min(options.duplicate_window, options.max_age),
+                )
+            )
+    except errors.APIError as error:
+        raise ConfigError(f"the stream {name} cannot be used: {error.description}", key="coordinator") from error
+    except (nats.errors.Error, OSError, TimeoutError) as error:
+        raise StreamDown(f"the stream {name} does not answer: {error or type(error).__name__}") from error
+    if (info.config.num_replicas or 1) < options.replicas:
+        raise ConfigError(
+            f"the stream {name} has {info.config.num_replicas} replicas, and {options.replicas} are asked for",
+            key="replicas",
+        )
+    return name
+
+
+class NatsStream:
+    """The way of one collector into the stream.
+
+    Args:
+        client: of nats-py, connected.
+        zone: of the collector.
+        shard_of: the shard of a link.
+        timeout: seconds for an acknowledgement.
+    """
+
+    def __init__(self, client: Any, zone: str, shard_of: Callable[[str], str], *, timeout: float = 5.0) -> None:
+        self._client, self._zone, self._shard_of = client, zone, shard_of
+        self._jetstream = client.jetstream(timeout=timeout)
+        self._cursors = CursorBook()
+
+    async def publish(self, message: SampleMessage) -> None:
+        """Send a message; when it returns, the stream has it. Raises `StreamDown`."""
+        nats = import_module("nats")
+        if not self._client.is_connected:
+            raise StreamDown("the connection to the server is lost")
+        shard = self._shard_of(message.link) if message.link else "none"
+        try:
+            await self._jetstream.publish(
+                f"busway.{self._zone}.samples.{shard}", message.encode(), headers={"Nats-Msg-Id": message.name}
+            )
+        except (nats.errors.Error, OSError, TimeoutError) as error:
+            raise StreamDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
+
+    def kept(self, collector: str, store: str) -> int | None:
+        """The commit up to which every sink keeps the samples of a store; None where no sink is known."""
+        return self._cursors.kept(collector, store)
+
+    async def watch_cursors(self, coordinator: Coordinator) -> None:
+        """Follow the cursors of sinks until cancelled."""
+        await self._cursors.watch(coordinator)
+
+
+@dataclass(frozen=True, slots=True)
+class SinkCursors:
+    """How far one sink is.
+
+    Attributes:
+        sequence: of the last message of the stream that it has taken; 0 before the first.
+        commits: by collector and store, the commit up to which it keeps all samples.
+        proved: those of which the next message may prove more (`SinkProgress`).
+    """
+
+    sequence: int
+    commits: dict[str, int]
+    proved: frozenset[str] = frozenset()
+
+    def encode(self) -> bytes:
+        """The content of its entry."""
+        return json.dumps([self.sequence, self.commits, sorted(self.proved)], separators=(",", ":")).encode()
+
+
+class CursorBook:
+    """The cursors of all sinks of a zone, as the coordinator's table has them."""
+
+    def __init__(self) -> None:
+        self._cursors: dict[str, SinkCursors] = {}
+        self._revisions: dict[str, int] = {}
+
+    def take(self, entry: Entry) -> None:
+        """Take an entry of a watch; others than cursors are left out. An empty value forgets a sink."""
+        if not entry.key.startswith(CURSORS):
+            return
+        sink = entry.key[len(CURSORS) :]
+        if entry.revision <= self._revisions.get(sink, 0):
+            return
+        self._revisions[sink] = entry.revision
+        self._cursors.pop(sink, None)
+        if entry.value:
+            try:
+                sequence, commits, proved = json.loads(entry.value)
+                numbers = {str(name): int(number) for name, number in commits.items()}
+                found = SinkCursors(int(sequence), numbers, frozenset(map(str, proved)))
+            except (ValueError, TypeError, AttributeError):
+                found = SinkCursors(0, {})  # it keeps nothing, as far as can be said
+            self._cursors[sink] = found
+
+    def kept(self, collector: str, store: str) -> int | None:
+        """The lowest cursor of all sinks; None where there is none, 0 where one has not begun."""
+        place = f"{collector}/{store}"
+        return min((each.commits.get(place, 0) for each in self._cursors.values()), default=None)
+
+    def of(self, sink: str) -> tuple[SinkCursors | None, int]:
+        """The cursors of one sink, and the revision of its entry, 0 where there never was one."""
+        return self._cursors.get(sink), self._revisions.get(sink, 0)
+
+    async def watch(self, coordinator: Coordinator, told: Callable[[], None] = lambda: None) -> None:
+        """Follow the table until cancelled; ``told`` is called once all present entries are known."""
+        async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
+            async for entry in entries:
+                if entry is SNAPSHOT_ENDS:
+                    told()
+                self.take(entry)
+
+
+class SinkProgress:
+    """What a sink may say that it keeps, by the messages that it has taken. Pure.
+
+    1. Messages that follow each other without a gap in the sequence of the stream prove ``complete`` of a sender.
+    2. After a gap (the stream dropped messages, or they come again later) nothing is proved of a sender until it has
+       begun again at what is kept: with a message whose ``complete`` is not above that.
+    """
+
+    def __init__(self, cursors: SinkCursors | None) -> None:
+        self._sequence = 0 if cursors is None else cursors.sequence
+        self._commits = {} if cursors is None else dict(cursors.commits)
+        self._proved = set[str]() if cursors is None else set(cursors.proved)
+        self.gaps = 0
+
+    @property
+    def cursors(self) -> SinkCursors:
+        """The cursors as they are now."""
+        return SinkCursors(self._sequence, dict(self._commits), frozenset(self._proved))
+
+    def take(self, sequence: int, message: SampleMessage | None) -> None:
+        """Note a message that the sink has taken; None for one that could not be read."""
+        if sequence <= self._sequence:
+            return  # it came again
+        if sequence != self._sequence + 1 or message is None:
+            self.gaps += 1
+            self._proved.clear()
+        self._sequence = sequence
+        if message is None:
+            return
+        place = f"{message.collector}/{message.store}"
+        known = self._commits.get(place, 0)
+        if place not in self._proved and message.complete <= max(known, message.kept):
+            self._proved.add(place)
+        if place in self._proved:
+            self._commits[place] = max(known, message.complete)
+
+
+class StreamSink:
+    """Hands the samples of a zone to one sink, at least once.
+
+    Args:
+        client: of nats-py, connected.
+        coordinator: of the zone, for the cursor.
+        zone: its name.
+        name: of the sink; a name keeps its place in the stream.
+        sink: where samples go.
+        set_aside: gets what the sink refuses for good, and why.
+
+    Attributes:
+        taken: samples that the sink has taken since the start.
+        refused: samples that it refused.
+        unreadable: messages that could not be read.
+        error: what is away now; None while all is well.
+    """
+
+    def __init__(
+        self,
+        client: Any,
+        coordinator: Coordinator,
+        zone: str,
+        name: str,
+        sink: Sink,
+        set_aside: Callable[[CommittedSample, str], None] = lambda sample, error: None,
+    ) -> None:
+        self.taken = self.refused = self.unreadable = 0
+        self.error: str | None = None
+        self._client, self._coordinator, self._zone, self._name = client, coordinator, zone, name
+        self._sink, self._set_aside = sink, set_aside
+        self._progress = SinkProgress(None)
+        self._book = CursorBook()
+        self._is_open = False
+
+    async def run(self) -> None:
+        """Hand on until cancelled; connects again where something is away."""
+        nats = import_module("nats")
+        known = asyncio.Event()
+        watch = asyncio.create_task(self._book.watch(self._coordinator, known.set))
+        try:
+            await known.wait()
+            self._progress = SinkProgress(self._book.of(self._name)[0])
+            while True:
+                try:
+                    await self._write_cursors()  # collectors wait for this sink before any sample reaches it
+                    await self._hand_on()
+                except RevisionConflict:
+                    self._down("its cursor was written by another process of the same name")
+                except (SinkDown, StreamDown, CoordinatorDown, OutcomeUnknown) as error:
+                    self._down(str(error))
+                except (nats.errors.Error, OSError, TimeoutError) as error:
+                    self._down(f"the stream cannot be read: {error or type(error).__name__}")
+                await self._sink.close()
+                self._is_open = False
+                await asyncio.sleep(0.5)
+        finally:
+            await end_tasks([watch])
+            await self._sink.close()
+
+    def _down(self, error: str) -> None:
+        if self.error is None:
+            _log.warning("sink %s: %s; it is tried again", self._name, error)
+        self.error = error
+
+    async def _hand_on(self) -> None:
+        api, errors = import_module("nats.js.api"), import_module("nats.errors")
+        stream = await make_stream(self._client, self._zone)
+        jetstream = self._client.jetstream(timeout=10.0)
+        subscription = await jetstream.pull_subscribe(
+            f"busway.{self._zone}.samples.>",
+            durable=f"sink-{self._name}",
+            stream=stream,
+            config=api.ConsumerConfig(
+                ack_policy=api.AckPolicy.EXPLICIT, ack_wait=ACK_SECONDS, max_ack_pending=4 * FETCH
+            ),
+        )
+        try:
+            while True:
+                try:
+                    found = await subscription.fetch(FETCH, timeout=1.0)
+                except (TimeoutError, errors.TimeoutError):
+                    continue
+                await self._take(jetstream, stream, found)
+                self.error = None
+        finally:
+            with contextlib.suppress(errors.Error, OSError, TimeoutError):
+                await subscription.unsubscribe()
+
+    async def _take(self, jetstream: Any, stream: str, found: Iterable[Any]) -> None:
+        """Commit, then write the cursor, then acknowledge: what is cut off comes again, in order."""
+        messages = sorted(found, key=lambda each: int(each.metadata.sequence.stream))
+        ready = await self._following(jetstream, stream, messages)
+        try:
+            read = [(each, self._read(each)) for each in ready]
+            await self._send([sample for _, each in read if each is not None for sample in each.samples])
+            for message, each in read:
+                self._progress.take(message.metadata.sequence.stream, each)
+            await self._write_cursors()
+        except BaseException:
+            await self._give_back(messages)
+            raise
+        for message in ready:
+            await message.ack()
+        await self._give_back(messages[len(ready) :])
+        await self._client.flush(timeout=5)
+
+    async def _following(self, jetstream: Any, stream: str, messages: list[Any]) -> list[Any]:
+        """Those that follow what was taken without a gap; all, where the stream has dropped what is missing."""
+        expected = self._progress.cursors.sequence + 1
+        place = 0
+        for message in messages:
+            if int(message.metadata.sequence.stream) > expected:
+                break
+            expected = max(expected, int(message.metadata.sequence.stream) + 1)
+            place += 1
+        if place == len(messages):
+            return messages
+        info = await jetstream.stream_info(stream)
+        return messages if int(info.state.first_seq) > expected else messages[:place]
+
+    async def _give_back(self, messages: Iterable[Any]) -> None:
+        """Have messages come again soon, those before them first."""
+        errors = import_module("nats.errors")
+        with contextlib.suppress(errors.Error, OSError, TimeoutError):
+            for message in messages:
+                await message.nak(delay=0.2)
+
+    def _read(self, message: Any) -> SampleMessage | None:
+        try:
+            return decode_message(message.data)
+        except UnreadableMessage as error:
+            if not self.unreadable:
+                _log.error("a message on %s is left out: %s", message.subject, error)
+            self.unreadable += 1
+            return None
+
+    async def _send(self, samples: list[CommittedSample]) -> None:
+        if not samples:
+            return
+        if not self._is_open:
+            await self._sink.open()
+            self._is_open = True
+        try:
+            await self._sink.send(samples)
+            self.taken += len(samples)
+        except SinkRefused as error:
+            if len(samples) > 1:
+                middle = len(samples) // 2
+                await self._send(samples[:middle])
+                await self._send(samples[middle:])
+                return
+            self.refused += 1
+            self._set_aside(samples[0], str(error))
+
+    async def _write_cursors(self) -> None:
+        key, value = f"{CURSORS}{self._name}", self._progress.cursors.encode()
+        known, revision = self._book.of(self._name)
+        if known is not None and known.encode() == value:
+            return
+        if revision:
+            made = await self._coordinator.replace(key, value, revision)
+        else:
+            made = await self._coordinator.create(key, value)
+        self._book.take(Entry(key, value, made))

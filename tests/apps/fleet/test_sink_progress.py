@@ -1,0 +1,67 @@
+"""A sink says that it keeps a commit only if it has every sample up to it, whatever a stream loses."""
+
+import random
+
+import pytest
+
+from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.fleet.messages import SampleMessage
+from busway.apps.fleet.streams import SinkProgress
+
+
+def message(collector: str, commits: list[int], complete: int, kept: int) -> SampleMessage:
+    samples = [CommittedSample(commit, "d", "p", commit, 0, commit, 0) for commit in commits]
+    return SampleMessage(collector, "s", "hall", None, 0, complete, kept, 0, 0, samples)
+
+
+class Sender:
+    """An outbox in a few lines: sends commits in order, and again from what is kept."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.made = self.sent = self.kept = 0
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_what_a_sink_says_that_it_keeps_it_has(seed: int) -> None:
+    chance = random.Random(seed)
+    senders = [Sender("one"), Sender("two")]
+    stream: list[tuple[int, SampleMessage]] = []
+    sequence = 0
+    progress = SinkProgress(None)
+    has: dict[str, set[int]] = {"one": set(), "two": set()}
+    for _ in range(400):
+        sender = chance.choice(senders)
+        match chance.choice(["make", "make", "send", "send", "take", "take", "drop", "again", "restart", "repeat"]):
+            case "make":
+                sender.made += chance.randrange(4)
+            case "send":
+                commits = list(range(sender.sent + 1, min(sender.made, sender.sent + 3) + 1))
+                sequence += 1
+                stream.append((sequence, message(sender.name, commits, sender.sent, sender.kept)))
+                sender.sent += len(commits)
+            case "take" if stream:
+                number, found = stream.pop(0)
+                has[found.collector] |= {each.commit for each in found.samples}
+                progress.take(number, found if chance.random() < 0.97 else None)
+            case "drop":
+                del stream[: chance.randrange(3)]
+            case "again":
+                sender.sent = sender.kept
+            case "restart":
+                progress = SinkProgress(progress.cursors)
+            case "repeat" if stream:
+                number, found = stream[0]
+                has[found.collector] |= {each.commit for each in found.samples}
+                progress.take(number, found)
+        for each in senders:
+            cursor = progress.cursors.commits.get(f"{each.name}/s", 0)
+            assert has[each.name] >= set(range(1, cursor + 1)), "it says that it keeps what it never had"
+            each.kept = max(each.kept, cursor)
+    for each in senders:
+        for begins in (each.kept, each.made):
+            sequence += 1
+            commits = list(range(begins + 1, each.made + 1))
+            found = message(each.name, commits, begins, each.kept)
+            progress.take(sequence + len(stream), found)
+        assert progress.cursors.commits[f"{each.name}/s"] == each.made, "what is sent again is believed"

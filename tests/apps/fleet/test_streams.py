@@ -1,0 +1,124 @@
+"""Samples of a fleet through a real NATS server: at least once, whatever ends and comes back."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Sequence
+from pathlib import Path
+
+import pytest
+from fleet_devices import TIMES, FleetDevice, devices_of, parsed
+from foreign_servers import ForeignServer, nats_server
+from waiting import until
+
+import busway
+from busway.apps.collector.sinks.interface import SinkDown
+from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.fleet_collector import FleetCollector
+from busway.apps.fleet.member_driver import end_tasks
+from busway.apps.fleet.streams import NatsStream, StreamSink, make_stream
+
+pytest.importorskip("nats")
+pytest.importorskip("msgpack")
+pytestmark = pytest.mark.real_time
+
+
+class KeepingSink:
+    """Keeps samples by device, point and time, and counts how often each came."""
+
+    def __init__(self) -> None:
+        self.kept: dict[tuple[str, str, int], int] = {}
+        self.is_up = True
+
+    async def open(self) -> None:
+        pass
+
+    async def send(self, samples: Sequence[CommittedSample]) -> None:
+        if not self.is_up:
+            raise SinkDown("it is away")
+        for each in samples:
+            key = (each.device, each.point, each.time)
+            self.kept[key] = self.kept.get(key, 0) + 1
+
+    async def close(self) -> None:
+        pass
+
+
+@contextlib.asynccontextmanager
+async def connected(server: ForeignServer) -> AsyncIterator[NatsCoordinator]:
+    coordinator = await open_nats(f"nats://127.0.0.1:{server.port}", "hall", CoordinatorOptions(answer=0.8))
+    try:
+        yield coordinator
+    finally:
+        await coordinator.close()
+
+
+@contextlib.asynccontextmanager
+async def sending(
+    tmp_path: Path, server: ForeignServer, name: str, devices: list[FleetDevice]
+) -> AsyncIterator[FleetCollector]:
+    async with connected(server) as coordinator:
+        await make_stream(coordinator.client, "hall")
+        stream = NatsStream(coordinator.client, "hall", lambda link: "0000", timeout=1.0)
+        watch = asyncio.create_task(stream.watch_cursors(coordinator))
+        try:
+            async with FleetCollector(
+                parsed(tmp_path, name, devices), coordinator, name, host=name, shards=8, times=TIMES, stream=stream
+            ) as collector:
+                yield collector
+        finally:
+            await end_tasks([watch])
+
+
+@contextlib.asynccontextmanager
+async def handing_on(server: ForeignServer, sink: KeepingSink) -> AsyncIterator[StreamSink]:
+    async with connected(server) as coordinator:
+        handed = StreamSink(coordinator.client, coordinator, "hall", "keeping", sink)
+        task = asyncio.create_task(handed.run())
+        try:
+            yield handed
+        finally:
+            await end_tasks([task])
+
+
+def stored(tmp_path: Path, *names: str) -> set[tuple[str, str, int]]:
+    found: set[tuple[str, str, int]] = set()
+    for name in names:
+        for each in busway.Store(tmp_path / name).read("*/*"):
+            found.add((each.device, each.point, each.time))
+    return found
+
+
+async def test_every_sample_of_two_collectors_reaches_a_sink_that_was_away_and_a_server_that_was_restarted(
+    tmp_path: Path,
+) -> None:
+    sink = KeepingSink()
+    with nats_server(tmp_path) as server:
+        async with contextlib.AsyncExitStack() as stack:
+            devices = await stack.enter_async_context(devices_of(4))
+            handed = await stack.enter_async_context(handing_on(server, sink))
+            async with (
+                sending(tmp_path, server, "one", devices) as one,
+                sending(tmp_path, server, "two", devices) as two,
+            ):
+                await until(lambda: handed.taken > 40 and one.collector.loads() and two.collector.loads(), 30)
+                sink.is_up = False
+                await asyncio.sleep(0.5)  # samples wait in the stream meanwhile
+                sink.is_up = True
+                server.stop()
+                await until(lambda: all(each.outbox and each.outbox.status().error for each in (one, two)), 30)
+                server.start()
+                taken = handed.taken
+                await until(lambda: handed.taken > taken + 40, 60)
+                for each in (one, two):
+                    await each.collector.flush()
+                newest = {each: each.collector.newest_commit for each in (one, two)}
+                kept = await asyncio.to_thread(stored, tmp_path, "one", "two")
+                for each in (one, two):
+                    assert each.outbox is not None
+                    await until(lambda each=each: each.outbox.status().kept >= newest[each], 60)  # type: ignore[misc]
+                has = set(sink.kept)
+                assert kept <= has, "what all sinks are said to keep, the sink has"
+        assert has <= stored(tmp_path, "one", "two"), "nothing comes that no store has"
+        assert handed.error is None
