@@ -11,6 +11,7 @@ import json
 import math
 import re
 import secrets
+import sys
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, Final
@@ -30,7 +31,9 @@ CommandValue = Value | list[Value]
 """What is written: a state, a number, a text, the name of a number; a list of names of flags, or of numbers."""
 
 _KEY: Final = re.compile(r"[A-Za-z0-9._:@-]{1,100}")
-_PRINTABLE: Final = re.compile(r"[^\x00-\x1f\x7f]{1,200}")
+_PRINTABLE: Final = re.compile(r"[^\x00-\x1f\x7f\ud800-\udfff]{1,200}")
+_HALF_PAIR: Final = re.compile(r"[\ud800-\udfff]")
+"""Halves of surrogate pairs, which JSON can have: they are no characters, and no answer could hold them."""
 
 
 class CommandState(StrEnum):
@@ -92,7 +95,7 @@ class PointCommand:
                 raise InvalidRequest(f"{name} has 1…200 printable characters, not {shown(text)}")
         if isinstance(self.expires, bool) or not isinstance(self.expires, int | float):
             raise InvalidRequest(f"expires is seconds since 1970, not {shown(self.expires)}")
-        if not math.isfinite(self.expires):
+        if not abs(self.expires) <= sys.float_info.max:  # not `isfinite`, which fails for longer integers
             raise InvalidRequest(f"expires is seconds since 1970, not {shown(self.expires)}")
         _check_value(self.value)
 
@@ -112,6 +115,8 @@ def _check_value(value: object) -> None:
             raise InvalidRequest("a whole number has at most 64 bits")
         if isinstance(each, str) and len(each) > LONGEST_VALUE:
             raise InvalidRequest(f"a text has at most {LONGEST_VALUE} characters")
+        if isinstance(each, str) and _HALF_PAIR.search(each):
+            raise InvalidRequest(f"{shown(each)} has half of a surrogate pair, which is no character")
     if len(items) > LONGEST_VALUE or len(json.dumps(value)) > 6 * LONGEST_VALUE:
         raise InvalidRequest(f"a value has at most {LONGEST_VALUE} characters")
 
