@@ -139,7 +139,8 @@ class SparkplugSink:
         try:
             await connect(client)
             self._client = client
-            self._listener = asyncio.create_task(self._listen(client))
+            self._listener = asyncio.create_task(self._listen(client), name="busway sparkplug messages")
+            self._listener.add_done_callback(_log_defect)
             await client.subscribe(self._topic("NCMD"), qos=1)
             if self._primary_host is not None:
                 await client.subscribe(f"spBv1.0/STATE/{self._primary_host}", qos=1)
@@ -174,6 +175,8 @@ class SparkplugSink:
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Publish samples, and wait until the broker has them. Raises `SinkDown`."""
         mqtt = import_module("aiomqtt")
+        if self._listener is None or self._listener.done():
+            raise SinkDown(f"messages of the broker {self._where} are no longer received")
         try:
             async with self._sending:
                 for name, those in groupby(sorted(samples, key=_device_of), _device_of):
@@ -297,7 +300,7 @@ class SparkplugSink:
         try:
             state = json.loads(content)
             online, moment = state["online"] is True, int(state["timestamp"])
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
             _log.warning("sink for Sparkplug: %s says a state that is none", self._primary_host)
             return
         if moment < self._host_time:  # an old last will that came late
@@ -321,6 +324,11 @@ class SparkplugSink:
         async with self._sending:
             if self._is_born and self._last_birth < asked_at:
                 await self._births()
+
+
+def _log_defect(task: "asyncio.Task[None]") -> None:
+    if not task.cancelled() and task.exception() is not None:
+        _log.error("sink for Sparkplug: messages are no longer received", exc_info=task.exception())
 
 
 def _device_of(sample: CommittedSample) -> str:
