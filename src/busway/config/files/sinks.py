@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from functools import reduce
 from operator import or_
 from typing import Annotated, Any, Final
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from pydantic import AfterValidator, BeforeValidator
 
@@ -27,12 +27,16 @@ from .options import OptionSection, with_options_of
 from .points import Report, ReportSection
 from .schema import FileProblems, Section, read_section
 
+_SECRETS: Final = frozenset({"p", "passwd", "password", "sslpassword", "token"})
+"""Keys behind ``?`` that hold a password in URLs of PostgreSQL and InfluxDB."""
+
 
 def _checked_url(url: str) -> str:
     parts = urlsplit(url)
     _ = parts.port  # a ValueError says what is wrong with it
-    if parts.password is not None:
-        raise ValueError("a password does not belong here; name a file by password_file")
+    given = {key.lower() for key, _ in parse_qsl(parts.query, keep_blank_values=True)}
+    if parts.password is not None or given & _SECRETS:
+        raise ValueError("a password does not belong here; name a file by password_file or token_file")
     return url
 
 

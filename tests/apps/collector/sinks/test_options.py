@@ -63,6 +63,8 @@ def test_how_samples_are_handed_on_is_in_the_table_too() -> None:
         ({}, "is missing; there are mqtt, mqtts"),
         ({"url": "kafka://x"}, "kafka is no kind of sink; there are mqtt, mqtts"),
         ({"url": "mqtt://u:secret@broker"}, "a password does not belong here"),
+        ({"url": "postgresql://u@db/plant?sslmode=require&password=secret"}, "a password does not belong here"),
+        ({"url": "influxdb+http://db/write?db=plant&u=me&p=secret"}, "a password does not belong here"),
         ({"url": "mqtt://broker", "topci": "x"}, "unknown key; is it topic?"),
         ({"url": "mqtt://broker", "topic": "plant"}, "a topic has {device}"),
         ({"url": "mqtt://broker", "topic": 5}, "must be a text, not 5"),
