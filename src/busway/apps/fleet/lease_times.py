@@ -47,9 +47,7 @@ class LeaseTimes:
         return asked + self.ttl - self.guard
 
     def free_at(self, seen: float) -> float:
-        """Return when another collector may take a shard whose lease's revision it first saw at ``seen``, by its
-        clock.
-        """
+        """Return when another collector may take a shard whose lease's revision it first saw at ``seen``."""
         return seen + self.ttl + self.guard
 
 
