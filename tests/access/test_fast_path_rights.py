@@ -8,7 +8,7 @@ import pytest
 from busway.access.audit_log import AuditLog
 from busway.access.fast_path_rights import bind
 from busway.access.question import Question
-from busway.access.rights import Rights, decision_of
+from busway.access.rule_evaluation import Rights, decision_of
 from busway.access.rules import Action, Policy, Rule
 from busway.codes import Table
 from busway.pdu.fields import u16

@@ -3,7 +3,7 @@
 import pytest
 
 from busway.access.question import Asker, Question
-from busway.access.rights import Rights, UnitAccess, decision_of
+from busway.access.rule_evaluation import Rights, UnitAccess, decision_of
 from busway.access.rules import DEFAULT_RULE, Action, Limits, Policy, Rule
 from busway.codes import Table
 from busway.errors import ConfigError

@@ -16,7 +16,7 @@ from handlers import ScriptedHandler
 import busway
 from busway.access.question import Question
 from busway.access.rates import Rates
-from busway.access.rights import decision_of
+from busway.access.rule_evaluation import decision_of
 from busway.codes import Table
 from busway.options.client import ClientParameters
 from busway.options.sockets import SocketParameters

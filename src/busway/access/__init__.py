@@ -1,18 +1,23 @@
 """Access control: which hosts may connect, which requests a policy permits, and the audit log (clauses M6, T15).
 
-==================  =================================================================================================
+==================  ==================================================================================================
 `addresses`         Address lists: which hosts may connect; allow and deny lists, and secure mode
 `audit_line`        One line of the audit log: a request and its outcome as JSON
 `audit_log`         The audit log: an append-only file with one JSON object per line
-`audit_observer`    The observer that records writes and denied requests in the audit log
-`authorizer`        The authorizer of a server: decides every request by a policy
-`denials`           Counts repeated denials of one client by one rule
-`fast_path_rights`  Fast answers under a policy: limited to the permitted items, and writes with audit lines
-`notation`          Units, functions and ranges of items as people write them in rules
-`question`          The facts of one request that a policy decides about: client, unit, function, items and values
-`rates`             Request rates per host: a token bucket for each host, shared by all its connections
+`audit_observer`    The observer of a server's requests that records writes and denied requests in the audit log
+`authorizer`        The authorizer of a server: permits or denies every request by the rules of a policy (M6, T15)
+`denials`           Counts repeated denials of one client by one rule: the audit log gets the first at once
+`fast_path_rights`  The server's fast path under a policy: checks addresses and values and audits writes
+`notation`          Parsers of the units, functions and address ranges that people write in access rules
+`question`          What an access policy needs to know of one request: client, unit, function, items and values
+`rates`             Limits of requests per second by client host: a token bucket for each host
 `repeats`           Limiter for repeated log messages: the first is logged at once
-`rights`            The rights of clients: the rules of a policy that apply to them, compiled once for fast decisions
-`rules`             Rules of a policy in their order: which clients and requests each applies to, and what it does
-==================  =================================================================================================
+`rule_evaluation`   Which rule decides about a request where several apply (the first), compiled once per rights
+`rules`             A rule: which clients and requests it applies to, and what it does; a policy: rules in their order
+==================  ==================================================================================================
+
+Where it is decided: which of two rules wins: `rule_evaluation` (the first that applies). What a rule applies to:
+`rules`. Which exception code refuses a request, and requests above a rate: `authorizer`. Which host may connect:
+`addresses`. Which lines the audit log has: `audit_observer`; what they say: `audit_line`; what happens on a full
+disk: `audit_log`.
 """

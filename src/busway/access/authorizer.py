@@ -5,8 +5,9 @@ Knows requests, clients and the policy; answers nothing and stands beside the re
 1. A denied request never reaches the responder. It is answered with the exception code of the rule: 01, or 02 where a
    rule about items chooses it. A permitted request above the rate of its rule is answered 06, because the client may
    try again.
-2. The rules that apply to a client are compiled once for all clients with equal rights (`busway.access.rights`). They
-   decide on the generic path, and what they permit is bound to the fast path (`busway.access.fast_path_rights`).
+2. The rules that apply to a client are compiled once for all clients with equal rights
+   (`busway.access.rule_evaluation`). They decide on the generic path, and what they permit is bound to the fast path
+   (`busway.access.fast_path_rights`).
 3. A policy can be replaced at any time: ``generation`` changes, and sessions ask again before their next request.
    No connection is dropped.
 4. While the audit log refuses writes (``on_failure="refuse"``), a write is answered 04 and not executed.
@@ -34,7 +35,7 @@ from .fast_path_rights import bind
 from .question import Asker, Question
 from .rates import Rates
 from .repeats import Repeats, so_often
-from .rights import Decision, Rights
+from .rule_evaluation import Decision, Rights
 from .rules import Policy, Rule
 
 _log = logging.getLogger("busway.policy")

@@ -26,7 +26,7 @@ from .audit_line import DONE, done_line, who_text
 from .audit_log import AuditLog
 from .notation import Range
 from .question import counts_as_write
-from .rights import Rights, UnitAccess, Zone, ranges_of
+from .rule_evaluation import Rights, UnitAccess, Zone, ranges_of
 from .rules import EVERYWHERE
 
 _unpack_address = struct.Struct(">H").unpack_from

@@ -1,6 +1,7 @@
 """Rules of a policy in their order: which clients and requests each applies to, and what it does (clauses M6, T15).
 
-Knows what people write; knows no connection and no store. `busway.access.rights` decides by them.
+Knows what people write; knows no connection and no store. `busway.access.rule_evaluation` decides by them: the first
+that applies.
 
 1. What is denied is answered with exception 01; a rule about items that names no role may choose 02, as if they were
    not there.

@@ -1,8 +1,8 @@
 """The command line: one file for each command of ``busway``, such as ``read``, ``serve`` and ``gateway``.
 
-================  =====================================================================================================
+================  ======================================================================================================
 `arguments`       Options that several commands share, and the conversion of their texts to checked values
-`certs`           `busway certs`: makes certificates to try Modbus/TCP Security with
+`certs`           `busway certs`: makes certificates to try Modbus/TCP Security with, and shows what certificates say
 `cloning`         `busway simulate --clone`: records a live device into a simulation file
 `collect`         `busway collect`: polls devices and stores their values, until Ctrl-C or SIGTERM
 `collect_demo`    `busway collect demo`: a small plant on a serial line, a gateway in front of it
@@ -12,31 +12,31 @@
 `decode`          `busway decode`: explains frames from a log or a manual, field by field
 `demo`            `busway demo`: a small plant on a serial line, a gateway in front of it
 `exits`           The exit codes of all commands, and which error ends with which code
-`files`           Files that commands read, and capture files that they write
+`files`           Files that commands read, and capture files that they write for Wireshark
 `gateway`         `busway gateway`: forwards client requests to serial lines or other servers, until Ctrl-C or SIGTERM
 `identify`        `busway identify`: shows how a device identifies itself
-`output`          Output of values on stdout: a table on a terminal, aligned lines elsewhere
+`output`          How commands print values on stdout: a table on a terminal, aligned lines elsewhere
 `points`          `busway points`: converts descriptions of devices from other programs into device files
 `policy`          `busway policy`: tells what a policy permits, and lists its rules, without a server
 `program`         The program `busway`: loads the requested command, runs it, and ends with its exit code
-`query`           `busway query`: shows the contents of a store of the collector
+`query`           `busway query`: prints samples from a store of the collector
 `read`            `busway read`: shows values of a device, once or repeatedly
-`read_points`     `busway read --points FILE`: reads points of a device by name, in as few requests as its rules allow
-`readiness`       Notifications to a service manager: ready, reloading, stopping, still alive (sd_notify(3))
-`running`         What `serve` and `gateway` share: options, announcements, and reloading at SIGHUP
+`read_points`     `busway read --points FILE`: reads the points of a device by name, in few requests
+`sd_notify`       Tells systemd (sd_notify) that the program is ready, reloads, stops or is alive
+`running`         What `busway serve` and `gateway` have in common: options, what they print, and reloading at SIGHUP
 `scan`            `busway scan`: finds the units that answer on a serial line, or behind an address
 `serve`           `busway serve`: serves one or several devices, until Ctrl-C or SIGTERM
 `signals`         Signals: Ctrl-C and SIGTERM end commands that run until they are stopped
 `simulate`        `busway simulate`: serves simulated devices whose values change as a file says
 `sniff`           `busway sniff`: shows the traffic of a serial line. It listens and never sends
-`sources`         The sources of `busway simulate`: a file, a ready-made device, or a register map
+`sources`         Where the devices of `busway simulate` come from: a file, a ready-made device, or a register map
 `status`          `busway status`: shows the status of a running server or gateway, over its control socket
-`status_view`     Formats a status as sections of rows, with words, times and sizes for people
-`store`           `busway store`: checks, backs up and restores a store of the collector
-`streams`         Standard input, output and error of a command, made safe: closed, full, a closed pipe, or plain ASCII
+`status_view`     Formats the status of a program as sections of rows, with words, times and sizes for people
+`store`           `busway store`: checks, backs up and restores a store of the collector, also while it is being written
+`streams`         Standard input, output and error of a command: what happens if one is closed, full, or plain ASCII
 `systemd_unit`    Generates the systemd unit file that runs a gateway
 `write`           `busway write`: writes values to consecutive addresses of a device, in one request
-================  =====================================================================================================
+================  ======================================================================================================
 
 One file per command. Only here are files and the environment read, and only here is anything printed.
 """

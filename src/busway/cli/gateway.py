@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from ..apps.gateway.configuration import GatewayConfiguration
     from ..apps.gateway.gateway import Gateway
     from ..apps.server.service import Service
-    from .readiness import Manager
+    from .sd_notify import Manager
 
 EXAMPLES = """\b
 Examples:
@@ -200,7 +200,7 @@ def _separate(words: list[str]) -> list[str]:
 
 
 async def _serve(service: "Service", drain: Callable[[], float]) -> None:
-    from .readiness import Manager, watched
+    from .sd_notify import Manager, watched
 
     manager = Manager()
 

@@ -21,7 +21,7 @@ from .output import print_aligned, print_json
 
 if TYPE_CHECKING:
     from ..access.question import Question
-    from ..access.rights import Decision
+    from ..access.rule_evaluation import Decision
     from ..access.rules import AccessRules, Rule
     from ..pdu.functions import AnyRequest
 
@@ -188,7 +188,7 @@ def _answer(rules: "AccessRules", question: "Question", host: str, text: str, *,
         else:
             print(f"refused: {host} may not connect: {why}")
         return False
-    from ..access.rights import decision_of
+    from ..access.rule_evaluation import decision_of
 
     decision = decision_of(rules.policy, question)
     if as_json:

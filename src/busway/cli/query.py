@@ -19,7 +19,7 @@ from .output import json_value, print_aligned, print_csv, print_json, say, shown
 
 if TYPE_CHECKING:
     from ..apps.collector.alarms.events import AlarmEvent
-    from ..apps.collector.store.frames import BucketTable, SampleTable
+    from ..apps.collector.store.query_results import BucketTable, SampleTable
     from ..apps.collector.store.reading import Store
 
 EXAMPLES = """\b

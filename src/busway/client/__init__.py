@@ -1,30 +1,30 @@
 """The Modbus client: links, the pools that share them, and the asynchronous and the blocking interface.
 
 =====================  =============================================================================================
-`aio`                  The asynchronous interface: links and units for asyncio programs
+`aio`                  The asynchronous interface of the client: links and units for asyncio programs
 `blocking`             The blocking interface: links and units for plain programs and threads
-`blocking_connection`  One open connection of a blocking link
+`blocking_connection`  One open connection of a blocking link: its socket or port
 `blocking_link`        The blocking driver of a link: one client session, one socket, any number of threads
 `blocking_pool`        Blocking links by endpoint: one shared connection for all users in a process
-`channel`              Interfaces between a link and its connection: asyncio transports and non-blocking channels
-`checks`               Checks shared by the asyncio and the blocking interface
+`channel`              Interfaces between the driver of a link and its connection
+`checks`               Checks that both interfaces share: unit numbers, settings of a shared link, refused calls
 `connection_choice`    Explicit connection management: the limit of connections per endpoint
-`connector`            Connectors open the connections of a link over the transport that its endpoint names
-`kept_late_replies`    Replies still outstanding when a serial link was closed
+`connector`            Objects that open the connections of a link over the transport that its endpoint names
+`kept_late_replies`    Late replies still to come when a serial link is closed, kept for the next link
 `link`                 The asyncio driver of a link: one client session and its current connection, on an event loop
-`operations`           The operations of a unit, such as reading values, as generators of requests and replies
+`operations`           Operations of a unit, such as reading values, as generators of requests, without IO
 `option_types`         The options of `busway.connect` and `busway.open`, for type checkers
-`polling`              Waits of a blocking link at its socket or serial port, until it is readable or a time is over
-`pool`                 Links by endpoint: one shared connection for all users on an event loop
-`read_many`            Reads values from several addresses with as few requests as their addresses allow
-`registry`             Registry of the client connections of this process: their status and their limit
+`polling`              Waits of a blocking link at its socket or serial port
+`pool`                 The links of an event loop: one shared connection for all users of an endpoint
+`read_many`            Reads values from several addresses with as few requests as possible
+`registry`             The client connections of this process: shows their status and limits their number
 `scanning`             Finding the units that answer on a line, or behind an address
 `scope`                One limit of requests in flight for all links of a client
-`serial_connector`     A serial port as the connection of a link, with the methods of a stream
+`serial_connector`     The connector for serial ports: opens a port for a link, waits for a missing one
 `sessions`             The interface of client sessions that link drivers use
-`settings`             The settings of a link: a URL with its options, and keywords, as checked parameter objects
-`tls_connector`        Connections of asyncio and blocking links over TLS (MODBUS/TCP Security, port 802)
-`shared_links`         The users of links by endpoint: who shares a link, how many there are
+`settings`             The settings of a link, read from its URL and from keywords, as checked objects
+`tls_connector`        The connector for TLS: opens connections of asyncio and blocking links
+`shared_links`         Links by endpoint: who shares one, how many there are, and which link a request takes
 =====================  =============================================================================================
 
 Where it is decided: how a large read is split: `operations`. Many reads in one call: `read_many`. Who shares a link:

@@ -2,13 +2,13 @@
 
 =====================  =================================================================================================
 `clients`              Fault profiles of clients: the bytes that a misbehaving client sends before it falls silent
-`clock`                Clocks for delays: that of an event loop, and a fake clock that a test moves by hand
-`connections`          The connection tap of faults: sends delayed and changed replies on a server's connections
+`clock`                Clocks that time delayed replies: that of an event loop, and one that a test moves
+`connections`          Carries faults out on a server's connections: sends delayed and changed replies
 `fault`                Faults: what they change in the requests and replies of a connection, when they are active
-`faulty_conversation`  One connection of a faulty device, without IO
-`profile`              Fault profiles: named ways in which real devices misbehave, each with its options
+`faulty_conversation`  One connection of a faulty device, without IO: which bytes answer its requests, and when
+`profile`              Fault profiles: named ways in which real devices misbehave, and the options that each has
 `responder`            A responder that wraps another one and applies faults to its replies
-`switchboard`          The faults of a server by name: added, switched and removed from a file
+`switchboard`          The faults of a server by name: added, switched and removed while it runs
 `profiles`             The table of all fault profiles of devices; the profiles are defined in the files beside this one
 =====================  =================================================================================================
 """

@@ -2,16 +2,16 @@
 
 =================  =====================================================================================================
 `ascii`            ASCII framing: between a colon and the end delimiter, two characters for each byte
-`bursts`           Estimates when each byte of a stream was on the line, from the times of the reads
+`bursts`           Estimates when each received byte was on the serial line, from the times at which bytes were read
 `crc`              CRC-16 of RTU frames
 `datagram`         Checks whether a datagram is exactly one whole frame
 `echo`             Removes the echo of a two-wire serial line: a station first receives the bytes that it sent itself
-`frame_direction`  Tells whether the next frame on a shared serial line is a request or a reply
-`lengths`          Lengths of frames by function code, precomputed from a function table
-`lost`             Collects the bytes of one disturbance on a serial line
+`frame_direction`  Tells whether the next frame on a shared serial line, heard by any station, is a request or a reply
+`lengths`          Lengths of RTU frames by function code, prepared so that one look-up gives the length of a frame
+`lost`             Collects bytes on a serial line that are no frame, until the disturbance ends
 `lrc`              LRC of ASCII frames
 `mbap`             MBAP framing: the seven-byte header before a PDU on TCP
-`received`         Results of the receivers of serial lines (frames, damaged chunks)
+`received`         What receivers of serial lines return (frames, damaged bytes)
 `rtu`              RTU receiver: finds frames, which have no start and end marks, by length and CRC
 `rtu_search`       Search for the next frame inside damaged RTU bytes: the only work that grows with the noise on a line
 `rtu_strict`       Strict RTU receiver: the state diagram of the specification to the letter

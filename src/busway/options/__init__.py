@@ -1,20 +1,20 @@
 """Options: endpoints as URLs, options as text or keywords, and presets of options. Pure.
 
-=============  =======================================================================================================
+=============  =====================================================================================================
 `client`       Options of a client: the conversation over a link, and its connections
-`declaration`  How an option is declared: one annotated field of a parameter class. Everything else is derived from it
+`declaration`  How an option is declared: as one annotated field of a parameter class
 `endpoints`    Endpoints: URLs that say where a peer or a serial line is, and how it is spoken to
 `gateway`      Options of a gateway: of the whole gateway, of its listeners, and of its upstreams
 `lines`        Options of serial lines: the master's timing, the framing, and circuit breakers of units
 `networks`     Lists of IPv4 and IPv6 addresses and networks, and whether a host is in one
-`offer`        Which options a component accepts, and the parameter objects built from given ones
+`offer`        Which options a client, server or other part accepts, and the parameter objects built from given ones
 `ports`        Options of a serial port: its line settings, and how it is opened
 `presets`      Presets: named sets of options. `strict` meets every "must" of the specifications
 `server`       Options of a server: its units, its sessions, and the limits and timeouts of its connections
-`service`      Options of what a running server tells: its audit log, its metrics, its control socket
-`sinks`        Options of sinks of a collector: which samples a sink gets, and what each kind may say
+`service`      Options of what a running server reports: its audit log, its metrics, its control socket
+`sinks`        Options of sinks: which samples a sink gets, in what batches, and the options of each kind of sink
 `sockets`      Options of network connections, of clients and servers
-`text`         Converts options given as text (URLs, command line) or keywords into the fields of a parameter class
+`text`         Converts options given as text (URLs, command line) or keywords into fields of parameter classes
 `tls`          Options of Modbus/TCP Security: certificates, TLS versions, cipher suites and deadlines (port 802
-=============  =======================================================================================================
+=============  =====================================================================================================
 """

@@ -1,14 +1,14 @@
 """Points: the named values of a device, their decoding, and the quality of their values.
 
-=============  ==================================================================================================
-`conversion`   Conversion between the raw number in the registers and the value in the unit of measure
-`decoder`      Decodes the reply of a read into the values of all points in it, by one compiled function
-`derived`      Values derived from several reads: totals of counters that roll over, and computed points
-`expression`   Expressions over points and time, parsed from text and evaluated without executing Python code
+=============  =========================================================================================================
+`conversion`   Conversion between the raw number in a point's registers and its value in the unit of measure, such as kW
+`decoder`      Turns the reply to a read request into the values of all points in it, by one compiled function
+`derived`      Points computed from others: running totals of counters that roll over, and points with a formula
+`expression`   Formulas over points and time: parsed from text, evaluated without executing Python code
 `point`        A point: one named value of a device, which others call a tag
-`point_rules`  Rules of points: limits for reading a unit, and rules for writing, reporting and alarms of a point
-`quality`      Quality of a value (good, uncertain, bad), and the reason if it is not good
-=============  ==================================================================================================
+`point_rules`  Rules that device files give for points: limits of reads, and what may be written
+`quality`      Quality of a point's value (good, uncertain, bad), and the reason if it is not good
+=============  =========================================================================================================
 """
 
 from .conversion import Conversion, Linear

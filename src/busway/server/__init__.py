@@ -1,46 +1,46 @@
 """The Modbus server: devices with their tables and hooks, listeners, and the management of their connections.
 
 =======================  ===============================================================================================
-`blocks`                 Runs: the memory of a device's tables, as items at consecutive addresses in wire order
+`blocks`                 Memory of a device's tables: runs of registers or bits at consecutive addresses, in wire order
 `bound_sockets`          The bound sockets of a listener, their URLs, and whether other hosts can reach them
-`cells`                  Reads a user's declaration of the items of a table or file
+`cells`                  Checks how a user declared the items of a table or file: addresses, initial values
 `connection`             The asyncio driver of one accepted connection
-`connection_management`  Connection management of a listener: admits, limits and closes connections
+`connection_management`  Connection management of a TCP or TLS listener: admits, limits and closes connections
 `connection_slots`       Connection slots in two pools: which new connection gets one, and which is closed for it
 `connection_tap`         Lets a simulated device send bytes of its own on the connections of a server
 `counters`               The counters of a server: connections, requests, refusals and bytes
-`deadlines`              Timeouts of a listener's connections: which are overdue, and when to check again
+`deadlines`              Timeouts of a listener's connections: which connections are overdue, and when to check again
 `device`                 A Modbus device: its tables, files, queues and identification, and the hooks of its application
-`exposure`               Warnings for listeners reachable from the network
+`exposure`               Warnings in the log for listeners that other hosts can reach
 `groups`                 Groups of changes that an application makes to a device and that become visible together
 `hooks`                  Hooks: functions of the application that a device calls when Modbus reads or writes its tables
-`identity`               Identification data of a device: the replies to functions 07, 17 and 43/14
-`items`                  Converts items of a table between wire order and the numbers and states that applications and
+`identity`               Checks of a device's identification: what functions 07, 17 and 43/14 answer
+`items`                  Converts items of a table between wire order and the values that applications see
 `line`                   A serial port as a listener: the asyncio driver between a port and the session of its line
 `listener`               A listener as it is declared: an endpoint to listen on, with options that hold for it alone
-`listener_context`       What all connections of a network listener, TCP or UDP, share
-`listener_settings`      Settings of a listener read from its URL, for each scheme
+`listener_context`       What all connections of a network listener, TCP or UDP, share: access list, sessions
+`listener_settings`      Settings of a listener, read from its URL, whichever scheme it has
 `local`                  The responder of a server with devices in its own process
-`loops`                  Runs programs that this library starts itself on an event loop
-`open_files`             The system's limit of open files: one connection needs one, and the soft limit is often 1024
+`loops`                  Runs the event loops that this library starts itself: uvloop's if it is installed
+`open_files`             The system's limit of open files, which limits connections: each needs one
 `opening`                Opens the listeners of a server, each by its kind: TCP and TLS, UDP, serial
 `option_types`           The options of `busway.serve`, for type checkers
-`peers`                  Names of peers from socket addresses
+`peers`                  Texts for socket addresses of clients: the host alone, or host and port
 `records`                Files of records and queues of registers
-`responder_failures`     Awaits responders that need time, and logs and answers for responders that raise an exception
-`rtu_over_tcp`           Server sessions with RTU or ASCII frames over TCP or UDP
+`responder_failures`     Handles responders that need time or raise an exception: awaits them, logs
+`rtu_over_tcp`           Server sessions for RTU or ASCII frames over TCP or UDP
 `server`                 The server: listeners with one pipeline for requests; start, stop, reset, status
-`server_options`         Applies the preset of a server to its options and listeners
-`serving`                `serve`, `serve_forever`, `serve_in_thread`: a server in a coroutine, a program or a thread
+`server_options`         Applies the preset of a server, such as `strict`, to its options and listeners
+`serving`                Functions that run a server: `serve` in a coroutine, `serve_forever` in a blocking program
 `single_block`           A device with one block of memory: bit functions and word functions reach the same registers
 `standard_port`          Adds a listener on the standard port 502 beside those on other ports
-`status`                 Servers, listeners and connections as a status shows them. Times are seconds
-`status_indicators`      The three status indicators of a listener: communication, error, device status
-`stores`                 The memory of one table of a device: its runs, found by address
+`status`                 The status of a server: data classes for the server, its listeners and connections
+`status_indicators`      The three status indicators of a listener (communication, error
+`stores`                 Stores: the memory of one table of a device by address, and the ranges that Modbus cannot write
 `tcp`                    A TCP or TLS listener: its listening sockets and the connections they accept
-`tls_acceptor`           The TLS handshake acceptor of a secure listener
-`turns`                  Turns of connections on an event loop: none works longer than its share while others wait
-`typed`                  Typed values, such as `float32`, in the tables of a device, by their written address
+`tls_acceptor`           Admits clients of a TLS listener: runs the handshakes and checks host, certificate and role
+`turns`                  Turns: connections that share an event loop get it in turn
+`typed`                  Reads and writes of typed values, such as `float32`
 `udp`                    A UDP listener: one frame per datagram; each reply goes to the sender of its request
 `views`                  The application's view of a table or file: items by address, usable from any thread
 =======================  ===============================================================================================

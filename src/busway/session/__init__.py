@@ -2,24 +2,24 @@
 ``now`` in, bytes and events out.
 
 ===================  ===================================================================================================
-`adaptive_timeout`   Adaptive timeout of a scan for units: as short as the replies seen so far make safe
+`adaptive_timeout`   Adaptive timeout of a scan for units: as short as the replies seen so far allow without missing one
 `call`               Calls of the application, and their requests in flight over TCP: single ones and pipelined batches
-`client`             The client's side of a TCP connection: calls in, ADUs out, replies matched to their requests
-`connection_life`    The life cycle of a client's connection, shared by the asyncio and the blocking driver
-`diagnostics`        Diagnostics for functions 08, 11 and 12
+`client`             The client's side of a TCP connection: sends the requests of calls and matches replies to them
+`connection_life`    The life of a client's connection: when to connect, what to report, what happens to waiting calls
+`diagnostics`        Diagnostics that functions 08, 11 and 12 read: counters
 `forwarded_reads`    Reads that a gateway forwards on the fast path: the reads of one TCP segment are forwarded together
-`late_replies`       Late replies of the units of a serial line
-`line_framing`       The framing of a serial session: a receiver, an encoder, and the silence before sending
-`pipeline`           The path of every request through a server: authorizer, responder and observers; and the fast path
-`queue`              The bounded queue of calls of one link, and the order in which they are served
-`reconnect`          When to reconnect: a state table, and a backoff
-`responder`          The interface of responders, which answer the requests of a server: two methods
-`retries`            Calls of a link from submission to outcome: queue, retries, deadlines
+`late_replies`       Late replies on a serial line: which may still come
+`line_framing`       Framing of a serial session: the receiver, the encoder
+`pipeline`           The way of every request through a server: authorizer, responder and observers
+`queue`              The bounded queue of one link's calls, and the order in which their requests are sent
+`reconnect`          When a link connects again: the states of its connection, and the pauses between attempts
+`responder`          The interface of responders, which answer the requests of a server
+`retries`            What becomes of a link's calls from submission to outcome: queue, retries, deadlines
 `serial_client`      The master of a serial line: one transaction at a time, with turnaround
-`serial_server`      The server session of a serial line: any number of units on one line, which only answer requests
-`server`             The server's side of one TCP connection: request bytes in, reply bytes out
+`serial_server`      The server's side of a serial line: any number of units on one line, which only answer requests
+`server`             The server's side of one TCP connection: request bytes in, reply bytes out, without IO
 `transaction_slots`  The limit of requests that a server works on at once
-`unit_breaker`       Circuit breakers: one per unit of a link
+`unit_breaker`       Circuit breakers, one for each unit of a link
 ===================  ===================================================================================================
 
 Where it is decided: whether a read or a write is repeated, and when its outcome is unknown: `retries`. Order and limit

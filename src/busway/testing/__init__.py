@@ -1,16 +1,16 @@
 """Test helpers: a server with faults, connections in memory, a clock moved by hand, known devices and frames.
 
-==============  ===================================================================================================
+==============  ====================================================================================================
 `certificates`  Certificates for tests: valid ones, and one of each kind that a peer must refuse
 `device`        A test device whose every value follows from its address, so that tests know it without reading
-`golden`        Golden frames: requests and replies whose bytes are known from the specification
+`golden`        Golden frames: requests and replies whose right bytes are known from the specification
 `line`          A serial bus in real time, over pseudo-terminals: programs open its ports as they open real ones
 `memory`        Connections in memory: a pair of asyncio transports, where each gets what the other sends
 `plugin`        The pytest plugin of busway: simulated devices, serial lines and a clock as fixtures
-`server`        A Modbus TCP server with faults, for tests of clients
+`server`        A Modbus TCP server with faults, for tests of clients: the real server with a real device
 `simulated`     A simulated device for tests: values or a file, served in a thread of its own
-`virtual_line`  A simulated serial bus without real time: ports, characters with durations, and faults of the wires
-==============  ===================================================================================================
+`virtual_line`  A simulated serial bus without real time: ports, characters with durations, collisions and cut wires
+==============  ====================================================================================================
 
 Public, also for tests of programs that use the library. Names are imported when they are used.
 """

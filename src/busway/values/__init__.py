@@ -1,18 +1,18 @@
 """Conversion between registers and numbers, strings and bits, and the notations of addresses.
 
 ===========  ========================================================================================================
-`addresses`  Parses addresses as people write them into table and offset
-`bits`       Codecs for bits: a register as sixteen bits, and single bits or bit fields of a register
+`addresses`  Parses data addresses as people write them, such as `40001` or `4x1`, into table and offset
+`bits`       Conversion between registers and bits: a register as sixteen bits, and single bits or bit fields of it
 `constants`  Value types as constants: with them a type checker knows what a read returns
-`custom`     Codec for values described by a `struct` format: `custom:>hHl` is three numbers in four registers
+`custom`     Conversion of registers by a `struct` format: `custom:>hHl` is three numbers in four registers
 `names`      Names of value types and orders for type checkers, so that a wrong name is found before the program runs
-`network`    Codecs for network addresses in registers: IPv4, IPv6, EUI-48 (MAC) and EUI-64
-`numbers`    Codecs for integers, floats and binary-coded decimals in registers
-`orders`     Byte orders: the order of bytes and registers inside a value of 16, 32, 48 or 64 bits
+`network`    Conversion between registers and network addresses: IPv4, IPv6, EUI-48 (MAC) and EUI-64
+`numbers`    Conversion between registers and integers, floats and binary-coded decimals
+`orders`     Byte orders, such as `CDAB`: the order of bytes and registers inside a value of 16, 32, 48 or 64 bits
 `printable`  Makes text from devices and certificates safe to print on one line of a terminal, a log or a table
 `refusal`    Error messages for values that do not fit their type
-`texts`      Codec for character strings in registers
-`types`      Value types by name: converts registers to values and back, such as `"float32"` in order `"CDAB"`
+`texts`      Conversion between registers and character strings
+`types`      Value types by name, such as `float32`: how registers become values and back
 ===========  ========================================================================================================
 """
 

@@ -9,7 +9,7 @@ from page_collector import WatchedCollector, watched_collector
 from waiting import wait_until
 
 import busway
-from busway.apps.collector.store.frames import BucketTable
+from busway.apps.collector.store.query_results import BucketTable
 from busway.apps.web.collector_page import _trend
 
 

@@ -6,7 +6,7 @@ import pytest
 from damaged_texts import after_accidents
 
 from busway.access.question import Question
-from busway.access.rights import decision_of
+from busway.access.rule_evaluation import decision_of
 from busway.access.rules import AccessKind, Action, Limits, Policy
 from busway.codes import Table
 from busway.config.files.policy import PolicySection, parse_policy_file

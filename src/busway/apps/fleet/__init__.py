@@ -1,6 +1,6 @@
 """The fleet: several collectors that share the links of a plant, each link polled by one of them.
 
-=================  ========================================================================================
+=================  =========================================================================
 `shards`           the groups of links that are owned together, and which hosts may own them
 `coordinator`      the interface of the table that collectors change by compare-and-set
 `coordinators`     its backends: one file, NATS JetStream, PostgreSQL
@@ -15,5 +15,5 @@
 `outbox`           what a collector has stored, sent until the sinks of the fleet have it
 `streams`          the stream of a zone: samples go in from collectors, and out to sinks
 `fleet_collector`  a collector that polls what it owns
-=================  ========================================================================================
+=================  =========================================================================
 """

@@ -28,9 +28,9 @@ from ...session.call import Call, Outcome
 from ...session.client import TcpClientSession
 from ...session.forwarded_reads import ForwardedReads
 from ...session.responder import Forwarding
-from .exception_codes import NO_PATH
 from .read_cache import Key, Place, ReadCache
 from .upstream import Upstream
+from .upstream_exception_codes import NO_PATH
 from .waiter_deadlines import WaiterDeadlines
 
 FOR_EVER: Final = 86_400.0

@@ -1,8 +1,9 @@
 """Finds gaps of a policy: routes that reach a rule's device by units or addresses that the rule does not name.
 
-Knows routes, and asks the evaluator of rules (`busway.access.rights`) what is permitted; opens nothing. Rules use the
-numbers of the listener. If a second route gives the same device another unit, or its registers other addresses, a rule
-for the first numbers does not hold for the second: `gateway check` warns where more is permitted there.
+Knows routes, and asks the evaluator of rules (`busway.access.rule_evaluation`) what is permitted; opens nothing.
+Rules use the numbers of the listener. If a second route gives the same device another unit, or its registers other
+addresses, a rule for the first numbers does not hold for the second: `gateway check` warns where more is permitted
+there.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +11,7 @@ from itertools import chain, permutations
 
 from ...access.notation import Range
 from ...access.question import TouchedRange, touched_by
-from ...access.rights import Rights, UnitAccess, Zone
+from ...access.rule_evaluation import Rights, UnitAccess, Zone
 from ...access.rules import Action, Policy, Rule
 from ...codes import Table
 from ...config.files.lines import Path as Place

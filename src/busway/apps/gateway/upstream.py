@@ -30,7 +30,7 @@ from ...session.reconnect import ConnectionEvent
 from ...session.retries import ClientCounters
 from ...session.serial_client import SerialClientSession
 from ...session.unit_breaker import BreakerState
-from .exception_codes import code_for
+from .upstream_exception_codes import code_for
 from .upstream_log import UpstreamLog
 
 _CLIENTS_REMEMBERED = 4096

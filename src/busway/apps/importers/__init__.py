@@ -2,7 +2,7 @@
 over.
 
 ================  ==============================================================================================
-`formats`         Chooses the importer for a file of another program
+`formats`         Chooses the importer for a device description of another program, by the file's form
 `home_assistant`  Importer for Home Assistant: its `modbus:` configuration
 `imported`        The result of an import: points put together into units, checked, and written as a device file
 `modpoll`         Importer for modpoll: its CSV of lines `device`, `poll` and `ref`

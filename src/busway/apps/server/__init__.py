@@ -1,13 +1,13 @@
 """`busway serve`: a server put together from one file, and its policy, logs and metrics.
 
-=================  ==========================================================================================
-`access_in_force`  The policy and the address lists that a running service applies, which a reload replaces
-`configuration`    The configuration of a whole system from one file: every parameter, checked together
-`effective`        The effective configuration, defaults included, as TOML
+=================  =====================================================================================================
+`access_in_force`  The access policy and address lists that a running service applies, and their replacement by a reload
+`configuration`    The configuration of a server and its clients from one file: every parameter, checked together
+`effective`        Shows the configuration in force, defaults included, as TOML
 `interfaces`       Interfaces of what a service runs (a server, a gateway or a simulation)
-`overrides`        Command-line overrides of a configuration
+`overrides`        Command-line overrides of a configuration: other listeners, a policy file, an audit log
 `overview`         An overview of a configuration as rows of text: listeners, rights, links and units
-`reload`           Reload of a configuration while its server runs
+`reload`           Reads a configuration again while its server runs, and applies what can change without a restart
 `service`          A running server and the services around it: policy, audit log, metrics and control socket
-=================  ==========================================================================================
+=================  =====================================================================================================
 """

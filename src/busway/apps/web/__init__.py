@@ -1,26 +1,26 @@
 """The pages of a simulation and of a collector with their APIs: HTTP, one WebSocket, and the files of the pages.
 
-====================  ================================================================================
-`hosting`             starts and stops everything: `ControlPage`
-`access`              checks Host, Origin, token and size of every request
-`connections`         limits number and time of connections
-`operations`          the FastAPI application: errors and the OpenAPI document
-`messages`            JSON of requests and responses
-`api`                 the resources
-`stream`              the WebSocket: a snapshot, then changes
-`traffic`             the last frames on the wire
-`subject`             the interface of a simulation that this package needs
-`collector_page`      the API and the page of a collector
-`collector_messages`  JSON of its responses
-`collector_commands`  commands and the configuration over HTTP
-`collector_stream`    its WebSocket: changed values, registers of what is shown, alarms and commands
-`collector_log`       what the collector said last, in a bounded ring
-`live_values`         last values, and what has changed since a tick
-``page``              HTML, style and script
-`faults`              faults of a simulation as the API shows and changes them
-`page_tokens`         the file with the tokens of a page: made at the first start, for its owner alone
-`collector_alarms`    the alarms of a collector and the maintenance of its devices, over HTTP
-====================  ================================================================================
+====================  ===============================================================================================
+`hosting`             Serves a web page and its HTTP API on one address, in the running event loop
+`access`              Access control of a web page: host, origin, caller and size of every request
+`connections`         Limits the HTTP connections of a page: their number, and the time each has to send a request
+`operations`          The FastAPI application of a page's API: how errors are answered, and its OpenAPI document
+`messages`            Requests and responses of a simulation's HTTP API, as data classes
+`api`                 The HTTP API of a simulation's page: points, faults, connections, traffic
+`stream`              `/stream` of a simulation's page: a WebSocket that sends changes to viewers as JSON texts
+`traffic`             Keeps the latest Modbus frames of a simulation for its page; they are explained only when shown
+`subject`             The interface of a simulation, as its page and HTTP API use it
+`collector_page`      The web page of a collector, and the HTTP API below it
+`collector_messages`  Responses of the HTTP API of a collector's page, as data classes
+`collector_commands`  Commands and the configuration over the HTTP API of a collector's page
+`collector_stream`    `/stream` of a collector's page: a WebSocket with changed values, alarms and commands
+`collector_log`       The latest log messages of a collector, for its page: records of all loggers of busway
+`live_values`         Last committed values of all points, and what changed since a tick, for all viewers
+`page`                HTML, style and script
+`faults`              Faults of a simulation as its HTTP API shows and changes them
+`page_tokens`         The file with the access tokens of a page: created at the first start, for its owner alone
+`collector_alarms`    The alarms of a collector and the maintenance of its devices, over HTTP
+====================  ===============================================================================================
 
 1. It needs the extra ``web``, and is imported only when the page is started.
 2. It runs in the event loop of the simulation or collector, so it never reads a state that is half changed.

@@ -25,7 +25,7 @@ from ..collector.collector import Collector
 from ..collector.configuration import CollectorConfiguration
 from ..collector.preview import CollectorPreview, preview
 from ..collector.samples import NANOSECONDS, quality_of, reason_text
-from ..collector.store.frames import BucketTable
+from ..collector.store.query_results import BucketTable
 from ..collector.store.reading import Store
 from ..collector.store.writer import Commit
 from .access import ROLES, Application, Caller, PageAccessRules, Role, require

@@ -1,21 +1,21 @@
 """The schemas of all files that people write: TOML text to checked, frozen values, with every error at its line.
 
 ============  ========================================================================================================
-`behaviours`  The schema of behaviours: what makes the value of a simulated point change
+`behaviours`  Keys of simulation files for behaviours: what makes the value of a simulated point change
 `collector`   The schema of collector files: links, poll classes, devices with their profiles, the store and sinks
 `device`      The schema of device files: units with their tables and typed, named points
-`faults`      The schema of faults that a simulated device has: `[[fault]]`
+`faults`      Keys of simulation files for faults that a simulated device has: `[[fault]]`
 `gateway`     The schema of gateway files: listeners, links to upstreams, and routes between them
-`lines`       Finds the line of each key in a TOML text, because `tomllib` does not report it
-`listeners`   The schema of listeners in files: their URLs and the options of their connections
-`options`     Keys of a file that are options of a component, generated from the declarations of the options
-`points`      The schema of points: `[[unit.point]]` and `[[unit.group]]`, the same in every file that has devices
-`policy`      The schema of policies: who may connect, and rules for requests
+`lines`       Finds the text line of each key in a TOML file, for error messages, because `tomllib` does not report it
+`listeners`   Keys of files for listeners: their URLs and the options of their connections
+`options`     Keys of files that set options: generated from the declarations of the options
+`points`      Keys of files for points: `[[unit.point]]` and `[[unit.group]]`, the same in every file that has devices
+`policy`      Keys of access policies: who may connect, and rules for requests
 `problems`    The error for an invalid file, with one line for each problem
 `schema`      Base of all file schemas, and the translation of schema errors into sentences with a line
 `simulation`  The schema of simulation files: device files whose points have ranges, names for numbers, and behaviours
-`sinks`       The schema of sinks: `[[sink]]` of a collector file, one section class for each kind
-`system`      The schema of configuration files: server, listeners, client, security, policy and units in one file
+`sinks`       Keys of `[[sink]]` in collector files, one section class for each kind of sink
+`system`      Keys of configuration files: server, listeners, client, security, policy and units in one file
 ============  ========================================================================================================
 
 Knows texts; reads no file itself and builds nothing: `busway.config` does both, `busway.config.devices` makes the

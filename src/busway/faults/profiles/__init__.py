@@ -3,7 +3,7 @@
 =============  ==============================================================================================
 `connections`  Fault profiles of devices that close or refuse connections
 `contents`     Fault profiles of devices whose replies have wrong contents, or arrive in unusual pieces
-`elsewhere`    Fault profiles that a server cannot simulate, such as those of ports and clients
+`elsewhere`    Fault profiles that no server can simulate, such as those of ports and clients
 `identifiers`  Fault profiles of devices that answer with a wrong transaction identifier or unit
 `lines`        Fault profiles of serial lines: junk around frames, echo of the request, replies to broadcasts
 `refusals`     Fault profiles of devices that refuse valid requests, or answer with unusual exceptions

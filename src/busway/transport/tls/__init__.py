@@ -1,12 +1,12 @@
 """TLS: contexts, certificates, roles of clients, handshakes, and the reasons for which they fail.
 
-==============  =======================================================================================================
+==============  ========================================================================================================
 `context`       Builds `ssl` contexts from TLS options: reads the files, and names a file that is wrong
-`failures`      Reasons for which a secure connection failed or ended
-`layer`         TLS under asyncio: a layer between the transport of a connection and the protocol that uses it
-`roles`         The role of a client, read from its certificate: one UTF-8 string in an extension (MODBUS/TCP Security)
-`socket`        TLS over one blocking connection, with the interface of a non-blocking socket
-`stream`        The TLS protocol of one connection without IO: encrypted bytes in and out
+`failures`      Reasons why a TLS connection failed or ended: as text for an operator, and as a kind for counters
+`layer`         TLS for asyncio connections: a layer between the transport of a connection and the protocol that uses it
+`roles`         The role of a client, read from its certificate: one UTF-8 string in an extension
+`socket`        TLS for blocking clients: a connection with the methods of a non-blocking socket
+`stream`        TLS of one connection without IO: encrypted bytes in and out
 `certificates`  Certificates: reading what one says (`facts`), and issuing those of a test installation (`authority`)
-==============  =======================================================================================================
+==============  ========================================================================================================
 """

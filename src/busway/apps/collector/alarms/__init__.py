@@ -1,9 +1,9 @@
 """Alarms of points: limits and states, with delay, hysteresis, acknowledgement and a journal.
 
-=============  ========================================================================
-`events`       what happens to an alarm, and what an alarm is after it
-`machine`      one limit of one point: values in, events out
-`book`         the machines of all points; the file is read again, a start after a crash
-`collected`    `CollectorAlarms`: what programs and the page use
-=============  ========================================================================
+===========  ==============================================================================================
+`events`     The events of alarms (raised, acknowledged, cleared, removed), and what an alarm is after each
+`machine`    The state machine of one alarm: takes samples of its point, returns alarm events
+`book`       The alarms of all points of a collector, and which sample belongs to which alarm
+`collected`  The alarms of a running collector: what programs and the page can see of them and do with them
+===========  ==============================================================================================
 """

@@ -1,17 +1,17 @@
 """Commands: values that people and programs write to points of a running collector, each at most once.
 
-===============  =====================================================================================
-`command`        a command, its result, and what it may look like
-`point_write`    the request that writes a value to a point, and whether it was written
-`point_read`     the request that reads one point alone
-`journal`        the file that keeps commands and results: recorded before the wire
-`runner`         checks, records, sends and confirms commands
-`audit`          lines of the audit log for commands and changes of the configuration
-`targets`        the points of a running collector as targets of commands, and what they are known to be
-`inputs`         commands that come by messages: which points, what they look like, what is answered
-`input_options`  the table of a file that permits them
-`message_tasks`  the tasks that handle messages; they end with their connection
-`mqtt`           commands by MQTT 5
-`nats`           commands by NATS request and reply
-===============  =====================================================================================
+===============  =======================================================================================================
+`command`        Commands: a value to be written to a point, who asked for it and until when, and its result
+`point_write`    The request that writes a value to a point, and the check whether the device shows the value afterwards
+`point_read`     The request that reads one point alone, before or after a command, within what its device allows
+`journal`        The record of each command and its result, written before the command is sent
+`runner`         Executes commands that write points of a running collector: checks, records, sends, reads back, reports
+`audit`          Audit lines, as JSON, for commands that write points and for changes of the configuration
+`targets`        Finds points of a running collector as targets of commands, and their last values
+`inputs`         Commands that arrive as messages: which points they may write, how they are answered
+`input_options`  Reads the key `commands` of a sink's table: makes what receives commands from the sink's server
+`message_tasks`  The tasks that handle messages of one broker connection; all of them end before the connection is left
+`mqtt`           Receives commands to write points from an MQTT 5 broker
+`nats`           Receives commands to write points by NATS request and reply
+===============  =======================================================================================================
 """

@@ -1,22 +1,25 @@
 """The store of the collector: the folder in which it keeps samples.
 
-===================  ===================================================================================
-`folder`             names of its files, the lock with the pid of its writer, fsync of folders
-`manifest`           what is in the folder: parts, points, cursors, files to unlink
-`segment`            the part that is written: one SQLite file
-`sealing`            a finished segment → Parquet
-`writer`             commits, one after the other: rolls, seals, drops; survives a full disk
+===================  ========================================================================================
+`folder`             names of the store's files, the lock of its writer, making changes durable (fsync)
+`manifest`           the list of a store's files, points and sinks, with the cursor of each sink
+`segment`            The SQLite file that samples are written to, and when it ends and the next begins
+`writer`             commits samples one after the other; survives a full disk
 `commit_thread`      the thread that commits for an event loop, every quarter of a second
-`retention`          which parts are too old or too many
-`journal`            the journal of alarms, and how far accumulators are
-`mending`            samples from before the wall clock was set
-`parts`              rows of one part, whatever its format
-`selection`          which points, which time
-`reading`            `Store`: rows and buckets of all parts as one
-`frames`             what a query gives; as Arrow, pandas or polars
-`committed_samples`  rows in the order of their commits, for sinks
-`upkeep`             check, backup, restore, while it runs
-`database`           connections to the SQLite files of a store
-`sealed_part`        A sealed part: the rows of a segment as a Parquet file. Run as a program of its own
-===================  ===================================================================================
+`sealing`            turns a segment that has ended into Parquet files
+`sealed_part`        writes the Parquet files of a segment; runs as a program of its own
+`retention`          which files are deleted because they are too old or too many
+`journal`            the journal of alarms, and the totals of accumulators
+`clock_correction`   corrects the times of samples stored before the wall clock was set
+`parts`              reads rows and sums of one file, whether segment or Parquet
+`selection`          which points and times a query means
+`reading`            `Store`: reads rows and buckets of all files as one
+`query_results`      what a query gives: columns of samples or buckets; as Arrow, pandas or polars tables too
+`committed_samples`  reads samples in the order of their commits, for sinks
+`check_and_backup`   checks, backs up and restores a store, while it is written
+`database`           connections to the SQLite files of a store, and transactions on them
+===================  ========================================================================================
+
+Where it is decided: when a segment ends: `segment` (`Segment.has_ended`). What is deleted: `retention`. When a commit
+is made, and what is dropped when the disk is full: `commit_thread`. What a crash leaves is put right by `writer`.
 """

@@ -22,7 +22,6 @@ from ....errors import InvalidRequest
 from ..alarms.events import AlarmEvent
 from ..samples import Gap, StateInterval
 from .folder import check_store
-from .frames import BucketTable, SampleTable
 from .journal import alarm_events, alarm_rows
 from .manifest import IntervalRow, Manifest, StoredPoint, StorePart
 from .parts import (
@@ -35,6 +34,7 @@ from .parts import (
     part_sums,
     sums_of_rows,
 )
+from .query_results import BucketTable, SampleTable
 from .segment import sample_value
 from .selection import EVER, Moment, chosen_points, moment, span
 

@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from .folder import UNFINISHED, size_of, sync_file
-from .sealing import SLOT, arrow
-from .segment import open_for_reading
+from .sealing import arrow
+from .segment import SLOT, open_for_reading
 
 _NOT_LATE: Final = 60 * 1_000_000_000
 """Nanoseconds before the begin of a segment that its samples may have: a slow transaction, a slow commit."""

@@ -28,8 +28,6 @@ from .segment import intervals_of, open_for_reading
 Step = Callable[[str], None]
 """Told the name of each step when it is done: tests end the process there."""
 
-SLOT: Final = 600 * 1_000_000_000
-"""Nanoseconds that a segment lasts, and that a late part covers."""
 _LONGEST: Final = 1800
 """Seconds that the other process may take for one segment."""
 

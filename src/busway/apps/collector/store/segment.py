@@ -7,8 +7,10 @@ Knows one file and its tables; knows nothing of the manifest.
 2. The key is (time, point): rows arrive in the order of time, and only in that order can 400 000 of them be inserted in
    a second. What has the same key replaces what was there.
 3. NULL for a value that is not bad is NaN: SQLite has none. Integers beyond 63 bits are stored as eight bytes.
-4. The write-ahead log is moved into the file when it is larger than `LOG_LIMIT`. Where a reader prevents that, the
-   writer goes on in another segment: see `Segment.is_stuck`.
+4. The write-ahead log is moved into the file when it is larger than `LOG_LIMIT`.
+5. A segment ends, and the next commit begins another: when its ten minutes by the clock are over, when it is larger
+   than ``segment_size`` of the store's options, or where a reader keeps its write-ahead log from shrinking. See
+   `has_ended`.
 """
 
 import contextlib
@@ -22,11 +24,13 @@ from typing import Final
 
 from ..alarms.events import AlarmEvent
 from ..samples import Gap, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
+from .clock_correction import mend_segment
 from .database import open_database
 from .folder import size_of, sync_file
 from .manifest import INSERT_ALARM, AlarmRow, CounterRow, IntervalRow, StorePart
-from .mending import mend_segment
 
+SLOT: Final = 600 * 1_000_000_000
+"""Nanoseconds that a segment lasts at most, and that a late part covers."""
 LOG_LIMIT: Final = 32 * 1024 * 1024
 """Bytes of the write-ahead log from which on it is moved into the file after each commit."""
 LOG_STUCK: Final = 2 * LOG_LIMIT
@@ -123,6 +127,10 @@ class Segment:
         except FileNotFoundError:
             return 0
 
+    def has_ended(self, begun: int, now: int, most: int) -> bool:
+        """Whether the segment, begun at ``begun``, takes no further commit at ``now`` (rule 5); ``most``: its bytes."""
+        return now // SLOT != begun // SLOT or self.size() > most or self.is_stuck
+
     @property
     def is_stuck(self) -> bool:
         """Whether the write-ahead log keeps growing because a reader uses it."""
@@ -133,7 +141,7 @@ class Segment:
         return size_of(self.path)
 
     def mend(self, first: int, shift: int) -> int:
-        """Correct times from before the wall clock was set (`mending`); returns how many samples."""
+        """Correct times from before the wall clock was set (`clock_correction`); returns how many samples."""
         return mend_segment(self._database, first, shift)
 
     def sync(self) -> None:

@@ -23,13 +23,13 @@ from ....errors import ConfigError
 from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST
 from ..samples import Gap, PointDescription, PointGroup, Reason, SampleBatch, StateInterval
+from .clock_correction import mend_segment
 from .database import open_database
 from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
 from .journal import forget_old_alarms
 from .manifest import AlarmRow, CounterRow, Manifest, StorePart
-from .mending import mend_segment
 from .retention import Retention, parts_to_drop
-from .sealing import SLOT, Step, can_seal, remove_unfinished, remove_unlisted, seal
+from .sealing import Step, can_seal, remove_unfinished, remove_unlisted, seal
 from .segment import Segment, alarms_of, counters_of, facts_of, intervals_of, is_unmade, open_for_reading
 
 EVER: Final = 2**63 - 1
@@ -102,7 +102,7 @@ class StoreWriter:
         make_folder(self.folder)
         self._segment: Segment | None = None
         self._part: StorePart | None = None
-        self._slot = 0
+        self._begun = 0
         self._journal_grew = True
         self._files = threading.Lock()
         self._groups: weakref.WeakKeyDictionary[PointGroup, tuple[int, ...]] = weakref.WeakKeyDictionary()
@@ -315,21 +315,18 @@ class StoreWriter:
     # Segments
 
     def _segment_for(self, now: int) -> Segment:
-        if self._segment is not None and self._is_over(self._segment, now):
+        if self._segment is not None and self._segment.has_ended(self._begun, now, self.options.segment_size):
             self.roll()
         if self._segment is None:
             if self._part is None:
                 self._part = self.manifest.add_segment()
                 self._step("segment-listed")
-                self._slot = now // SLOT
+                self._begun = now
             path = self.folder / SEGMENTS / self._part.file
             self._segment = Segment(path, every_commit_durable=self.options.durability == "power")
             sync_folder(path.parent)
             self._step("segment-made")
         return self._segment
-
-    def _is_over(self, segment: Segment, now: int) -> bool:
-        return now // SLOT != self._slot or segment.size() > self.options.segment_size or segment.is_stuck
 
     def _forget_segment(self) -> None:
         """Close the file of the open segment; the next commit opens the same one again."""

@@ -1,4 +1,4 @@
-"""The rights of clients: the rules of a policy that apply to them, compiled once for fast decisions.
+"""Evaluates the rules of a policy: which rule decides about a request, compiled once for clients with equal rights.
 
 Knows rules and the facts of one request (`busway.access.question`); knows no client, no connection and no store.
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from collected import NOON, PUMP, at, filled, read_of
 
-from busway.apps.collector.store import upkeep
+from busway.apps.collector.store import check_and_backup
+from busway.apps.collector.store.check_and_backup import back_up, check_store_files, restore
 from busway.apps.collector.store.folder import SEGMENTS
 from busway.apps.collector.store.reading import Store
-from busway.apps.collector.store.upkeep import back_up, check_store_files, restore
 from busway.apps.collector.store.writer import StoreWriter
 from busway.errors import ConfigError
 
@@ -102,7 +102,7 @@ def test_what_happens_while_a_backup_is_made_takes_nothing_from_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, meanwhile: str
 ) -> None:
     copied: list[str] = []
-    copy = upkeep._copy_database
+    copy = check_and_backup._copy_database
 
     def copy_slowly(source: Path, target: Path) -> None:
         copy(source, target)
@@ -113,7 +113,7 @@ def test_what_happens_while_a_backup_is_made_takes_nothing_from_it(
         elif len(copied) == 1:
             writer.commit([read_of(PUMP, 100, 1.0)], [], at(100))
 
-    monkeypatch.setattr(upkeep, "_copy_database", copy_slowly)
+    monkeypatch.setattr(check_and_backup, "_copy_database", copy_slowly)
     with filled(tmp_path / "data", 3) as writer:
         back_up(tmp_path / "data", tmp_path / "copy")
     restore(tmp_path / "copy", tmp_path / "again")

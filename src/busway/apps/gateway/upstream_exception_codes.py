@@ -1,4 +1,4 @@
-"""Chooses the exception code (0A, 0B …) that a client gets for an error of an upstream.
+"""Which exception code (0A or 0B) a client gets when an upstream is down, overloaded, silent or dies.
 
 Knows errors and exception codes (Messaging on TCP/IP V1.0b §4.4.2.5, Application Protocol V1.1b3 §7).
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import pytest
 from control_sockets import short_directory
 
-from busway.cli.readiness import Manager, watched
+from busway.cli.sd_notify import Manager, watched
 
 
 @contextmanager
