@@ -17,7 +17,6 @@ from busway.apps.collector.store.manifest import Manifest
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.segment import Segment
-from busway.apps.collector.store.upkeep import check_store_files
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 SHIFT = NOON - 100 * SECOND
