@@ -78,6 +78,24 @@ def test_what_two_devices_of_a_kind_agree_on_is_offered_to_a_third() -> None:
     assert knowledge.kinds() == [("sdm630", "1.2")]
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "offered"),
+    [
+        ((10, 20), (12, 15), [(12, 15)]),  # a part of the other's
+        ((10, 20), (19, 30), []),  # they overlap by one item alone
+        ((10, 20), (20, 30), []),
+        ((10, 20), (15, 15), []),  # a border within a hole
+        ((15, 15), (15, 15), [(15, 15)]),
+    ],
+)
+def test_only_holes_and_borders_that_two_devices_have_learnt_alike_are_offered(
+    first: tuple[int, int], second: tuple[int, int], offered: list[tuple[int, int]]
+) -> None:
+    holes = [LearntHole(Table.HOLDING_REGISTERS, *each, code) for each, code in ((first, 2), (second, 3))]
+    found = Knowledge({"a": meter(holes[0]), "b": meter(holes[1])}).offered("sdm630", "1.2").holes
+    assert [(each.start, each.end) for each in found] == offered
+
+
 def test_nothing_is_offered_where_profile_or_firmware_is_not_known() -> None:
     same = DeviceKnowledge("", "", None, (HOLE,))
     assert Knowledge({"a": same, "b": same}).of("c").holes == ()

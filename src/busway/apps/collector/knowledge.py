@@ -194,16 +194,16 @@ class Knowledge:
         if not profile or not firmware:
             return empty
         same = [one for one in self._devices.values() if (one.profile, one.firmware) == (profile, firmware)]
-        holes = {replace(hole, pinned=False) for one in same for hole in one.holes}
+        holes = {(hole.table, hole.start, hole.end): hole for one in same for hole in one.holes}
         agreed = [
-            hole for hole in holes if sum(one.refuses(hole.table, hole.start, hole.end) for one in same) >= AGREEING
+            replace(hole, pinned=False) for hole in holes.values() if sum(one.knows(hole) for one in same) >= AGREEING
         ]
         limits = {replace(limit, pinned=False) for one in same for limit in one.limits}
         both = [limit for limit in limits if sum(one.limit(limit.bits) is not None for one in same) >= AGREEING]
         narrowest = {limit.bits: limit for limit in sorted(both, key=lambda limit: -limit.good)}
         return replace(
             empty,
-            holes=tuple(sorted(agreed, key=lambda hole: (hole.table.value, hole.start))),
+            holes=tuple(sorted(agreed, key=lambda hole: (hole.table.value, hole.start, hole.end))),
             limits=tuple(narrowest[bits] for bits in sorted(narrowest)),
         )
 
