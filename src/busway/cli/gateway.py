@@ -114,19 +114,27 @@ def gateway(
         can_reload=not _is_url(what[0]) or is_file(policy),
         name="gateway",
     )
-    drain = 0.0
-
-    def read_and_remember() -> "GatewayConfiguration":
-        nonlocal drain
-        configuration = read()
-        drain = configuration.file.gateway.parameters().drain
-        return configuration
-
-    service = Service(read_and_remember, overrides)
+    read, drain = _remembering_drain(read)
+    service = Service(read, overrides)
     show_traffic(verbose)
     with capturing(capture):
-        run(_serve(service, lambda: drain))
+        run(_serve(service, drain))
     return ExitCode.DONE
+
+
+def _remembering_drain(
+    read: "Callable[[], GatewayConfiguration]",
+) -> "tuple[Callable[[], GatewayConfiguration], Callable[[], float]]":
+    """Return the same reader, and a function that gives the ``drain`` seconds of the file that was read last."""
+    seconds = 0.0
+
+    def read_and_remember() -> "GatewayConfiguration":
+        nonlocal seconds
+        configuration = read()
+        seconds = configuration.file.gateway.parameters().drain
+        return configuration
+
+    return read_and_remember, lambda: seconds
 
 
 def _is_url(word: str) -> bool:

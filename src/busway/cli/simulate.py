@@ -11,7 +11,7 @@
 import asyncio
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AsyncExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -157,19 +157,10 @@ def simulate(
     }
     from ..apps.server.overrides import Overrides
     from ..apps.server.service import Service
-    from ..apps.simulator.fault_sections import put_on_by_words
-    from ..apps.simulator.simulation import Simulation
     from ..server.loops import run
 
     source = chosen_source(file, device, map_file, unit, listener_changes(priority))
-    declaration = source.load()
-    # Who checks a file wants no other to be read, or put aside.
-    simulation = Simulation(replace(declaration, state=None) if check else declaration, **options)
-    for words in fault or ():
-        try:
-            put_on_by_words(simulation.board, words)
-        except ConfigError as error:
-            raise ConfigError(str(error), key=f"--fault {words}") from error
+    simulation = _loaded(source, fault or (), keeps_state=not check, **options)
     if check:
         _print_units(simulation)
         return ExitCode.DONE
@@ -193,6 +184,24 @@ def simulate(
     with capturing(capture):
         run(_simulate(simulation, service, page, limit))
     return ExitCode.DONE
+
+
+def _loaded(source: Chosen, faults: Iterable[str], *, keeps_state: bool, **options: Any) -> "Simulation":
+    """Return the simulation of a source, with the faults of ``--fault`` on; ``options`` as of `Simulation`.
+
+    A check of a file needs no state of an earlier run, and must not put one aside.
+    """
+    from ..apps.simulator.fault_sections import put_on_by_words
+    from ..apps.simulator.simulation import Simulation
+
+    declaration = source.load()
+    simulation = Simulation(declaration if keeps_state else replace(declaration, state=None), **options)
+    for words in faults:
+        try:
+            put_on_by_words(simulation.board, words)
+        except ConfigError as error:
+            raise ConfigError(str(error), key=f"--fault {words}") from error
+    return simulation
 
 
 def _speed(text: str) -> float:

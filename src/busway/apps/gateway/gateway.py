@@ -180,32 +180,7 @@ class Gateway:
             if one.name in self._listeners and old_listeners[one.name].settings == one.settings
         }
         closing = [each.upstream for name, each in self._forwarders.items() if name not in same_upstreams]
-        ports = [upstream for upstream in closing if upstream.settings.endpoint.carrier == "serial"]
-        going = [each for name, each in self._listeners.items() if name not in same_listeners]
-        forwarders, listeners = dict(same_upstreams), dict(same_listeners)
-        try:
-            # They may hold ports that new ones need.
-            for each in going:
-                await each.server.stop()
-            for upstream in ports:
-                await upstream.close()
-            for settings in plan.upstreams:
-                if settings.name not in forwarders:
-                    forwarders[settings.name] = _opened(settings)
-            for listener in plan.listeners:
-                if listener.name not in listeners:
-                    listeners[listener.name] = made = self._made(listener, plan, forwarders, policy or self._policy)
-                    await made.server.start()
-        except BaseException:
-            for name in listeners.keys() - same_listeners.keys():
-                await listeners[name].server.stop()
-            for name in forwarders.keys() - same_upstreams.keys():
-                await forwarders[name].upstream.close()
-            for upstream in ports:
-                _open(upstream, old_upstreams[upstream.name])
-            for each in going:
-                await each.server.start()
-            raise
+        forwarders, listeners = await self._exchanged(plan, same_upstreams, same_listeners, policy or self._policy)
         said = [*_changes("listener", old_listeners, plan.listeners), *_changes("link", old_upstreams, plan.upstreams)]
         if plan.table != self.plan.table:
             said.append(f"{len(plan.table.routes)} routes")
@@ -219,6 +194,41 @@ class Gateway:
         for upstream in closing:
             await upstream.close()
         return said
+
+    async def _exchanged(
+        self,
+        plan: GatewayPlan,
+        same_upstreams: Mapping[str, Forwarder],
+        same_listeners: Mapping[str, _RunningListener],
+        policy: Policy | None,
+    ) -> tuple[dict[str, Forwarder], dict[str, _RunningListener]]:
+        """Stop the listeners and serial ports that change, and open those of the plan; on an error undo all of that.
+
+        Returns forwarders and listeners of the plan by name, unchanged ones included. What is closed first may hold
+        ports that new ones need.
+        """
+        old_upstreams = {one.name: one for one in self.plan.upstreams}
+        forwarders, listeners = dict(same_upstreams), dict(same_listeners)
+        async with contextlib.AsyncExitStack() as unless_opened:
+            for name, each in self._listeners.items():
+                if name not in same_listeners:
+                    unless_opened.push_async_callback(each.server.start)
+                    await each.server.stop()
+            for name, old in self._forwarders.items():
+                if name not in same_upstreams and old.upstream.settings.endpoint.carrier == "serial":
+                    unless_opened.callback(_open, old.upstream, old_upstreams[name])
+                    await old.upstream.close()
+            for settings in plan.upstreams:
+                if settings.name not in forwarders:
+                    forwarders[settings.name] = new = _opened(settings)
+                    unless_opened.push_async_callback(new.upstream.close)
+            for listener in plan.listeners:
+                if listener.name not in listeners:
+                    listeners[listener.name] = made = self._made(listener, plan, forwarders, policy)
+                    unless_opened.push_async_callback(made.server.stop)
+                    await made.server.start()
+            unless_opened.pop_all()
+        return forwarders, listeners
 
     async def __aenter__(self) -> Self:
         await self.start()
