@@ -1,6 +1,6 @@
 """Options of sinks: which samples a sink gets, in what batches, and the options of each kind of sink."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated, Final
 
@@ -29,7 +29,7 @@ class DeliveryOptions:
         "seconds for which samples wait for a sink that is down, at least `age`. Older ones are dropped for it, oldest",
         "first, and counted.",
     ] = 7 * 86_400.0
-    report: Annotated[ReportRule, "which samples are handed on, as of a point."] = field(default_factory=ReportRule)
+    report: Annotated[ReportRule | None, "which samples are handed on; None: what the points say."] = None
 
     def __post_init__(self) -> None:
         check(self)

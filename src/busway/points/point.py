@@ -42,7 +42,8 @@ class Point:
             none.
         poll_class: how often it is read; empty for the class of its device.
         writing: what may be written, and how; None if nothing.
-        reporting: when its samples are handed on.
+        reporting: which of its samples are handed on to sinks that have no rule of their own.
+        storing: which of its samples a store keeps; None where the device, its class or the collector say that.
         alarms: its limits.
         was: the name that it had before; its history goes on.
         description: what it is, for people.
@@ -63,6 +64,7 @@ class Point:
     poll_class: str = ""
     writing: WriteRule | None = None
     reporting: ReportRule = _EVERY_READ
+    storing: ReportRule | None = None
     alarms: tuple[AlarmRule, ...] = ()
     was: str = ""
     description: str = ""

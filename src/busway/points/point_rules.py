@@ -3,14 +3,18 @@
 Knows the rules and their ranges; applies only those that need nothing but a value.
 """
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, Table
 from ..errors import InvalidRequest
 from ..values import Address
 from ..values.refusal import shown
+
+_ROUNDING: Final = 2.0**-49
+"""Share of a float that computing it in a few steps may be wrong by: eight times its last bit."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -102,12 +106,14 @@ class WriteRule:
 class ReportRule:
     """When a sample of a point is passed on, such as only after a change; changes of quality always are.
 
+    It holds for what a store keeps, or for what a sink gets of that.
+
     Attributes:
         when: at every read, at a change, or at a change and after ``period`` at the latest.
         period: seconds, for ``change_or_period``.
-        deadband: a change is more than this; in the unit of measure, or in percent of the value handed on before.
+        deadband: a change is more than this; in the unit of measure, or in percent of the value passed on before.
         percent: whether the deadband is in percent.
-        max_silence: after this many seconds a sample is handed on in any case; None for never.
+        max_silence: after this many seconds a sample is passed on in any case; None for never.
     """
 
     when: Literal["every", "change", "change_or_period"] = "every"
@@ -116,24 +122,49 @@ class ReportRule:
     percent: bool = False
     max_silence: float | None = None
 
+    def passes(self, last: tuple[object, int], now: tuple[object, int], silence: float) -> bool:
+        """Whether a sample is passed on.
+
+        Args:
+            last: value and reason of the sample passed on before.
+            now: value and reason of this one.
+            silence: seconds between the two.
+        """
+        return last[1] != now[1] or self.is_due(last[0], now[0], silence)
+
     def is_change(self, before: object, now: object) -> bool:
-        """Whether a value differs by more than the deadband from the last one that was passed on."""
+        """Whether a value differs by more than the deadband from the last one passed on; by exactly that, it does not.
+
+        ``0.8 - 0.7`` is exactly a deadband of 0.1, although the difference of the floats is more.
+        """
         if before == now:
             return False
         numbers = isinstance(before, int | float) and isinstance(now, int | float)
-        if not self.deadband or not numbers or isinstance(now, bool):
+        if not numbers or isinstance(now, bool):
             return True
         assert isinstance(before, int | float)
         assert isinstance(now, int | float)
+        if not (math.isfinite(before) and math.isfinite(now)):
+            return not (math.isnan(before) and math.isnan(now))
+        if not self.deadband:
+            return True
         limit = abs(before) * self.deadband / 100 if self.percent else self.deadband
-        return not abs(now - before) <= limit  # NaN is a change
+        if isinstance(before, float) or isinstance(now, float):
+            limit += max(abs(before), abs(now)) * _ROUNDING
+        return abs(now - before) > limit + limit * _ROUNDING
 
     def is_due(self, before: object, now: object, silence: float) -> bool:
-        """Whether a good value is to be passed on, ``silence`` seconds after the last one was."""
+        """Whether a value of the same quality is to be passed on, ``silence`` seconds after the last one."""
         if self.when == "every" or self.is_change(before, now):
             return True
-        limits = [each for each in (self.max_silence, self.period if self.when != "change" else None) if each]
-        return bool(limits) and silence >= min(limits)
+        limit = self.longest_silence
+        return limit is not None and silence >= limit
+
+    @property
+    def longest_silence(self) -> float | None:
+        """Seconds after which a sample is passed on without a change; None for never, and where every sample is."""
+        limits = [self.max_silence, self.period if self.when == "change_or_period" else None]
+        return min((each for each in limits if each is not None), default=None)
 
 
 @dataclass(frozen=True, slots=True)

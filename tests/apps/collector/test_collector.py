@@ -71,6 +71,24 @@ async def test_samples_are_in_the_store_when_they_are_handed_on(tmp_path: Path) 
             assert collector.store_status().samples >= 3
 
 
+async def test_with_a_rule_the_store_keeps_changes_the_last_value_is_fresh_and_a_file_read_again_says_another(
+    tmp_path: Path,
+) -> None:
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"}, period=0.02)
+        every = file.read_text()
+        file.write_text(every.replace("[collector]", '[collector]\nstore_report = "change"'))
+        async with busway.collect(file) as collector:
+            last = collector.values.last
+            await until(lambda: collector.store_status().passed_over >= 6, 20)
+            first = (last("pump", "speed") or (0, 0, 0))[2]
+            await until(lambda: (last("pump", "speed") or (0, 0, 0))[2] > first, 20)
+            file.write_text(every)
+            await collector.read_again()
+            samples = collector.store_status().samples
+            await until(lambda: collector.store_status().samples > samples + 6, 20)
+
+
 async def test_only_samples_of_the_wanted_devices_are_handed_on(tmp_path: Path) -> None:
     async with served() as server:
         file = plant(tmp_path, {"a": server.endpoints[0]}, {"one": "a", "two": "a"})

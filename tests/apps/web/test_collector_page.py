@@ -1,5 +1,6 @@
 """The API of the collector's page: committed values, history with gaps, links, devices, sinks."""
 
+import math
 import re
 from typing import Any
 from urllib.request import urlopen
@@ -10,7 +11,7 @@ from waiting import wait_until
 
 import busway
 from busway.apps.collector.store.query_results import BucketTable
-from busway.apps.web.collector_page import _trend
+from busway.apps.web.collector_page import _held_trend, _trend
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +94,17 @@ def test_time_without_samples_is_a_gap_in_a_trend() -> None:
     found = _trend(table, 11 * second, 11, 2.0)
     assert found.time == [0, 1, 5, 9, 10]
     assert found.mean == [1, 2, None, None, 4]
+
+
+def test_a_value_of_which_only_changes_are_kept_holds_until_the_next_and_until_it_was_read_last() -> None:
+    second = 1_000_000_000
+    table = BucketTable(
+        ["pump"] * 3, ["speed"] * 3, [0, 9 * second, 10 * second], [1, 2, None], [1, 2, None],
+        [1.0, 2.0, None], [1, 1, 0], [1, 1, 1], [0, 0, 16],
+    )  # fmt: skip
+    found = _trend(table, 20 * second, 20, math.inf, 1.0)
+    assert (found.time, found.mean) == ([0, 8, 9, 10], [1, 1, 2, None])
+    assert _held_trend(found, (2.0, 0, 19 * second)).time[-1] == 10  # a gap is not filled
+    empty = _held_trend(_trend(BucketTable(), 20 * second, 20, math.inf, 1.0), (5.0, 0, 19 * second))
+    assert (empty.time, empty.mean) == ([0, 19], [5, 5])
+    assert _held_trend(_trend(BucketTable(), 20 * second, 20, math.inf), (None, 20, 19 * second)).time == []

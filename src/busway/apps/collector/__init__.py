@@ -19,6 +19,7 @@
 `samples`         a sample, its quality and reason; the samples of one read; intervals without reads
 `store`           the folder that keeps samples: written, sealed, read
 `commands`        values that are written to points, each at most once
+`report_rules`    which report rule holds for a point, in the store and towards sinks
 `reloading`       what another configuration may change while a collector runs
 `sinks`           other systems that get what a store keeps
 `alarms`          alarms of points: limits and states, with delay, hysteresis, acknowledgement and a journal

@@ -28,7 +28,6 @@ from ...client.aio import AsyncLink, open_link
 from ...config.reading import read_text
 from ...errors import ConfigError
 from ...points.point import Point
-from ...points.point_rules import ReportRule
 from .alarms.collected import CollectorAlarms
 from .commands.audit import configuration_line, revision_of
 from .commands.command import CommandResult, CommandValue
@@ -43,6 +42,7 @@ from .maintenance import MaintenanceBook
 from .permitted_link import PermittedLink
 from .poller import LinkPoller
 from .reloading import left_for_the_next_start, refuse_what_cannot_change, replace_file
+from .report_rules import sink_rules, store_rules
 from .sample_clock import SampleClock
 from .samples import CounterState, SampleBatch
 from .schedule import LinkSchedule
@@ -176,7 +176,7 @@ class Collector:
         loop = asyncio.get_running_loop()
         self._started = loop.time()
         self._clock = SampleClock(loop.time(), time.time_ns())
-        self._committer = committer = Committer(writer)
+        self._committer = committer = Committer(writer, rules=store_rules(self.configuration))
         self.alarms = CollectorAlarms(committer.add_alarms, loop.time, lambda: self._clock.time_ns(loop.time()))
         self._committer.subscribe(lambda commit: self._committed_in_thread(loop, commit))
         self._committer.subscribe(self.values.update)
@@ -239,7 +239,7 @@ class Collector:
         """Start to pass samples on to the sinks. Raises `ConfigError` for an impossible name, `LinkDown` for a page."""
         configuration = self.configuration
         if configuration.sinks:
-            self._sinks = SinkThread(writer, configuration.sinks, _report_rules(configuration))
+            self._sinks = SinkThread(writer, configuration.sinks, sink_rules(configuration))
         if configuration.pages:
             for page in configuration.pages.values():
                 alarms = self.alarms.active
@@ -577,7 +577,7 @@ class Collector:
         self.configuration = configuration
         self.alarms.configure(self._points())
         if self._sinks is not None:
-            self._sinks.set_point_rules(_report_rules(configuration))
+            self._sinks.set_point_rules(sink_rules(configuration))
         done: list[str] = []
         changed = [name for name, link in self._links.items() if link.key != _key_of(configuration, name)]
         await asyncio.gather(*(self._finish_link(name) for name in changed))
@@ -585,7 +585,10 @@ class Collector:
             await self._stop_link(name)
             if name not in configuration.links:
                 done.append(f"link {name} ended")
-        self._committer.describe(each for device in configuration.devices.values() for each in device.descriptions())
+        self._committer.describe(
+            (each for device in configuration.devices.values() for each in device.descriptions()),
+            store_rules(configuration),
+        )
         for name in configuration.links:
             if name not in self._links:
                 self._start_link(name, configuration)
@@ -756,16 +759,6 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
         return None
     devices: list[CollectedDevice] = configuration.devices_of(link)
     return configuration.links[link].settings, tuple(devices), tuple(configuration.periods.items())
-
-
-def _report_rules(configuration: CollectorConfiguration) -> dict[tuple[str, str], ReportRule]:
-    """Return the report rules of points by device and point, for those that do not pass on every sample."""
-    return {
-        (device.name, point.name): point.reporting
-        for device in configuration.devices.values()
-        for point in device.points
-        if point.reporting != ReportRule()
-    }
 
 
 def _renamed(counters: Iterable[CounterState], points: Sequence[Point]) -> list[CounterState]:

@@ -17,8 +17,10 @@ from ...config.files.collector import CollectorSection
 from ...errors import ConfigError
 from .configuration import CollectorConfiguration
 
-_READ_AT_THE_START: Final = tuple(key for key in CollectorSection.model_fields if key not in ("store", "learn"))
-"""Keys of ``[collector]``; another store is refused, and `learn` holds at once."""
+_READ_AT_THE_START: Final = tuple(
+    key for key in CollectorSection.model_fields if key not in ("store", "learn", "store_report")
+)
+"""Keys of ``[collector]``; another store is refused, `learn` and `store_report` hold at once."""
 
 
 def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfiguration) -> None:

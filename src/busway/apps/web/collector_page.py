@@ -10,6 +10,7 @@ Knows a running collector, its store and HTTP; asks no device.
 
 import asyncio
 import contextlib
+import math
 import time
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -24,7 +25,8 @@ from ...points.point import Point
 from ..collector.collector import Collector
 from ..collector.configuration import CollectorConfiguration
 from ..collector.preview import CollectorPreview, preview
-from ..collector.samples import NANOSECONDS, quality_of, reason_text
+from ..collector.report_rules import store_rules
+from ..collector.samples import NANOSECONDS, Quality, Value, quality_of, reason_text
 from ..collector.store.query_results import BucketTable
 from ..collector.store.reading import Store
 from ..collector.store.writer import Commit
@@ -342,7 +344,9 @@ class CollectorApi:
             table = await asyncio.to_thread(
                 _read, configuration.store, f"{device}/{point}", now - int(seconds * NANOSECONDS), length
             )
-        return _trend(table, now, seconds, max(3 * max(classes, default=1.0), 2 * length))
+        if (device, point) not in store_rules(configuration, device):
+            return _trend(table, now, seconds, max(3 * max(classes, default=1.0), 2 * length))
+        return _held_trend(_trend(table, now, seconds, math.inf, length), self._collector.values.last(device, point))
 
 
 def _kind(point: Point) -> Literal["number", "state", "text"]:
@@ -356,8 +360,11 @@ def _read(folder: str, point: str, since: int, bucket: float) -> BucketTable:
     return Store(folder).read(point, since=since, bucket=bucket)
 
 
-def _trend(table: BucketTable, now: int, seconds: float, longest: float) -> TrendAnswer:
-    """Return columns for a chart, with a gap between times further apart than ``longest`` seconds."""
+def _trend(table: BucketTable, now: int, seconds: float, longest: float, held: float = math.inf) -> TrendAnswer:
+    """Return columns for a chart, with a gap between times further apart than ``longest`` seconds.
+
+    Between times further apart than twice ``held``, the value before holds until ``held`` seconds before the next.
+    """
     answer = TrendAnswer(
         begin=now / NANOSECONDS - seconds, end=now / NANOSECONDS, time=[], minimum=[], maximum=[], mean=[]
     )
@@ -365,7 +372,20 @@ def _trend(table: BucketTable, now: int, seconds: float, longest: float) -> Tren
         moment = at / NANOSECONDS
         if answer.time and moment - answer.time[-1] > longest:
             _add(answer, (answer.time[-1] + moment) / 2, None, None, None)
+        elif answer.time and moment - answer.time[-1] > 2 * held:
+            _add(answer, moment - held, *(answer.mean[-1],) * 3)
         _add(answer, moment, low, high, mean)
+    return answer
+
+
+def _held_trend(answer: TrendAnswer, last: tuple[Value | None, int, int] | None) -> TrendAnswer:
+    """Let the last value of a point of which the store keeps only changes hold until the point was read last."""
+    value, reason, time = last or (None, 0, 0)
+    if isinstance(value, int | float) and math.isfinite(value) and quality_of(reason) is not Quality.BAD:
+        if not answer.time:  # no change, no gap
+            _add(answer, answer.begin, value, value, value)
+        if answer.mean[-1] is not None and time / NANOSECONDS > answer.time[-1]:
+            _add(answer, time / NANOSECONDS, value, value, value)
     return answer
 
 

@@ -32,6 +32,8 @@ Rules:
    needs no names.
 2. A profile is a ready-made device, or the path of a device file with one unit; ``with`` sets its parameters.
 3. What a sink may say depends on its kind (`sinks`).
+4. Which samples the store keeps says the point, or else the device, or else the class of the point, or else the
+   collector; the first of them that has ``store_report``.
 """
 
 import math
@@ -44,6 +46,7 @@ from ...options.declaration import Name, Range
 from .device import UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url
+from .points import Report, ReportSection
 from .schema import NO_LIST, NO_TABLE, Section
 from .simulation import Parameter
 from .sinks import AnySink
@@ -67,6 +70,9 @@ class CollectorSection(Section):
     keep_bytes: Annotated[
         int | None, Range(1_000_000, math.inf), "size of the store above which the oldest samples are dropped."
     ] = None
+    store_report: Annotated[
+        Report, "which samples the store keeps, as `report` of a point, where point, device and class do not say that."
+    ] = ReportSection()
     learn: Annotated[bool, "whether what was learnt of devices is kept, in `learnt.json` in the store."] = True
     page: Annotated[str, Name("an address such as 127.0.0.1:8503"), "host and port of the page; `off` for none."] = (
         "127.0.0.1:8503"
@@ -98,6 +104,9 @@ class PollClassSection(Section):
     """``[poll_class]``, one poll class: how often its points are read."""
 
     period: Annotated[float, Range(0.001, 604_800), "seconds between two reads of its points."]
+    store_report: Annotated[
+        Report | None, "which samples of its points the store keeps; None: as `[collector]` says."
+    ] = None
 
 
 class CollectedDeviceSection(Section):
@@ -117,6 +126,9 @@ class CollectedDeviceSection(Section):
         default_factory=dict, alias="with"
     )
     poll_class: Annotated[str, "the class of points that name none; left out: the only class."] = ""
+    store_report: Annotated[
+        Report | None, "which samples of its points the store keeps; None: as their classes say."
+    ] = None
     firmware: Annotated[
         str,
         "what the device runs. What two devices with one profile and firmware learnt alike, the third begins with.",

@@ -157,19 +157,19 @@ def _as_deadband(value: object) -> object:
 
 
 class ReportSection(Section):
-    """``report`` of a point: which samples are passed on, such as only after a change."""
+    """``report`` or ``store_report`` of a point: which samples are passed on, such as only after a change."""
 
-    when: Annotated[Literal["every", "change", "change_or_period"], "which samples are handed on."] = "every"
+    when: Annotated[Literal["every", "change", "change_or_period"], "which samples are passed on."] = "every"
     period: Annotated[
         float | None, Range(0, 1e9, above=True), "seconds, for `change_or_period`, where it must be there."
     ] = None
     deadband: Annotated[
         float | str,
         BeforeValidator(_as_deadband),
-        'a change is more than this: a number in the unit of measure, or `"1 %"` of the value reported before.',
+        'a change is more than this: a number in the unit of measure, or `"1 %"` of the value passed on before.',
     ] = 0.0
     max_silence: Annotated[
-        float | None, Range(0, 1e9, above=True), "seconds after which a sample is reported in any case; None: never."
+        float | None, Range(0, 1e9, above=True), "seconds after which a sample is passed on in any case; None: never."
     ] = None
 
     @model_validator(mode="after")
@@ -189,6 +189,7 @@ class ReportSection(Section):
 
 
 Report = Annotated[ReportSection, BeforeValidator(_as_report, json_schema_input_type=str | ReportSection)]
+"""A key with a report rule: the name of one, or a table."""
 
 
 class AlarmSection(Section):
@@ -360,7 +361,12 @@ class PointSection(WholeSection):
     overlaps: Annotated[bool, "whether it may share registers with other points."] = False
     poll_class: Annotated[str, "how often it is read, by name; left out: that of `read` of the unit."] = ""
     write: Annotated[WriteSection | None, "how it is written; None: by the function that fits."] = None
-    report: Annotated[Report, "when its samples are handed on: a word of `when`, or a table."] = ReportSection()
+    report: Annotated[Report, "which of its samples are handed on to sinks: a word of `when`, or a table."] = (
+        ReportSection()
+    )
+    store_report: Annotated[
+        Report | None, "which of its samples the store keeps, as `report`; None: what the collector's file says."
+    ] = None
     alarm: Annotated[list[AlarmSection], "limits and states that are an alarm."] = NO_LIST
     was: Annotated[str, "the name that it had before; its history goes on. Two points may exchange their names."] = ""
     description: Annotated[str, "text, for people."] = ""
@@ -463,6 +469,7 @@ class PointSection(WholeSection):
             "unit_of_measure": self.unit_of_measure,
             "poll_class": self.poll_class,
             "reporting": self.report.described(),
+            "storing": None if self.store_report is None else self.store_report.described(),
             "alarms": tuple(each.described(self.enumeration, self.flags) for each in self.alarm),
             "was": self.was,
             "description": self.description,

@@ -24,7 +24,7 @@ from ...options import sinks
 from ...options.declaration import Name, Range
 from ...values.refusal import shown
 from .options import OptionSection, with_options_of
-from .points import Report, ReportSection
+from .points import Report
 from .schema import FileProblems, Section, read_section
 
 _SECRETS: Final = frozenset({"p", "passwd", "password", "sslpassword", "token"})
@@ -66,14 +66,14 @@ class SinkSection(OptionSection):
 class SentSection(SinkSection):
     """Base of the sinks to which samples are sent in batches."""
 
-    report: Annotated[Report, "which samples are handed on, as `report` of a point; a change of quality always."] = (
-        ReportSection()
-    )
+    report: Annotated[
+        Report | None, "which samples are handed on, as `report` of a point; None: what the points say."
+    ] = None
 
     def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
         """The options of some parameter classes that this section sets, by name."""
         found = super().options_of(*kinds)
-        return found | {"report": self.report.described()} if "report" in found else found
+        return found if self.report is None or "report" not in found else found | {"report": self.report.described()}
 
 
 class CommandsSection(Section):

@@ -103,7 +103,7 @@ def test_a_document_of_an_event_says_what_happened_when_and_by_whom() -> None:
         "value": None,
         "text": "above 80 rpm",
         "by": "anna",
-        "key": "alarm-7-1",
+        "key": "alarm-7-1-cb7cb4d1d7a24a31",
     }
 
 

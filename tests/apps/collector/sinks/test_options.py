@@ -11,6 +11,7 @@ from busway.config.files.schema import FileProblems
 from busway.config.files.sinks import SentSection, sink_section
 from busway.errors import ConfigError
 from busway.options.sinks import DeliveryOptions
+from busway.points import ReportRule
 
 pytest.importorskip("aiomqtt")
 
@@ -54,7 +55,7 @@ def test_how_samples_are_handed_on_is_in_the_table_too() -> None:
     )
     assert options.points == ("meter-7/*", "*/power")
     assert (options.most, options.age, options.keep) == (100, 5.0, 3600.0)
-    assert (options.report.when, options.report.deadband, options.report.percent) == ("change", 2.0, True)
+    assert options.report == ReportRule("change", None, 2.0, True, 60.0)
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,9 @@ Knows when to send, to wait, to drop and to set aside; knows no receiver.
 2. A sink that is down is tried again after a pause that doubles up to `PAUSE_LIMIT`. Samples wait in the store.
 3. They wait for `keep` seconds at most. Older ones are dropped for this sink, oldest first, and counted. So are those
    that retention takes from the store before they were sent.
-4. A sample is handed on where the rule of the sink and that of its point say so, each measured from the sample that
-   this sink got before; in any case where its quality has changed, or after the shorter ``max_silence`` of both.
+4. A sample is handed on where the rule of the sink says so, or where it has none that of the point, measured from the
+   sample that this sink got before; in any case where its quality has changed. What it got before is in the manifest
+   with the cursor: after a crash the same samples come again, wherever batches are cut then.
 5. Samples that the receiver refuses are found by halving the batch, and set aside in a file, up to `ASIDE_LIMIT` bytes;
    then they are only counted. All others are sent.
 6. Samples from before the wall clock was set wait until they are mended, so that the receiver gets them once with their
@@ -29,7 +30,7 @@ from ....points.point_rules import ReportRule
 from ..sample_clock import EARLIEST
 from ..samples import NANOSECONDS, reason_text
 from ..store.committed_samples import CommitReader, CommittedAlarm, CommittedSample
-from ..store.manifest import Manifest
+from ..store.manifest import Manifest, ReportedSample
 from .documents import alarm_document
 from .interface import AlarmSink, Sink, SinkDown, SinkRefused
 
@@ -89,7 +90,7 @@ class Delivery:
             folder: the store.
             manifest: of the store, opened for writing.
             options: how samples are handed on.
-            point_rules: by device and point, when the samples of a point are handed on, as its file says.
+            point_rules: by device and point, the rules of points that hand on not every sample.
             now: nanoseconds since 1970 UTC.
             monotonic: seconds of a clock that is never set.
             pause: waits some seconds.
@@ -104,7 +105,9 @@ class Delivery:
         manifest.set_cursor(name, self._cursor, self._lost)
         self._named: dict[tuple[str, str], bool] = {}
         self._point_rules: Mapping[tuple[str, str], ReportRule] = point_rules or {}
-        self._reported: dict[tuple[str, str], CommittedSample] = {}
+        self._reported: dict[tuple[str, str], ReportedSample] = {
+            (row.device, row.point): row for row in manifest.reported(name)
+        }
         self._sent = self._aside = 0
         self._down_error: str | None = None
         self._refusal: str | None = None
@@ -151,7 +154,7 @@ class Delivery:
             return False
         if self._waits_for_the_clock(found.samples):
             return False
-        wanted = self._wanted(found.samples)
+        wanted, reported = self._wanted(found.samples)
         sink = self._sink
         alarms = found.alarms if isinstance(sink, AlarmSink) else []
         alarms = [each for each in alarms if self._is_named((each.event.device, each.event.point))]
@@ -163,10 +166,8 @@ class Delivery:
         if alarms and isinstance(sink, AlarmSink):
             await self._send_alarms(sink, alarms)
         self._down_error = None
-        await asyncio.to_thread(self._move, found.last)
-        for sample in wanted:
-            self._reported[sample.device, sample.point] = sample
-        return len(found.samples) >= self.options.most or not found.samples
+        await asyncio.to_thread(self._move, found.last, reported)
+        return found.more
 
     def _waits_for_the_clock(self, samples: Sequence[CommittedSample]) -> bool:
         """Whether the next samples must wait because their time will still be corrected (rule 6)."""
@@ -177,11 +178,12 @@ class Delivery:
             self._unset_since = self._monotonic()
         return self._monotonic() - self._unset_since < CLOCK_WAIT
 
-    def _move(self, cursor: int) -> None:
+    def _move(self, cursor: int, reported: Mapping[tuple[str, str], ReportedSample]) -> None:
         # Retention may have counted losses meanwhile.
         self._lost = max(self._lost, self._manifest.cursors().get(self.name, (0, 0))[1])
-        self._manifest.set_cursor(self.name, cursor, self._lost)
+        self._manifest.set_cursor(self.name, cursor, self._lost, reported.values())
         self._cursor = cursor
+        self._reported.update(reported)
 
     def _drop_old(self) -> None:
         oldest = self._now() - int(self.options.keep * NANOSECONDS)
@@ -196,19 +198,25 @@ class Delivery:
                     "sink %s: %d samples waited longer than %g s, and are dropped", self.name, lost, self.options.keep
                 )
 
-    def _wanted(self, samples: Sequence[CommittedSample]) -> list[CommittedSample]:
-        """Return the samples that this sink gets: of its points, if its report rules permit them."""
+    def _wanted(
+        self, samples: Sequence[CommittedSample]
+    ) -> tuple[list[CommittedSample], dict[tuple[str, str], ReportedSample]]:
+        """Return the samples that this sink gets, and the last of each point of which it does not get all (rule 4)."""
         wanted = []
-        before = dict[tuple[str, str], CommittedSample]()
+        fresh = dict[tuple[str, str], ReportedSample]()
         for sample in samples:
             key = (sample.device, sample.point)
             if not self._is_named(key):
                 continue
-            last = before.get(key) or self._reported.get(key)
-            if last is None or self._is_due(last, sample):
-                wanted.append(sample)
-                before[key] = sample
-        return wanted
+            rule = self.options.report or self._point_rules.get(key, _EVERY)
+            if rule.when != "every":
+                last = fresh.get(key) or self._reported.get(key)
+                if last is not None and not _passes(rule, last, sample):
+                    continue
+            if rule.when != "every" or key in self._reported:
+                fresh[key] = ReportedSample(*key, sample.time, sample.value, sample.reason)
+            wanted.append(sample)
+        return wanted, fresh
 
     def _is_named(self, key: tuple[str, str]) -> bool:
         named = self._named.get(key)
@@ -216,15 +224,6 @@ class Delivery:
             named = any(fnmatchcase("/".join(key), pattern) for pattern in self.options.points)
             self._named[key] = named
         return named
-
-    def _is_due(self, last: CommittedSample, sample: CommittedSample) -> bool:
-        if last.reason != sample.reason:
-            return True
-        rules = (self.options.report, self._point_rules.get((sample.device, sample.point), _EVERY))
-        silence = (sample.time - last.time) / NANOSECONDS
-        if any(rule.max_silence is not None and silence >= rule.max_silence for rule in rules):
-            return True
-        return all(rule.is_due(last.value, sample.value, silence) for rule in rules)
 
     async def _send(self, samples: Sequence[CommittedSample]) -> None:
         """Send samples to the sink; those that it refuses are found and set aside."""
@@ -282,3 +281,8 @@ class Delivery:
         self._down_error = str(error)
         self._is_open = False
         await self._sink.close()
+
+
+def _passes(rule: ReportRule, last: ReportedSample, sample: CommittedSample) -> bool:
+    silence = (sample.time - last.time) / NANOSECONDS
+    return rule.passes((last.value, last.reason), (sample.value, sample.reason), silence)

@@ -1,8 +1,13 @@
 """Converts samples to JSON: one document for each device and commit, or one for each sample.
 
-Pure. A repetition gives the same document with the same key, because a commit does not change.
+Pure.
+
+1. A repetition gives the same document with the same key, because a commit does not change.
+2. A key ends with a digest of what it stands for, so that a document with other content has another key: where a file
+   that was read again hands on other points, or where a part of a batch was refused.
 """
 
+import hashlib
 import json
 import math
 from collections.abc import Iterator, Sequence
@@ -20,7 +25,7 @@ class Document:
 
     Attributes:
         device: its name.
-        key: the same at a repetition, and different for every other document of this store.
+        key: the same at a repetition, and different for every other document.
         content: what becomes JSON.
     """
 
@@ -30,7 +35,7 @@ class Document:
 
     def encode(self) -> bytes:
         """Return the document as JSON bytes."""
-        return json.dumps(self.content, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
+        return _encoded(self.content)
 
 
 def documents(samples: Sequence[CommittedSample]) -> Iterator[Document]:
@@ -41,8 +46,18 @@ def documents(samples: Sequence[CommittedSample]) -> Iterator[Document]:
     """
     for (commit, device), group in groupby(sorted(samples, key=_place), key=lambda each: (each.commit, each.device)):
         reads = [_read(moment, list(each)) for moment, each in groupby(group, key=lambda each: each.time)]
-        key = f"{commit}-{device}-{reads[0]['time']}-{len(reads)}"
+        key = f"{commit}-{device}-{_digest(reads)}"
         yield Document(device, key, {"device": device, "key": key, "reads": reads})
+
+
+def _digest(content: Any) -> str:  # JSON
+    return hashlib.blake2b(_encoded(content), digest_size=8).hexdigest()
+
+
+def _encoded(content: Any) -> bytes:  # JSON
+    return json.dumps(content, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode(
+        "utf-8", "backslashreplace"
+    )
 
 
 def _place(sample: CommittedSample) -> tuple[int, str, int]:
@@ -70,11 +85,15 @@ def sample_document(sample: CommittedSample) -> dict[str, Any]:
     }
 
 
+def sample_key(sample: CommittedSample) -> str:
+    """Return the key of a document of one sample."""
+    return f"{sample.commit}-{sample.device}/{sample.point}-{_digest(sample_document(sample))}"
+
+
 def alarm_document(alarm: CommittedAlarm) -> Document:
     """Return an alarm event as JSON data: ``event`` is raised, acknowledged, cleared or removed."""
     event = alarm.event
-    key = f"alarm-{alarm.commit}-{alarm.place}"
-    content = {
+    content: dict[str, Any] = {
         "device": event.device,
         "point": event.point,
         "limit": event.limit,
@@ -83,8 +102,8 @@ def alarm_document(alarm: CommittedAlarm) -> Document:
         "value": json_number(event.value),
         "text": event.text,
         "by": event.by,
-        "key": key,
     }
+    content["key"] = key = f"alarm-{alarm.commit}-{alarm.place}-{_digest(content)}"
     return Document(event.device, key, content)
 
 

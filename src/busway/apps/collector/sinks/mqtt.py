@@ -23,7 +23,7 @@ from ....errors import ConfigError
 from ....extras import require
 from ....options.sinks import MqttOptions
 from ..store.committed_samples import CommittedAlarm, CommittedSample
-from .documents import alarm_document, documents, sample_document
+from .documents import alarm_document, documents, sample_document, sample_key
 from .interface import SinkDown
 from .mqtt_connection import connect
 
@@ -144,7 +144,7 @@ class MqttSink:
             (
                 self._name(sample.device, sample.point),
                 json.dumps(sample_document(sample), ensure_ascii=False).encode(),
-                f"{sample.device}/{sample.point}/{sample.time}",
+                sample_key(sample),
                 self._retain,
             )
             for sample in samples

@@ -39,7 +39,7 @@ class LastValues:
     def update(self, commit: Commit) -> None:
         """Take over the samples of a commit."""
         with self._lock:
-            for batch in commit.batches:
+            for batch in commit.last_values:
                 self._batches[batch.group] = batch
             for each in commit.intervals:
                 if isinstance(each, StateInterval) and each.reason != Reason.SKIPPED:

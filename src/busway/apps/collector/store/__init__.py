@@ -8,6 +8,7 @@
 `commit_thread`      the thread that commits for an event loop, every quarter of a second
 `sealing`            turns a segment that has ended into Parquet files
 `sealed_part`        writes the Parquet files of a segment; runs as a program of its own
+`kept_samples`       which samples are kept, where a rule says that not all of them are
 `retention`          which files are deleted because they are too old or too many
 `journal`            the journal of alarms, and the totals of accumulators
 `clock_correction`   corrects the times of samples stored before the wall clock was set
@@ -18,8 +19,4 @@
 `committed_samples`  reads samples in the order of their commits, for sinks
 `check_and_backup`   checks, backs up and restores a store, while it is written
 `database`           connections to the SQLite files of a store, and transactions on them
-===================  ========================================================================================
-
-Where it is decided: when a segment ends: `segment` (`Segment.has_ended`). What is deleted: `retention`. When a commit
-is made, and what is dropped when the disk is full: `commit_thread`. What a crash leaves is put right by `writer`.
-"""
+===================  ================================================================================="""

@@ -10,20 +10,24 @@ Knows when to commit, and what to do while that fails; knows nothing of segments
 5. With ``durability = process`` the log is synced every `SYNC` seconds: that much a power failure costs. Where that
    fails, it is said and tried again; what was committed stays committed, and is never committed twice.
 6. What is known of points changes between commits: samples that were added before go by the names of then.
+7. Where rules keep not every sample, that is decided when it is committed. Reads of which nothing is kept make no
+   commit; subscribers are told of them all the same, because they show that the values before still hold.
 """
 
 import logging
+import math
 import sqlite3
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST
 from ..samples import Gap, PointDescription, Reason, SampleBatch, StateInterval
+from .kept_samples import KeptSamples, StoreRules
 from .writer import Commit, StoreWriter
 
 INTERVAL: Final = 0.2
@@ -57,6 +61,7 @@ class StoreStatus:
         upkeep_error: why parts could not be sealed or dropped, commits not be made durable, or times not be mended,
             when that was tried last; None if they could.
         subscriber_failures: how often a subscriber of commits raised an error.
+        passed_over: samples since the start that were not kept, as a rule says.
     """
 
     commits: int
@@ -66,6 +71,7 @@ class StoreStatus:
     error: str | None
     upkeep_error: str | None
     subscriber_failures: int = 0
+    passed_over: int = 0
 
 
 class Committer:
@@ -79,6 +85,7 @@ class Committer:
         interval: float = INTERVAL,
         most_waiting: int = MOST_WAITING,
         retry: float = RETRY,
+        rules: StoreRules | None = None,
     ) -> None:
         """Start the thread that writes samples to the store.
 
@@ -88,15 +95,17 @@ class Committer:
             interval: seconds after which samples are committed.
             most_waiting: values that wait at most while the store cannot be written.
             retry: seconds between two attempts then.
+            rules: of points of which not every sample is kept.
         """
         self.writer = writer
+        self._kept = KeptSamples(rules)
         self._now, self._interval, self._most, self._retry = now, interval, most_waiting, retry
         self._subscribers: list[Callable[[Commit], None]] = []
         self._changed = threading.Condition()
         self._batches: deque[SampleBatch] = deque()
         self._intervals: list[StateInterval | Gap] = []
         self._alarms: deque[tuple[int, AlarmEvent]] = deque()
-        self._descriptions: deque[tuple[int, list[PointDescription]]] = deque()
+        self._descriptions: deque[tuple[int, list[PointDescription], StoreRules | None]] = deque()
         self._described = 0
         self._shift: int | None = None
         self._is_mending = False
@@ -108,7 +117,8 @@ class Committer:
         self._upkeep_error: str | None = None
         self._sync_error: str | None = None
         self._mend_error: str | None = None
-        self._subscriber_failures = 0
+        self._subscriber_failures = self._passed_over = 0
+        self._number, self._committed_at = 0, -math.inf
         self._hurry = self._ending = self._committing = False
         self._ended = threading.Event()
         self._synced = time.monotonic()
@@ -148,10 +158,12 @@ class Committer:
             self._note_alarms(alarms)
             self._changed.notify_all()
 
-    def describe(self, descriptions: Iterable[PointDescription]) -> None:
-        """Queue descriptions of points, which apply after all samples and alarm events queued so far."""
+    def describe(self, descriptions: Iterable[PointDescription], rules: StoreRules | None = None) -> None:
+        """Queue descriptions of points, and which samples are kept, effective after all samples and alarm events added
+        so far; None for the rules as they are.
+        """
         with self._changed:
-            self._descriptions.append((self._taken + len(self._batches), list(descriptions)))
+            self._descriptions.append((self._taken + len(self._batches), list(descriptions), rules))
             self._changed.notify_all()
 
     def status(self) -> StoreStatus:
@@ -165,6 +177,7 @@ class Committer:
                 self._error,
                 self._upkeep_error or self._sync_error or self._mend_error,
                 self._subscriber_failures,
+                self._passed_over,
             )
 
     def flush(self, timeout: float = 10.0) -> bool:
@@ -282,7 +295,9 @@ class Committer:
     def _describe_what_is_due(self) -> None:
         """Write the point descriptions that apply from the next sample on."""
         while self._descriptions and self._descriptions[0][0] <= self._taken:
-            self.writer.describe_points(self._descriptions[0][1])
+            _, descriptions, rules = self._descriptions[0]
+            self.writer.describe_points(descriptions)
+            self._kept.begin_anew(rules)
             with self._changed:
                 self._descriptions.popleft()
                 self._described += 1
@@ -310,7 +325,8 @@ class Committer:
                 gap, self._lost_now = self._lost_now, None
                 self._committing = True
             told = [*intervals, gap] if gap is not None else intervals
-            commit = self.writer.commit(batches, told, self._now(), [event for _, event in alarms])
+            before = self._number
+            commit, passed_over = self._committed(batches, told, [event for _, event in alarms])
         except Exception as error:  # a defect must not end the thread unseen: it is in the status, and tried again
             if not isinstance(error, sqlite3.Error | OSError) and self._error is None:
                 _log.exception("the store failed in an unexpected way")
@@ -318,9 +334,10 @@ class Committer:
             return False
         self._sync_when_due()
         with self._changed:
-            self._commits += 1
+            self._commits += commit.number > before
             count = sum(map(len, batches))
-            self._samples += count
+            self._samples += count - passed_over
+            self._passed_over += passed_over
             self._waiting -= count
             if self._error is not None:
                 _log.warning("the store can be written again; %d samples were lost so far", self._lost)
@@ -330,6 +347,19 @@ class Committer:
             self._committing = False
             self._changed.notify_all()
         return True
+
+    def _committed(
+        self, batches: list[SampleBatch], told: list[StateInterval | Gap], alarms: list[AlarmEvent]
+    ) -> tuple[Commit, int]:
+        """Commit the samples that are kept; returns the commit, and how many samples were passed over (rule 7)."""
+        choice, now = self._kept.choose(batches, told, alarms), time.monotonic()
+        is_empty = not (choice.batches or choice.counters or told or alarms)
+        if is_empty and batches and self._error is None and now - self._committed_at < ALIVE:
+            return Commit(self._number, self._now(), [], [], [], choice.shown), choice.passed_over
+        commit = self.writer.commit(choice.batches, told, self._now(), alarms, choice.counters)
+        self._kept.committed(choice)
+        self._number, self._committed_at = commit.number, now
+        return replace(commit, shown=choice.shown) if choice.passed_over else commit, choice.passed_over
 
     def _sync_when_due(self) -> None:
         if self.writer.options.durability != "process" or time.monotonic() - self._synced <= SYNC:

@@ -10,7 +10,7 @@ Knows how each kind of part is read in that order; knows no sink.
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -81,11 +81,13 @@ class CommitRange:
         last: the last commit that they are complete up to.
         samples: ordered by commit, time and point.
         alarms: events of alarms of these commits, with the number of the commit and their place in it.
+        more: whether there were later commits already.
     """
 
     last: int
     samples: list[CommittedSample]
     alarms: list[CommittedAlarm] = field(default_factory=list)
+    more: bool = False
 
 
 class CommitReader:
@@ -185,13 +187,24 @@ class CommitReader:
         else:
             self._sealed = None
             last, rows = self._segment_rows(segment[0], after, most)
+        more = len(segment) < len(parts) or last < max(part.last_commit or 0 for part in segment)
         intervals = [row for row in self._intervals(segment, after) if after < row.commit_number <= last]
         alarms = [row for row in alarm_rows(self._folder, self._manifest, after) if row.commit_number <= last]
-        return CommitRange(last, self._samples(rows, intervals), self._committed_alarms(alarms))
+        return CommitRange(last, self._samples(rows, intervals), self._committed_alarms(alarms), more)
 
     def _committed_alarms(self, rows: list[AlarmRow]) -> list[CommittedAlarm]:
-        events = alarm_events(rows, self._manifest) if rows else []
-        return [CommittedAlarm(row.commit_number, row.place, each) for row, each in zip(rows, events, strict=True)]
+        if not rows:
+            return []
+        self._look_up_points([], [])
+        known = [row for row in rows if row.point in self._points]
+        events = zip(known, alarm_events(known, self._manifest), strict=True)
+        return [
+            CommittedAlarm(row.commit_number, row.place, replace(event, point=self._name_then(row)))
+            for row, event in events
+        ]
+
+    def _name_then(self, row: AlarmRow) -> str:
+        return self._name_at(self._points[row.point], row.commit_number)
 
     def _of_intervals_alone(self, after: int) -> CommitRange | None:
         """Return intervals and alarms of segments without samples, which left no file when they were sealed."""

@@ -12,6 +12,7 @@ count: a reader reads it first, a writer changes it last.
    points may exchange theirs; each once, so that the next start gives them no second time.
 """
 
+import json
 import sqlite3
 import threading
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,7 +22,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ....errors import ConfigError
-from ..samples import PointDescription
+from ..samples import PointDescription, Value
 from .database import open_database, transaction
 from .folder import MANIFEST, check_store
 
@@ -52,6 +53,10 @@ CREATE INDEX IF NOT EXISTS intervals_by_end ON intervals ("end");
 CREATE INDEX IF NOT EXISTS intervals_by_commit ON intervals (commit_number);
 CREATE TABLE IF NOT EXISTS cursors (
     sink TEXT PRIMARY KEY, commit_number INTEGER NOT NULL, lost INTEGER NOT NULL DEFAULT 0
+) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS reported (
+    sink TEXT NOT NULL, device TEXT NOT NULL, point TEXT NOT NULL, time INTEGER NOT NULL, value TEXT NOT NULL,
+    reason INTEGER NOT NULL, PRIMARY KEY (sink, device, point)
 ) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS unlinks (file TEXT PRIMARY KEY) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS alarms (
@@ -144,6 +149,17 @@ class MaintenanceRow:
     begin: int
     by: str
     why: str
+
+
+@dataclass(frozen=True, slots=True)
+class ReportedSample:
+    """The last sample of a point that a sink got."""
+
+    device: str
+    point: str
+    time: int
+    value: Value | None
+    reason: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -423,10 +439,20 @@ class Manifest:
         """Return the cursor of each sink: its last commit, and the number of samples dropped for it."""
         return {sink: (number, lost) for sink, number, lost in self._all("SELECT * FROM cursors")}
 
-    def set_cursor(self, sink: str, number: int, lost: int) -> None:
-        """Note the last commit that a sink has received."""
+    def set_cursor(self, sink: str, number: int, lost: int, reported: Iterable[ReportedSample] = ()) -> None:
+        """Note the last commit that a sink has received, and its last samples of points that it gets not all of."""
+        rows = [(sink, each.device, each.point, each.time, json.dumps(each.value), each.reason) for each in reported]
         with self.transaction() as database:
             database.execute("INSERT OR REPLACE INTO cursors VALUES (?, ?, ?)", (sink, number, lost))
+            database.executemany("INSERT OR REPLACE INTO reported VALUES (?, ?, ?, ?, ?, ?)", rows)
+
+    def reported(self, sink: str) -> list[ReportedSample]:
+        """Return the last samples up to its cursor that a sink got of points of which it does not get all."""
+        rows = self._all("SELECT device, point, time, value, reason FROM reported WHERE sink = ?", sink)
+        return [
+            ReportedSample(device, point, time, json.loads(value), reason)
+            for device, point, time, value, reason in rows
+        ]
 
 
 def copy_points(source: Path, target: sqlite3.Connection) -> None:

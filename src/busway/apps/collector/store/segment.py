@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Final
 
 from ..alarms.events import AlarmEvent
-from ..samples import Gap, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
+from ..samples import CounterState, Gap, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
 from .clock_correction import mend_segment
 from .database import open_database
 from .folder import size_of, sync_file
@@ -66,6 +66,8 @@ KeyedBatch = tuple[Sequence[int], SampleBatch]
 """The ids of the points of a batch, and the batch."""
 KeyedAlarm = tuple[int, AlarmEvent]
 """The id of the point of an event, and the event."""
+KeyedCounter = tuple[int, CounterState]
+"""The id of the point of an accumulator, and its state."""
 
 
 class Segment:
@@ -89,6 +91,7 @@ class Segment:
         batches: Sequence[KeyedBatch],
         intervals: Sequence[StateInterval | Gap],
         alarms: Sequence[KeyedAlarm] = (),
+        counters: Sequence[KeyedCounter] = (),
     ) -> None:
         """Write a commit of samples without ending its transaction; `commit` or `rollback` follows."""
         database = self._database
@@ -96,7 +99,11 @@ class Segment:
         for ids, batch in batches:
             insert_batch(database, ids, batch, number)
             if batch.counters:
-                database.executemany(_COUNTER, _counter_rows(ids, batch, number))
+                known = dict(zip(batch.points, ids, strict=True))
+                database.executemany(
+                    _COUNTER, _counter_rows([(known[each.point], each) for each in batch.counters], number)
+                )
+        database.executemany(_COUNTER, _counter_rows(counters, number))
         times = [batch.time for _, batch in batches]
         low, high = (min(times), max(times)) if times else (None, None)
         count = sum(len(ids) for ids, _ in batches)
@@ -243,11 +250,8 @@ def _alarm_rows(alarms: Sequence[KeyedAlarm], number: int) -> list[AlarmRow]:
     ]
 
 
-def _counter_rows(ids: Sequence[int], batch: SampleBatch, number: int) -> list[tuple[int, object, object, int]]:
-    known = dict(zip(batch.points, ids, strict=True))
-    return [
-        (known[each.point], _stored_number(each.total), _stored_number(each.last), number) for each in batch.counters
-    ]
+def _counter_rows(counters: Sequence[KeyedCounter], number: int) -> list[tuple[int, object, object, int]]:
+    return [(point, _stored_number(each.total), _stored_number(each.last), number) for point, each in counters]
 
 
 def _stored_number(value: float) -> object:

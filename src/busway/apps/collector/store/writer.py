@@ -13,7 +13,7 @@ Knows the order of steps that keeps a store whole; knows no thread and no clock.
 import sqlite3
 import threading
 import weakref
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,7 +22,7 @@ from typing import Final, Literal, Self
 from ....errors import ConfigError
 from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST
-from ..samples import Gap, PointDescription, PointGroup, Reason, SampleBatch, StateInterval
+from ..samples import CounterState, Gap, PointDescription, PointGroup, Reason, SampleBatch, StateInterval
 from .clock_correction import mend_segment
 from .database import open_database
 from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
@@ -66,6 +66,8 @@ class Commit:
         batches: the samples.
         intervals: intervals and gaps.
         alarms: events of alarms.
+        shown: the last values after it, by whole reads; None for ``batches``. Where a rule keeps not every sample, a
+            read has the sample before in place of one that is not kept.
     """
 
     number: int
@@ -73,6 +75,12 @@ class Commit:
     batches: Sequence[SampleBatch]
     intervals: Sequence[StateInterval | Gap]
     alarms: Sequence[AlarmEvent] = ()
+    shown: Sequence[SampleBatch] | None = None
+
+    @property
+    def last_values(self) -> Sequence[SampleBatch]:
+        """The reads that show the last values."""
+        return self.batches if self.shown is None else self.shown
 
 
 def no_step(name: str) -> None:
@@ -207,6 +215,7 @@ class StoreWriter:
         intervals: Sequence[StateInterval | Gap],
         now: int,
         alarms: Sequence[AlarmEvent] = (),
+        counters: Mapping[tuple[str, str], CounterState] | None = None,
     ) -> Commit:
         """Write samples, intervals and alarms as one commit.
 
@@ -215,18 +224,20 @@ class StoreWriter:
             intervals: intervals that began or ended, and gaps.
             now: nanoseconds since 1970 UTC.
             alarms: events of alarms.
+            counters: by device and point, accumulators that no batch has.
 
         Raises:
             sqlite3.Error, OSError: nothing of it was kept (the disk is full, for one); the store is as it was.
         """
         keyed = [(self._ids(batch), batch) for batch in batches]
-        events = [(self.manifest.point_ids(event.device, [event.point])[0], event) for event in alarms]
+        events = [(self._id(event.device, event.point), event) for event in alarms]
+        states = [(self._id(*key), state) for key, state in (counters or {}).items()]
         number = self._take_number()
         segment = self._segment_for(now)
         with ExitStack() as unless_committed:
             unless_committed.callback(self._forget_segment)
             unless_committed.callback(segment.rollback)
-            segment.begin(number, now, keyed, intervals, events)
+            segment.begin(number, now, keyed, intervals, events, states)
             self._step("before-commit")
             segment.commit()
             unless_committed.pop_all()
@@ -302,6 +313,9 @@ class StoreWriter:
             self._next, self._behind = self.manifest.reserve_numbers()
         self._next += 1
         return self._next - 1
+
+    def _id(self, device: str, point: str) -> int:
+        return self.manifest.point_ids(device, [point])[0]
 
     def _ids(self, batch: SampleBatch) -> tuple[int, ...]:
         ids = self._groups.get(batch.group)

@@ -1,0 +1,60 @@
+"""Which report rule holds for a point, in the store and towards sinks.
+
+Knows a configuration; applies no rule.
+
+1. The store: ``store_report`` of the point, or else of its device, or else of its poll class, or else of the collector.
+2. A sink: its own ``report``, or else that of the point. It gets samples that the store keeps, and no others.
+"""
+
+from collections.abc import Iterator
+
+from ...config.files.collector import CollectedDeviceSection
+from ...config.files.points import ReportSection
+from ...points.point import Point
+from ...points.point_rules import ReportRule
+from .configuration import CollectorConfiguration
+
+RulesByPoint = dict[tuple[str, str], ReportRule]
+_EVERY = "every"
+
+
+def store_rules(configuration: CollectorConfiguration, device: str | None = None) -> RulesByPoint:
+    """Return, by device and point, the rules of points of which the store does not keep every sample.
+
+    Args:
+        configuration: of the collector.
+        device: its name; None for all devices.
+    """
+    file = configuration.file
+    sections = [section for section in file.device if device in (None, section.name)]
+    return {
+        key: rule for section in sections for key, rule in _of_device(configuration, section) if rule.when != _EVERY
+    }
+
+
+def _of_device(
+    configuration: CollectorConfiguration, section: CollectedDeviceSection
+) -> Iterator[tuple[tuple[str, str], ReportRule]]:
+    file = configuration.file
+    usual = file.class_of(section)
+    for point in configuration.devices[section.name].points:
+        of_class = file.poll_class.get(point.poll_class or usual)
+        sections = (section.store_report, None if of_class is None else of_class.store_report)
+        yield (section.name, point.name), _first(point, *sections, file.collector.store_report)
+
+
+def _first(point: Point, *sections: ReportSection | None) -> ReportRule:
+    """Return the rule of the point, or else of the first section that has one."""
+    if point.storing is not None:
+        return point.storing
+    return next((each.described() for each in sections if each is not None), ReportRule())
+
+
+def sink_rules(configuration: CollectorConfiguration) -> RulesByPoint:
+    """Return, by device and point, the rules of points that hand on not every sample to sinks without a rule."""
+    return {
+        (device.name, point.name): point.reporting
+        for device in configuration.devices.values()
+        for point in device.points
+        if point.reporting.when != _EVERY
+    }

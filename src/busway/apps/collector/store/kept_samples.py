@@ -1,0 +1,171 @@
+"""Which samples the store keeps, where a rule says that it need not keep all.
+
+Pure: knows rules and samples; knows no file. Used by the thread that commits.
+
+1. A sample is measured from the last one of its point that was committed: what was lost on the way decides nothing.
+2. The first sample of a point is kept after a start, after a gap, after a time in which its device was not read, and
+   after the file was read again. So the value before holds until the next sample or interval of the store.
+3. A sample that causes an event of an alarm is kept. Alarms, computed points and accumulators see all of them.
+4. What is shown of a point whose sample is not kept is the sample before it, as read now.
+"""
+
+import weakref
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from ....points.point_rules import ReportRule
+from ..alarms.events import AlarmEvent
+from ..samples import NANOSECONDS, CounterState, Gap, PointGroup, SampleBatch, StateInterval, Value
+
+StoreRules = Mapping[tuple[str, str], ReportRule]
+"""By device and point, the rules of points of which not every sample is kept."""
+
+MOST_PARTS: Final = 64
+"""Subsets of a group of points that are remembered."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """The last committed sample of a point."""
+
+    time: int
+    value: Value | None
+    reason: int
+
+
+@dataclass(slots=True)
+class Choice:
+    """Which samples of a commit are kept.
+
+    Attributes:
+        batches: those that are kept.
+        shown: all reads of the commit whole, as they are shown.
+        counters: by device and point, accumulators whose last sample is not kept: they go on after a restart.
+        passed_over: number of samples that are not kept.
+    """
+
+    batches: list[SampleBatch] = field(default_factory=list)
+    shown: list[SampleBatch] = field(default_factory=list)
+    counters: dict[tuple[str, str], CounterState] = field(default_factory=dict)
+    passed_over: int = 0
+    last: dict[str, dict[str, _Kept]] = field(default_factory=dict)
+    unread: set[str] = field(default_factory=set)
+    has_gap: bool = False
+
+
+class KeptSamples:
+    """Chooses the samples that are kept. `choose` changes nothing until `committed`."""
+
+    def __init__(self, rules: StoreRules | None = None) -> None:
+        self._rules: StoreRules = rules or {}
+        self._last: dict[str, dict[str, _Kept]] = {}
+        self._by_group: weakref.WeakKeyDictionary[PointGroup, tuple[ReportRule | None, ...] | None] = (
+            weakref.WeakKeyDictionary()
+        )
+        self._parts: weakref.WeakKeyDictionary[PointGroup, dict[tuple[int, ...], PointGroup]] = (
+            weakref.WeakKeyDictionary()
+        )
+
+    def begin_anew(self, rules: StoreRules | None = None) -> None:
+        """Keep the next sample of each point, whatever it is; None for the rules so far."""
+        self._rules = self._rules if rules is None else rules
+        self._by_group.clear()
+        self._last.clear()
+
+    def choose(
+        self,
+        batches: Sequence[SampleBatch],
+        intervals: Sequence[StateInterval | Gap] = (),
+        alarms: Sequence[AlarmEvent] = (),
+    ) -> Choice:
+        """Choose the samples of the next commit that are kept."""
+        if not self._rules:
+            return Choice(list(batches), list(batches))
+        choice = Choice(
+            unread={each.device for each in intervals if isinstance(each, StateInterval)},
+            has_gap=any(isinstance(each, Gap) for each in intervals),
+        )
+        causes = {(event.device, event.point, event.at) for event in alarms}
+        for batch in batches:
+            rules = self._rules_of(batch.group)
+            if rules is None or choice.has_gap or batch.device in choice.unread:
+                choice.batches.append(batch)
+                choice.shown.append(batch)
+            else:
+                self._choose_of(batch, rules, causes, choice)
+        return choice
+
+    def committed(self, choice: Choice) -> None:
+        """Measure from the samples of a choice from now on: they are in the store."""
+        if choice.has_gap:
+            self._last.clear()
+        for device in choice.unread:
+            self._last.pop(device, None)
+        for device, points in choice.last.items():
+            self._last.setdefault(device, {}).update(points)
+
+    def _rules_of(self, group: PointGroup) -> tuple[ReportRule | None, ...] | None:
+        """The rules of the points of a group; None if all samples of all of them are kept."""
+        if group not in self._by_group:
+            found = tuple(self._rules.get((group.device, point)) for point in group.points)
+            self._by_group[group] = found if any(found) else None
+        return self._by_group[group]
+
+    def _choose_of(
+        self,
+        batch: SampleBatch,
+        rules: tuple[ReportRule | None, ...],
+        causes: set[tuple[str, str, int]],
+        choice: Choice,
+    ) -> None:
+        device, time = batch.device, batch.time
+        known, fresh = self._last.get(device, {}), choice.last.setdefault(device, {})
+        places: list[int] = []
+        values: list[Value | None] | None = None
+        columns = zip(batch.points, batch.values, batch.reason_column(), rules, strict=True)
+        for place, (point, value, reason, rule) in enumerate(columns):
+            if rule is None:
+                places.append(place)
+                continue
+            last = fresh.get(point) or known.get(point)
+            if (
+                last is None
+                or rule.passes((last.value, last.reason), (value, reason), (time - last.time) / NANOSECONDS)
+                or (device, point, time) in causes
+            ):
+                places.append(place)
+                fresh[point] = _Kept(time, value, reason)
+            elif last.value != value:
+                values = list(batch.values) if values is None else values
+                values[place] = last.value
+        choice.passed_over += len(batch) - len(places)
+        choice.shown.append(batch if values is None else replace(batch, values=values))
+        if len(places) == len(batch):
+            choice.batches.append(batch)
+        elif places:
+            choice.batches.append(self._part(batch, tuple(places)))
+        if batch.counters:
+            kept = {batch.points[place] for place in places}
+            for each in batch.counters:
+                choice.counters.pop((device, each.point), None)
+                if each.point not in kept:
+                    choice.counters[device, each.point] = each
+
+    def _part(self, batch: SampleBatch, places: tuple[int, ...]) -> SampleBatch:
+        """The samples of a read at some places."""
+        parts = self._parts.setdefault(batch.group, {})
+        group = parts.get(places)
+        if group is None:
+            if len(parts) >= MOST_PARTS:
+                parts.clear()
+            group = parts[places] = PointGroup(batch.device, tuple(batch.points[place] for place in places))
+        reasons = batch.reasons if isinstance(batch.reasons, int) else tuple(batch.reasons[each] for each in places)
+        return SampleBatch(
+            group,
+            batch.time,
+            batch.half_width,
+            tuple(batch.values[place] for place in places),
+            reasons,
+            tuple(each for each in batch.counters if each.point in group.points),
+        )
