@@ -2,6 +2,9 @@
 
 import asyncio
 import json
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +18,16 @@ from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.reloading import left_for_the_next_start, replace_file
 from busway.config.files.problems import FileError
 from busway.errors import ConfigError
+
+
+@dataclass
+class HalfDone:
+    """A change of a configuration that waits in its middle until it is released."""
+
+    collector: busway.Collector
+    stack: AsyncExitStack
+    change: asyncio.Task[list[str]]
+    release: asyncio.Event
 
 
 def changes(collector: busway.Collector, folder: Path) -> list[dict[str, Any]]:
@@ -75,6 +88,57 @@ async def test_the_audit_log_has_who_revision_and_difference_of_each_change(tmp_
             assert (wrong["outcome"], wrong["before"]) == ("refused", revision_of(new))
             assert "device[0].unit" in wrong["done"][0]
             assert (other["outcome"], other["by"], other["origin"]) == ("refused", "bernd", "api")
+
+
+@asynccontextmanager
+async def half_of_a_change(folder: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[HalfDone]:
+    """A collector whose configuration is being replaced: its only link is about to be stopped."""
+    held, release = asyncio.Event(), asyncio.Event()
+    file = commanded_plant(folder, "tcp://127.0.0.1:1")
+    collector = busway.collect(file)
+    async with AsyncExitStack() as stack:
+        await stack.enter_async_context(collector)
+        stack.callback(release.set)
+        stop_link = collector._stop_link
+
+        async def stop_slowly(name: str) -> None:
+            held.set()
+            await release.wait()
+            await stop_link(name)
+
+        monkeypatch.setattr(collector, "_stop_link", stop_slowly)
+        text = file.read_text().replace("all.period = 0.1", "all.period = 0.2")
+        change = asyncio.create_task(collector.replace_configuration(text, by="anna"))
+        await held.wait()
+        yield HalfDone(collector, stack, change, release)
+
+
+async def test_a_change_that_has_begun_is_done_although_its_caller_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with half_of_a_change(tmp_path, monkeypatch) as half:
+        half.change.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await half.change
+        half.release.set()
+        await until(lambda: half.collector.configuration.periods["all"] == 0.2 and "hall" in half.collector._links)
+        await until(lambda: not half.collector._changes)
+        assert changes(half.collector, tmp_path)[-1]["done"] == ["link hall began anew"]
+
+
+async def test_a_collector_that_ends_during_a_change_leaves_no_link_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with half_of_a_change(tmp_path, monkeypatch) as half:
+        ending = asyncio.create_task(half.stack.aclose())
+        await until(lambda: half.collector._is_ending)
+        late = asyncio.create_task(half.collector.read_again())
+        half.release.set()
+        await ending
+        assert await half.change == ["link hall began anew"]
+        assert half.collector._links == {}
+        with pytest.raises(ConfigError, match="the collector ends"):
+            await late
 
 
 async def test_the_audit_log_is_opened_anew_when_the_file_is_read_again(tmp_path: Path) -> None:

@@ -6,7 +6,8 @@ Knows files, links, the store and asyncio; what is asked next is decided by `sch
 1. A sample is handed on when it is in the store. Readers that are too slow lose the oldest batches, which is counted;
    they never slow polling down.
 2. A file that is read again is refused as a whole, or applied link by link. A link whose section, devices and profiles
-   are the same as before is not touched, and misses no round.
+   are the same as before is not touched, and misses no round. What has begun is done to its end, whatever comes of
+   the caller.
 3. What was learnt is written beside the store when it changes, and at the end.
 """
 
@@ -16,12 +17,12 @@ import logging
 import os
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from ...access.audit_log import AuditLog
 from ...client.aio import AsyncLink, open_link
@@ -165,6 +166,8 @@ class Collector:
         self._receiving: list[asyncio.Task[None]] = []
         self._maintenance: MaintenanceBook | None = None
         self._reloading = asyncio.Lock()
+        self._changes: set[asyncio.Task[list[str]]] = set()
+        self._is_ending = False
 
     async def __aenter__(self) -> Self:
         """Open the store and begin to poll the devices.
@@ -203,6 +206,14 @@ class Collector:
 
     async def _stop(self) -> None:
         """End everything that was started, the last first; each step is done even if others fail."""
+        self._is_ending = True
+        try:
+            if self._changes:
+                await asyncio.wait(self._changes)  # else a link that a change begins would not be ended
+        finally:
+            await self._stop_parts()
+
+    async def _stop_parts(self) -> None:
         async with AsyncExitStack() as steps:
             for reader in self._readers:
                 steps.callback(reader.arrived.set)
@@ -496,20 +507,20 @@ class Collector:
         Raises:
             ConfigError: the store or a sink is another; nothing was changed.
         """
-        async with self._reloading:
-            return await self._reload(configuration, by, origin)
+        return await self._changed(self._reload(configuration, by, origin))
 
     async def read_again(self, *, by: str = "this program", origin: str = "signal") -> list[str]:
         """Read the configuration file again and use it; opens the audit log anew, for log rotation.
 
         As `reload`; also raises `FileError` for all that is wrong with the file.
         """
-        async with self._reloading:
-            if self._audit is not None:
-                self._audit.reopen()
-            name = self.configuration.name
-            text = await asyncio.to_thread(read_text, name)
-            return await self._reload(await self._parsed(text, by, origin), by, origin)
+        return await self._changed(self._read_again(by, origin))
+
+    async def _read_again(self, by: str, origin: str) -> list[str]:
+        if self._audit is not None:
+            self._audit.reopen()
+        text = await asyncio.to_thread(read_text, self.configuration.name)
+        return await self._reload(await self._parsed(text, by, origin), by, origin)
 
     async def replace_configuration(
         self, text: str, *, by: str, origin: str = "api", revision: str | None = None
@@ -529,19 +540,35 @@ class Collector:
             ConfigError: the store or a sink is another, the file cannot be replaced, or the revision is not that of
                 the configuration that holds.
         """
+        return await self._changed(self._replace(text, by, origin, revision))
+
+    async def _replace(self, text: str, by: str, origin: str, revision: str | None) -> list[str]:
+        if revision is not None and revision != self.revision:
+            raise ConfigError(
+                f"the configuration is {self.revision} by now, not {revision}: read it again", key="revision"
+            )
+        configuration = await self._parsed(text, by, origin)
+        try:
+            refuse_what_cannot_change(self.configuration, configuration)
+            await asyncio.to_thread(replace_file, configuration.name, text)
+        except ConfigError as error:
+            self._audit_change(text, [str(error)], False, by, origin)
+            raise
+        return await self._reload(configuration, by, origin)
+
+    async def _changed(self, change: Coroutine[Any, Any, list[str]]) -> list[str]:
+        """Make a change of the configuration to its end, one after the other, also if the caller is cancelled."""
+        task = asyncio.create_task(self._in_turn(change), name="busway collector reload")
+        self._changes.add(task)
+        task.add_done_callback(self._changes.discard)
+        return await asyncio.shield(task)
+
+    async def _in_turn(self, change: Coroutine[Any, Any, list[str]]) -> list[str]:
         async with self._reloading:
-            if revision is not None and revision != self.revision:
-                raise ConfigError(
-                    f"the configuration is {self.revision} by now, not {revision}: read it again", key="revision"
-                )
-            configuration = await self._parsed(text, by, origin)
-            try:
-                refuse_what_cannot_change(self.configuration, configuration)
-                await asyncio.to_thread(replace_file, configuration.name, text)
-            except ConfigError as error:
-                self._audit_change(text, [str(error)], False, by, origin)
-                raise
-            return await self._reload(configuration, by, origin)
+            if self._is_ending:
+                change.close()
+                raise ConfigError("the collector ends; its configuration stays as it is")
+            return await change
 
     async def _parsed(self, text: str, by: str, origin: str) -> CollectorConfiguration:
         try:
