@@ -142,7 +142,7 @@ class RuleSection(Section):
 
     def rule(self) -> Rule:
         """Return the section as an access `Rule`. Raises `ConfigError` with the key at fault."""
-        given = {name: value for name, value in self if name in self.model_fields_set}
+        given = {name: getattr(self, name) for name in self.model_fields_set}
         return Rule.of(**{**given, "values": None if self.values is None else self.values.limits()})
 
 

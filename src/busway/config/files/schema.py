@@ -12,19 +12,20 @@ Knows pydantic and TOML texts; knows no particular file.
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import reduce
+from inspect import get_annotations
 from operator import or_
 from types import MappingProxyType, NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Final, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticUndefined
 
 from ...errors import ConfigError
-from ...options.declaration import REQUIRED, Name, Option, Range, option_of
+from ...options.declaration import REQUIRED, Name, OneOf, Option, Range, option_of
 from ...values.refusal import shown
 from .lines import Path, key_lines, line_of
 from .problems import FileError
@@ -61,20 +62,29 @@ class Section(BaseModel):
     retired: ClassVar[Mapping[str, str]] = {}
     """Keys that this table had once, and what is written instead."""
 
-    @field_validator("*")
-    @classmethod
-    def _check_limits(cls, value: Any, info: ValidationInfo) -> Any:  # Any: what stands in the file, of any type
-        limited = _limited(cls).get(str(info.field_name))
-        if limited is not None:
-            try:
-                limited.check(value)
-            except ConfigError as error:
-                raise ValueError(error.message) from None
+    def __init_subclass__(cls, **kwargs: Any) -> None:  # Any: as pydantic has it
+        super().__init_subclass__(**kwargs)
+        own = get_annotations(cls)
+        for name, hint in own.items():
+            if any(isinstance(mark, Range | OneOf | Name) for mark in getattr(hint, "__metadata__", ())):
+                own[name] = Annotated[hint, AfterValidator(_limited(option_of(name, hint, None)))]
+        cls.__annotations__ = own
+
+
+def _limited(option: Option) -> Callable[[object], object]:
+    """A validator that refuses what is out of the range of a key."""
+
+    def checked(value: object) -> object:
+        try:
+            option.check(value)
+        except ConfigError as error:
+            raise ValueError(error.message) from None
         return value
+
+    return checked
 
 
 _KEYS: Final[dict[type[Section], Mapping[str, Option]]] = {}
-_LIMITED: Final[dict[type[Section], Mapping[str, Option]]] = {}
 
 
 def keys_of(section: type[Section]) -> Mapping[str, Option]:
@@ -83,17 +93,6 @@ def keys_of(section: type[Section]) -> Mapping[str, Option]:
     if found is None:
         options = (_option(field.alias or name, field) for name, field in section.model_fields.items())
         found = _KEYS[section] = MappingProxyType({option.name: option for option in options})
-    return found
-
-
-def _limited(section: type[Section]) -> Mapping[str, Option]:
-    """Return the keys of a section that have a range, by field name, except options, which their class checks."""
-    found = _LIMITED.get(section)
-    if found is None:
-        pairs = zip(section.model_fields.items(), keys_of(section).values(), strict=True)
-        found = _LIMITED[section] = {
-            name: one for (name, field), one in pairs if one.limits is not None and one not in field.metadata
-        }
     return found
 
 
