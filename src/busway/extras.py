@@ -27,6 +27,7 @@ EXTRA_OF: Final = {
     "httpx": "influxdb",
     "nats": "nats",
     "msgpack": "fleet",
+    "yaml": "yaml",
     "pandas": "frames",
     "polars": "frames",
 }

@@ -10,7 +10,7 @@ from busway.apps.importers.formats import import_file
 from busway.apps.importers.home_assistant import read_home_assistant
 from busway.apps.importers.imported import ImportedDevice
 from busway.apps.importers.modpoll import read_modpoll
-from busway.apps.importers.plain_yaml import parse_yaml
+from busway.apps.importers.plain_yaml import LONGEST, parse_yaml
 from busway.apps.importers.sunspec import read_sunspec
 from busway.apps.importers.telegraf import read_telegraf
 from busway.config.files.device import parse_device_file
@@ -106,6 +106,8 @@ modbus:
       - name: Room
         address: 1
 """
+
+BILLION_LAUGHS = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9) if n else 1}]\n" for n in range(10))
 
 MODPOLL = """device,meter,5,,
 poll,holding_register,100,10,BE_LE
@@ -275,16 +277,20 @@ def test_nothing_that_could_be_carried_over_is_refused() -> None:
 @pytest.mark.parametrize(
     ("text", "sentence"),
     [
-        ("modbus: !include hubs.yaml", "x:1: begins with !"),
-        ("a:\n  - &x b: 1", "x:2: "),
-        ("a: |\n  text", "x:1: begins with |"),
-        ("a: [1, 2]", "x:1: begins with ["),
-        ("a: 1\n   b: 2", "x:2: is indented as nothing before it"),
+        ("modbus: !include hubs.yaml", "x:1: !include is not read here"),
+        ("a: 1\nb: !!python/name:os.system x", "x:2: python/name:os.system is not read here"),
+        ("a: &x {b: 1}\nc:\n  <<: *x", "x:3: a key is a text; write out what << merges"),
+        ("a: 1\n? [1]\n: 2", "x:2: a key is a text"),
+        ("a: 1\n   b: 2", "x:2: mapping values are not allowed here"),
         ("a: 1\na: 2", "x:2: a is there twice"),
-        ("\ta: 1", "x:1: indentation is made of spaces"),
-        ("a: 'open", "x:1: has a text that does not end"),
-        ("just words", "x:1: is neither a key nor an item"),
-        ("- " * 60 + "x", "x:1: is nested too deeply"),
+        ("\ta: 1", "x:1: found character '\\t' that cannot start any token"),
+        ("a: 'open", "x:1: found unexpected end of stream"),
+        ("a: *b", "x:1: found undefined alias 'b'"),
+        ("a: 1\n--- \nb: 2", "x:2: but found another document"),
+        ("- " * 1000 + "x", "x:1: is nested too deeply"),
+        ("a: \x00", "x:1: is no YAML"),
+        ("x" * (LONGEST + 1), "x: has 1000001 characters"),
+        (BILLION_LAUGHS, "x:1: comes to more than 100000 values"),
     ],
 )
 def test_yaml_that_is_not_understood_is_refused_with_its_line(text: str, sentence: str) -> None:
@@ -294,14 +300,16 @@ def test_yaml_that_is_not_understood_is_refused_with_its_line(text: str, sentenc
 
 
 def test_plain_yaml_is_read_as_yaml_has_it() -> None:
-    text = "a:\n- b: 1\n  c: 'it''s' # no\n-\n  d: on\n  e:\n- 0x1F\nf: -1.5e3\ng: \"x # y\"\nh: []\ni: 007\n"
+    text = "a:\n- b: 1\n  c: 'it''s' # no\n-\n  d: on\n  e:\n- &x 0x1F\nf: -1.5e+3\n"
+    text += 'g: "x # y"\nh: [1, 2026-03-01]\ni: 7.0\nj: *x\n'
     document = parse_yaml(text, "x")
     assert document.data == {
         "a": [{"b": 1, "c": "it's"}, {"d": True, "e": None}, 31],
         "f": -1500.0,
         "g": "x # y",
-        "h": [],
+        "h": [1, "2026-03-01"],
         "i": 7.0,
+        "j": 31,
     }
     assert (document.line(("a", 0, "c")), document.line(("a", 1, "d")), document.line(("g",))) == (3, 5, 9)
     assert parse_yaml("", "x").data is None
