@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from busway.client.settings import link_settings
 from busway.errors import ConfigError
 from busway.options.client import ClientParameters, MismatchPolicy
 from busway.options.declaration import declared
@@ -111,6 +112,21 @@ def test_what_does_not_fit_is_refused_with_its_key(key: str, given: object, sent
         build_parameters(Everything, {key: given})
     assert str(caught.value) == f"{key}: {sentence}"
     assert caught.value.key == key
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("timeout=500ms", "timeout: is in seconds: timeout=0.5"),
+        ("idle=1", "idle: unknown option"),
+        ("hold=5m", "hold: is in seconds: hold=300"),
+        ("retries=5s", "retries: must be a whole number, not '5s'"),
+    ],
+)
+def test_a_duration_with_a_unit_is_refused_with_the_seconds_that_it_is(text: str, sentence: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        link_settings(f"tcp://h?{text}", {})
+    assert str(caught.value).startswith(sentence)
 
 
 @pytest.mark.clause("T33")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError
+from ..values.durations import duration
 
 if TYPE_CHECKING:
     from ..client.blocking import BlockingUnit
@@ -36,8 +37,6 @@ CAPTURE = typer.Option(
 JSON = typer.Option(False, "--json", help="Print one JSON object per line.")
 CSV = typer.Option(False, "--csv", help="Print CSV with a header line.")
 
-_TIME = re.compile(r"(\d+(?:\.\d+)?|\.\d+)\s*(ms|s|m|min|h)?")
-_SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, None: 1.0}
 _NUMBER = re.compile(r"\d{1,18}|0[xX][0-9a-fA-F]{1,16}")
 
 
@@ -51,10 +50,9 @@ def whole_number(text: str, name: str, low: int, high: int) -> int:
 
 def seconds(text: str, name: str, *, low: float = 0.001, high: float = 86_400) -> float:
     """Parse a duration in seconds: ``500ms``, ``1s``, ``2`` (seconds), ``1h``. `ConfigError` names the option."""
-    match = _TIME.fullmatch(text.strip())
-    if match is None:
+    time = duration(text, bare=True)
+    if time is None:
         raise ConfigError(f"a time such as 500ms, 1s or 2m is needed, not {text!r}", key=name)
-    time = float(match[1]) * _SECONDS[match[2]]
     if not low <= time <= high:
         raise ConfigError(f"a time of {low:g}…{high:g} s is needed, not {text!r}", key=name)
     return time

@@ -200,6 +200,11 @@ class Option:
     marks: frozenset[Mark]
 
     @property
+    def is_in_seconds(self) -> bool:
+        """Whether its numbers are seconds."""
+        return "seconds" in f"{self.help} {self.limits}"
+
+    @property
     def choices(self) -> tuple[Any, ...]:
         """The words that are values of the option, those of its enums and literals."""
         words = (get_args(kind) if get_origin(kind) is Literal else _members(kind) for kind in self.kinds)

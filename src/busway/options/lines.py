@@ -59,7 +59,7 @@ class BreakerParameters:
         "endpoint; it is 3 for the upstream links of a gateway.",
     ] = 3
     first_pause: Annotated[float, Range(0.01, 3600), "seconds until the first probe."] = 3.0
-    longest_pause: Annotated[float, Range(0.01, 3600), "at most between probes."] = 8.5
+    longest_pause: Annotated[float, Range(0.01, 3600), "seconds at most between probes."] = 8.5
     probe_timeout: Annotated[
         float,
         Range(0.001, 3600),

@@ -9,6 +9,7 @@ from enum import Enum
 from typing import Any, Final, TypeVar, get_origin
 
 from ..errors import ConfigError
+from ..values.durations import duration
 from .declaration import NONE, Option, declared
 
 Parameters = TypeVar("Parameters")
@@ -70,7 +71,13 @@ def option_value(option: Option, value: object) -> object:
     """
     if option.is_optional and (value is None or value == NONE):
         return None
-    return _of_kinds(option.name, value, option.kinds)
+    try:
+        return _of_kinds(option.name, value, option.kinds)
+    except ConfigError:
+        seconds = duration(value) if isinstance(value, str) and option.is_in_seconds else None
+        if seconds is None:
+            raise
+        raise ConfigError(f"is in seconds: {option.name}={seconds:g}", key=option.name) from None
 
 
 def converted(name: str, value: object, kind: Any) -> object:  # a type

@@ -3,13 +3,13 @@
 Pure but for the clock of "an hour ago", which comes as an argument.
 """
 
-import re
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from typing import Final
 
 from ....errors import InvalidRequest
+from ....values.durations import duration
 from ....values.refusal import shown
 from ..samples import NANOSECONDS
 from .manifest import StoredPoint
@@ -17,8 +17,6 @@ from .manifest import StoredPoint
 Moment = str | datetime | int
 """A time: ``1h`` (an hour ago), ISO 8601 text, a `datetime`, or nanoseconds since 1970 UTC."""
 
-_SPAN: Final = re.compile(r"(\d{1,9}(?:\.\d{1,9})?)\s*(ms|s|min|m|h|d|w)")
-_SECONDS: Final = {"ms": 0.001, "s": 1, "m": 60, "min": 60, "h": 3600, "d": 86_400, "w": 604_800}
 EVER: Final = 2**63 - 1
 """The last nanosecond that a store can name."""
 
@@ -32,9 +30,9 @@ def moment(given: Moment, now: int) -> int:
     if isinstance(given, int):
         return given
     if isinstance(given, str):
-        match = _SPAN.fullmatch(given.strip())
-        if match is not None:
-            return now - int(float(match[1]) * _SECONDS[match[2]] * NANOSECONDS)
+        ago = duration(given)
+        if ago is not None:
+            return now - int(ago * NANOSECONDS)
         try:
             given = datetime.fromisoformat(given.strip())
         except ValueError:
@@ -46,11 +44,7 @@ def moment(given: Moment, now: int) -> int:
 
 def span(given: str | float) -> int:
     """Return nanoseconds for a duration such as ``10s`` or ``5m``, or a number of seconds. Raises `InvalidRequest`."""
-    match = _SPAN.fullmatch(given.strip()) if isinstance(given, str) else None
-    if isinstance(given, str):
-        length = 0.0 if match is None else float(match[1]) * _SECONDS[match[2]]
-    else:
-        length = float(given)
+    length = (duration(given) or 0.0) if isinstance(given, str) else float(given)
     if not 0.001 <= length <= 366 * 86_400:
         raise InvalidRequest(f"a bucket is 1ms to 366d, such as 10s or 5m, not {shown(given)}")
     return round(length * NANOSECONDS)

@@ -1,0 +1,15 @@
+"""Durations as people write them: ``500ms``, ``10s``, ``5m``, ``1h``."""
+
+import re
+from typing import Final
+
+_DURATION: Final = re.compile(r"(\d{1,9}(?:\.\d{1,9})?|\.\d{1,9})\s*(ms|s|min|m|h|d|w)?")
+_SECONDS: Final = {"ms": 0.001, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "d": 86_400.0, "w": 604_800.0}
+
+
+def duration(text: str, *, bare: bool = False) -> float | None:
+    """The seconds of a duration; None if the text is none. With ``bare`` a number without a unit is seconds."""
+    match = _DURATION.fullmatch(text.strip())
+    if match is None or (match[2] is None and not bare):
+        return None
+    return float(match[1]) * _SECONDS[match[2] or "s"]
