@@ -36,3 +36,12 @@ def filled(
     for number in range(first, first + commits):
         writer.commit([meter_read(number * step, number)], [], at(number * step + 0.1))
     return writer
+
+
+def parts_of_all_kinds(folder: Path) -> StoreWriter:
+    """A store, still open, with a sealed part, a closed and an open segment."""
+    writer = filled(folder, 15, step=60.0)
+    writer.seal_closed()
+    writer.roll()
+    writer.commit([meter_read(2000, 7)], [], at(2000))
+    return writer

@@ -24,21 +24,22 @@ def store(
     ),
 ) -> int:
     """Check, back up or restore a store."""
-    from ..apps.collector.store import check_and_backup
+    from ..apps.collector.store.backup import back_up, restore
+    from ..apps.collector.store.check import check_store_files
 
     if action not in ("check", "backup", "restore"):
         raise ConfigError(f"must be check, backup or restore, not {action!r}", key="ACTION")
     if (target is None) != (action == "check"):
         raise ConfigError("is needed for backup and restore, and for nothing else", key="TARGET")
     if action == "check":
-        problems = check_and_backup.check_store_files(Path(folder))
+        problems = check_store_files(Path(folder))
         if problems:
             say_problems(f"{folder} has {len(problems)} problems:", "\n".join(problems))
             return ExitCode.BROKEN
         print(f"{folder} is whole")
         return ExitCode.DONE
     assert target is not None
-    copy = check_and_backup.back_up if action == "backup" else check_and_backup.restore
+    copy = back_up if action == "backup" else restore
     count = copy(Path(folder), Path(target))
     print(f"{count} parts are in {target}")
     return ExitCode.DONE

@@ -199,7 +199,7 @@ class EncodedRequest:
         head: the seven bytes after the transaction of a fitting reply; empty if they do not suffice to recognise it.
         reply_size: bytes of the ADU of a fitting reply.
         take: builds the reply from its data.
-        others: the routes of the same request to all units, if it was sent to more than one.
+        others: the same request for each unit, if it was sent to more than one.
         plan: the plan of the last pipelined batch that began with this request.
     """
 
@@ -221,15 +221,15 @@ class EncodedRequest:
 def encoded_request(request: Request, unit: int) -> EncodedRequest:
     """Return the bytes of a request to a unit; made at the first use and kept with the request."""
     try:
-        route: EncodedRequest = request.memo
+        encoded: EncodedRequest = request.memo
     except AttributeError:
-        route = EncodedRequest(request, unit)
+        encoded = EncodedRequest(request, unit)
     else:
-        if route.unit == unit:
-            return route
-        route = _encoded_for_other_unit(request, unit, route)
-    request.remember(route)
-    return route
+        if encoded.unit == unit:
+            return encoded
+        encoded = _encoded_for_other_unit(request, unit, encoded)
+    request.remember(encoded)
+    return encoded
 
 
 def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
@@ -246,11 +246,11 @@ def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) 
 class RequestInFlight:
     """A request that was sent and has no reply yet; the object is reused for later requests (free slot)."""
 
-    __slots__ = ("call", "expires", "position", "route", "sent")
+    __slots__ = ("call", "encoded", "expires", "position", "sent")
 
     call: Call | None  # None: cancelled
     position: int
-    route: EncodedRequest
+    encoded: EncodedRequest
     sent: float
     expires: float
 
@@ -290,17 +290,17 @@ class BatchPlan:
     )
 
     def __init__(self, first: EncodedRequest, following: tuple[Request, ...]) -> None:
-        routes = [first, *[encoded_request(request, first.unit) for request in following]]
+        every = [first, *[encoded_request(request, first.unit) for request in following]]
         self.following: tuple[Request, ...] = following
-        self.fits: bool = all(route.head for route in routes)
-        self.heads: tuple[bytes, ...] = tuple(route.head for route in routes)
-        self.reply_sizes: tuple[int, ...] = tuple(route.reply_size for route in routes)
+        self.fits: bool = all(each.head for each in every)
+        self.heads: tuple[bytes, ...] = tuple(each.head for each in every)
+        self.reply_sizes: tuple[int, ...] = tuple(each.reply_size for each in every)
         self.reply_size: int = sum(self.reply_sizes)
-        self.takers: tuple[Any, ...] = tuple(route.take for route in routes)
+        self.takers: tuple[Any, ...] = tuple(each.take for each in every)
         self._is_plain = set(self.takers) == {bytes}  # the caller wants the data as they came (a gateway)
-        self._fields: list[Any] = [part for route in routes for part in (0, route.tail)]  # Any: numbers and bytes
+        self._fields: list[Any] = [part for each in every for part in (0, each.tail)]  # Any: numbers and bytes
         if self.fits:
-            out, back = _shapes(tuple(len(route.tail) for route in routes), self.reply_sizes)
+            out, back = _shapes(tuple(len(each.tail) for each in every), self.reply_sizes)
             self._pack, self._unpack_from = out.pack, back.unpack_from
 
     def encode(self, transactions: Sequence[int]) -> bytes:
@@ -329,11 +329,11 @@ def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.St
 
 def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
     """Return the prepared bytes of ``count`` of ``requests`` from ``first`` on, sent together to one unit; cached."""
-    route = encoded_request(requests[first], unit)
+    encoded = encoded_request(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])
-    plan = route.plan
+    plan = encoded.plan
     if plan is None or plan.following != following:  # as a rule the very same objects, so this is no work
-        plan = route.plan = BatchPlan(route, following)
+        plan = encoded.plan = BatchPlan(encoded, following)
     return plan
 
 
@@ -385,7 +385,7 @@ class PipelinedBatch:
             awaited = self.places.pop()
             awaited.call = call
             awaited.position = self.first + index
-            awaited.route = encoded_request(call.requests[awaited.position], call.unit)
+            awaited.encoded = encoded_request(call.requests[awaited.position], call.unit)
             awaited.sent = self.sent
             awaited.expires = self.expires
             yield self.transactions[index], awaited

@@ -207,7 +207,7 @@ class TcpClientSession:
         for awaited in list(self._pending.values()):
             self._release(awaited)
             if self.breakers is not None:
-                self.breakers.not_decided(awaited.route.unit)
+                self.breakers.not_decided(awaited.encoded.unit)
             if awaited.call is not None:
                 error = LinkDown(f"the connection ended before the reply: {reason}", sent=True)
                 self._failed(awaited, awaited.call, error, now, again=True)
@@ -336,7 +336,7 @@ class TcpClientSession:
     def _launch(self, call: Call, position: int, now: float) -> bytes:
         """Return the frame of one request, which from now on is in flight in a free slot."""
         pending, expired = self._pending, self._expired
-        route = encoded_request(call.requests[position], call.unit)
+        encoded = encoded_request(call.requests[position], call.unit)
         transaction = self._transaction + _STEP & 0xFFFF
         while transaction in pending or transaction in expired:
             transaction = transaction + _STEP & 0xFFFF
@@ -344,10 +344,10 @@ class TcpClientSession:
         awaited = pending[transaction] = self._free.pop()
         awaited.call = call
         awaited.position = position
-        awaited.route = route
+        awaited.encoded = encoded
         awaited.sent = now
         awaited.expires = now + (self._adaptive_timeout(call, now) if self._doubtful else call.timeout)
-        return transaction.to_bytes(2, "big") + route.tail
+        return transaction.to_bytes(2, "big") + encoded.tail
 
     def _adaptive_timeout(self, call: Call, now: float) -> float:
         """Return the seconds to wait for a unit with a circuit breaker: fewer than the timeout for a probe."""
@@ -392,9 +392,9 @@ class TcpClientSession:
         while size - at >= 8:
             transaction = data[at] << 8 | data[at + 1]
             awaited = pending.get(transaction)
-            if awaited is not None and data[at + 2 : at + 9] == awaited.route.head:
-                call, route = awaited.call, awaited.route
-                end = at + route.reply_size
+            if awaited is not None and data[at + 2 : at + 9] == awaited.encoded.head:
+                call, encoded = awaited.call, awaited.encoded
+                end = at + encoded.reply_size
                 if end > size:
                     break
                 if call is not None:
@@ -404,7 +404,7 @@ class TcpClientSession:
                     last = awaited
                     if doubtful:
                         self._unit_lives(call.unit)
-                    call.outcomes[awaited.position] = route.take(data[at + HEAD_SIZE : end])
+                    call.outcomes[awaited.position] = encoded.take(data[at + HEAD_SIZE : end])
                     call.open -= 1
                     if not call.open:
                         tracker.finish(call)
@@ -419,7 +419,7 @@ class TcpClientSession:
         if last is not None:
             self._answered(good, now)
             if self.breakers is not None:
-                self._learn_pace(last.route.unit, now - last.sent)
+                self._learn_pace(last.encoded.unit, now - last.sent)
         if at == size:
             return
         if size - at >= 6:
@@ -546,7 +546,7 @@ class TcpClientSession:
 
     def _unit_is_silent(self, breakers: Breakers, awaited: RequestInFlight, now: float) -> bool:
         """Report a timeout to the unit's circuit breaker. Returns whether the unit is suspended now."""
-        unit, waited = awaited.route.unit, now - awaited.sent
+        unit, waited = awaited.encoded.unit, now - awaited.sent
         usual = self._usual(unit)
         if now < awaited.expires and not (usual and waited >= max(2 * usual, breakers.parameters.probe_timeout)):
             breakers.not_decided(unit)  # its call had waited for its turn, and ends before the unit could have answered
@@ -581,7 +581,7 @@ class TcpClientSession:
             )
         if partial:
             return NoReply(f"only a part of a reply came within {timeout:g} s", kind="partial", raw=partial)
-        came, delay = self.late_units.get(awaited.route.unit, (-_LATE_KNOWN, 0.0))
+        came, delay = self.late_units.get(awaited.encoded.unit, (-_LATE_KNOWN, 0.0))
         if now - came < _LATE_KNOWN:
             return NoReply(
                 f"no reply within {timeout:g} s; the unit is slow: its last late reply had taken "
@@ -615,7 +615,7 @@ class TcpClientSession:
         del self._pending[transaction]
         self._free.append(awaited)
         if awaited.call is None:
-            self._unit_lives(awaited.route.unit)
+            self._unit_lives(awaited.encoded.unit)
             return  # cancelled: its reply has come, the slot is free
         self._confirm(awaited, awaited.call, protocol, unit, adu, now)
 
@@ -628,7 +628,7 @@ class TcpClientSession:
             self.counters.foreign_protocol += 1
             reason = f"protocol identifier {protocol} where 0 is Modbus"
         elif not self._unit_fits(awaited, unit, alone=not self._pending):
-            reason = f"unit {unit} answered where {awaited.route.unit} was asked"
+            reason = f"unit {unit} answered where {awaited.encoded.unit} was asked"
         elif pdu[0] & 0x7F != function:
             reason = f"function {pdu[0]} answers function {function}"
         if not reason:
@@ -688,7 +688,7 @@ class TcpClientSession:
 
     def _unit_fits(self, awaited: RequestInFlight, unit: int, *, alone: bool) -> bool:
         """Whether the option ``mismatch`` accepts a reply of ``unit``; ``alone``: nothing else is in flight."""
-        if unit == awaited.route.unit or awaited.route.unit in (0, TCP_DEVICE_UNIT):
+        if unit == awaited.encoded.unit or awaited.encoded.unit in (0, TCP_DEVICE_UNIT):
             return True
         policy = self.parameters.unit_policy
         return policy is MismatchPolicy.IGNORE or (policy is MismatchPolicy.AUTOMATIC and alone)

@@ -11,7 +11,7 @@ from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.sample_clock import SampleClock
 from busway.apps.collector.samples import Gap, Reason, SampleBatch, StateInterval
 from busway.apps.collector.sinks.delivery import CLOCK_WAIT
-from busway.apps.collector.store.check_and_backup import check_store_files
+from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.manifest import Manifest
 from busway.apps.collector.store.reading import Store

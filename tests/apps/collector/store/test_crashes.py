@@ -11,7 +11,7 @@ import pytest
 import store_worker
 from store_checker import check_after_crash, handed_on
 
-from busway.apps.collector.store.check_and_backup import check_store_files
+from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.folder import SEGMENTS, StoreLock
 
 pytest.importorskip("pyarrow")

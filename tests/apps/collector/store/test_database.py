@@ -10,7 +10,7 @@ from collected import NOON, at, filled, meter_read
 
 from busway.apps.collector.store import segment as segment_module
 from busway.apps.collector.store import writer as writer_module
-from busway.apps.collector.store.check_and_backup import back_up
+from busway.apps.collector.store.backup import back_up
 from busway.apps.collector.store.database import open_database
 from busway.apps.collector.store.folder import MANIFEST, SEGMENTS
 from busway.apps.collector.store.segment import Segment

@@ -10,7 +10,7 @@ from collected import METER, NOON, at, filled, meter_read, read_of
 
 from busway.apps.collector.samples import PointGroup
 from busway.apps.collector.store import sealing
-from busway.apps.collector.store.check_and_backup import check_store_files
+from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.folder import SEGMENTS
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.sealing import SealingFailed

@@ -17,6 +17,7 @@
 `reading`            `Store`: reads rows and buckets of all files as one
 `query_results`      what a query gives: columns of samples or buckets; as Arrow, pandas or polars tables too
 `committed_samples`  reads samples in the order of their commits, for sinks
-`check_and_backup`   checks, backs up and restores a store, while it is written
+`check`              tells what is wrong with a store, while it is written
+`backup`             backs up a store, while it is written, and restores it
 `database`           connections to the SQLite files of a store, and transactions on them
 ===================  ================================================================================="""

@@ -1,0 +1,102 @@
+"""Backs up a store, also while it is being written, and restores it.
+
+Knows files and what the manifest says of them; changes nothing in the store that it copies.
+
+1. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. Segments are
+   copied first, by SQLite, so the open one has every commit up to a moment; then the points, which are in the manifest
+   before their first sample. Sealed parts come last. Where a part has gone meanwhile, all of that is done again.
+2. A backup that is cut short is in a folder with the end ``.unfinished``, and no store.
+"""
+
+import shutil
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from typing import Final
+
+from ....errors import ConfigError
+from .check import check_store_files
+from .folder import LOCK, MANIFEST, SEGMENTS, UNFINISHED, check_store, make_folder, sync_file, sync_folder
+from .manifest import Manifest, StorePart, copy_points
+from .segment import open_for_reading
+
+_TRIES: Final = 10
+
+
+def back_up(folder: Path, target: Path) -> int:
+    """Copy a store into a new folder, also while it is being written. Returns the number of parts.
+
+    Raises:
+        ConfigError: there is no store, or the target exists or cannot be written.
+    """
+    check_store(folder)
+    if target.exists():
+        raise ConfigError("exists already; a backup makes a folder of its own", file=str(target))
+    unfinished = target.with_name(target.name + UNFINISHED)
+    try:
+        for _ in range(_TRIES):
+            shutil.rmtree(unfinished, ignore_errors=True)
+            make_folder(unfinished)
+            copied = _copied(folder, unfinished)
+            if copied is not None:
+                break
+        else:
+            raise ConfigError("parts were sealed faster than they could be copied; try again", file=str(folder))
+        sync_folder(unfinished)
+        unfinished.rename(target)
+        sync_folder(target.parent)
+    except (OSError, sqlite3.Error) as error:
+        raise ConfigError(f"the backup cannot be written: {error}", file=str(target)) from error
+    return copied
+
+
+def _copied(folder: Path, target: Path) -> int | None:
+    """Copy the manifest and the files it lists; returns None if one was removed meanwhile."""
+    _copy_database(folder / MANIFEST, target / MANIFEST)
+    with closing(Manifest(target)) as manifest:
+        parts = manifest.parts()
+    for part in sorted(parts, key=lambda part: part.kind == "sealed"):
+        source, copy = folder / SEGMENTS / part.file, target / SEGMENTS / part.file
+        try:
+            if part.kind == "sealed":
+                shutil.copyfile(source, copy)
+                sync_file(copy)
+            else:
+                with closing(open_for_reading(source)):
+                    _copy_database(source, copy)
+        except FileNotFoundError:
+            if part.kind != "open" or not _is_listed(folder, part):
+                return None
+    with closing(sqlite3.connect(target / MANIFEST)) as written:
+        copy_points(folder / MANIFEST, written)
+    sync_file(target / MANIFEST)
+    return len(parts)
+
+
+def _is_listed(folder: Path, part: StorePart) -> bool:
+    """Whether a segment whose file is missing is still to be made; otherwise it was sealed meanwhile."""
+    with closing(Manifest(folder)) as manifest:
+        return part in manifest.parts()
+
+
+def _copy_database(source: Path, target: Path) -> None:
+    target.unlink(missing_ok=True)
+    with closing(sqlite3.connect(source, timeout=10.0)) as read, closing(sqlite3.connect(target)) as written:
+        read.backup(written)
+    sync_file(target)
+
+
+def restore(backup: Path, folder: Path) -> int:
+    """Restore a store from a backup into a new or empty folder. Returns the number of parts.
+
+    Raises:
+        ConfigError: the backup is none or is damaged, or the folder is in use.
+    """
+    problems = check_store_files(backup)
+    if problems:
+        raise ConfigError(f"the backup is not whole: {problems[0]}", file=str(backup))
+    if folder.exists() and any(path.name != LOCK for path in folder.iterdir()):
+        raise ConfigError("is not empty; a backup is restored into a new folder", file=str(folder))
+    if folder.exists():
+        shutil.rmtree(folder)
+    return back_up(backup, folder)
