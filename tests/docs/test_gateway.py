@@ -20,7 +20,7 @@ SETUPS = (
     "One serial line for many masters",
     "An inverter that takes one connection",
     "A read-only view for a third party",
-    "A serial master in front of servers on a network",
+    "A serial master that reads servers on a network",
     "Merging lines by renumbering",
 )
 
@@ -63,7 +63,7 @@ def test_what_check_prints_is_what_it_prints(text: str) -> None:
 
 
 def test_every_key_of_listeners_links_and_routes_is_named_and_explained_in_the_reference(text: str) -> None:
-    named = set(re.findall(r"`(\w+)`", text[text.index("### `[[listener]]`") : text.index("## Who is told what")]))
+    named = set(re.findall(r"`(\w+)`", text[text.index("### `[[listener]]`") : text.index("## What the client gets")]))
     explained = set(re.findall(r"^\| `(\w+)` \|", REFERENCE.read_text(encoding="utf-8"), re.MULTILINE))
     own = (
         set(GatewayListenerSection.model_fields) - set(ListenerSection.model_fields),

@@ -50,4 +50,4 @@ def test_the_status_tells_how_many_connections_are_supported() -> None:
     units = {1: busway.Device(coils=1)}
     endpoints = ("tcp://127.0.0.1:0", "tcp://127.0.0.1:0")
     with busway.serve_in_thread(*endpoints, units=units, max_connections=5) as server:
-        assert server.status().supported_connections == 26  # with 8 priority places each
+        assert server.status().supported_connections == 26  # with 8 priority slots each

@@ -111,7 +111,7 @@ async def test_there_are_as_many_peers_as_connections_may_be() -> None:
 
 
 class Marked(Sender):
-    """A sender from an address that the priority places are for."""
+    """A sender from an address that the priority slots are for."""
 
     def __init__(self, endpoint: str) -> None:
         super().__init__(endpoint)

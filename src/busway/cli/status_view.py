@@ -103,11 +103,11 @@ def sections_of(told: JsonObject) -> list[StatusSection]:
 
 
 def server_sections(state: JsonObject) -> list[StatusSection]:
-    """Return the sections to print for a server: places, listeners, certificates, connections and counters."""
+    """Return the sections to print for a server: listeners, certificates, connections and counters."""
     sections = []
-    places = places_line(state)
-    if places:
-        sections.append(StatusSection(places))
+    line = connections_line(state)
+    if line:
+        sections.append(StatusSection(line))
     if state.get("listeners"):
         sections.append(_table([_flat(one) for one in state["listeners"]], _LISTENER_COLUMNS, ""))
     interfaces = [row for one in state.get("listeners") or () for row in interface_rows(one)]
@@ -194,7 +194,7 @@ def headline(told: JsonObject) -> str:
     return f"{told['name']}{place}: {since}, process {told['pid']}, busway {told['version']}"
 
 
-def places_line(state: JsonObject) -> str:
+def connections_line(state: JsonObject) -> str:
     """Return one line with the number of open connections and their limit."""
     if "supported_connections" not in state:
         return ""

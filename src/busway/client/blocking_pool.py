@@ -37,7 +37,7 @@ class BlockingPool:
 
 
 def _made(settings: LinkSettings, shared: bool, scope: ClientScope | None) -> BlockingLinkDriver:
-    session = client_session_for(settings, None if scope is None else scope.places)
+    session = client_session_for(settings, None if scope is None else scope.slots)
     connector = connector_for(settings, session, user="busway.connect")
     link = BlockingLinkDriver(connector, session, settings, shared=shared, scope=scope)
     if scope is not None:

@@ -34,7 +34,7 @@ class LinkPool:
 
 
 def _made(settings: LinkSettings, shared: bool, scope: ClientScope | None) -> AsyncLinkDriver:
-    session = client_session_for(settings, None if scope is None else scope.places)
+    session = client_session_for(settings, None if scope is None else scope.slots)
     connector = connector_for(settings, session, user="busway.open on an event loop")
     link = AsyncLinkDriver(connector, session, settings, shared=shared, scope=scope)
     if scope is not None:

@@ -15,7 +15,7 @@ from collections import deque
 from typing import Protocol
 
 from ..errors import ConfigError
-from ..session.call import Places, places
+from ..session.call import FreeSlots, free_slots
 
 
 class ScopedLink(Protocol):
@@ -30,13 +30,13 @@ class ClientScope:
 
     Attributes:
         limit: requests in flight on all its connections together, 1…16.
-        places: the free slots.
+        slots: the free slots.
         lock: the lock of its blocking links.
     """
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
-        self.places: Places = places(limit)
+        self.slots: FreeSlots = free_slots(limit)
         self.lock: threading.Lock = threading.Lock()
         self._links: deque[weakref.ref[ScopedLink]] = deque()
 
@@ -56,7 +56,7 @@ class ClientScope:
     def serve(self, now: float) -> None:
         """Let the links that have waiting requests send them as far as the common limit allows, in turn."""
         for _ in range(len(self._links)):
-            if not self.places:
+            if not self.slots:
                 return
             link = self._links[0]()
             self._links.rotate(-1)

@@ -11,7 +11,7 @@ from ..framing.echo import Echo
 from ..framing.frame_direction import LineRole
 from ..framing.timing import Parity, SerialTiming
 from ..options.ports import SerialSettings
-from ..session.call import Call, Places
+from ..session.call import Call, FreeSlots
 from ..session.client import TcpClientSession
 from ..session.line_framing import line_framing
 from ..session.reconnect import Reconnect
@@ -91,11 +91,11 @@ class ClientSession(Protocol):
 
 
 def client_session_for(
-    settings: LinkSettings, shared_places: Places | None = None
+    settings: LinkSettings, shared_slots: FreeSlots | None = None
 ) -> TcpClientSession | SerialClientSession:
     """Create the client session for an endpoint, without a connection. Raises `ConfigError`.
 
-    ``shared_places`` are the slots for requests in flight that all links of a client share with ``scope=client``.
+    ``shared_slots`` are the slots for requests in flight that all links of a client share with ``scope=client``.
     """
     name = settings.endpoint.url
     if settings.line is None:
@@ -104,7 +104,7 @@ def client_session_for(
             settings.parameters,
             endpoint=name,
             first_transaction=random.getrandbits(16),
-            shared_places=shared_places,
+            shared_slots=shared_slots,
         )
         if settings.breaker is not None:
             session.watch_units(Breakers(settings.breaker, random.random))

@@ -163,4 +163,4 @@ class ListenerParameters:
             if limit is not None and limit > slots:
                 raise ConfigError(f"does not fit {pool}, which is {slots}: {limit}", key=key)
         if self.priority and not self.max_priority_connections:
-            raise ConfigError("there are no priority places for them: max_priority_connections is 0", key="priority")
+            raise ConfigError("there are no priority slots for them: max_priority_connections is 0", key="priority")

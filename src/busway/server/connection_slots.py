@@ -208,7 +208,7 @@ class Pools(Generic[One]):
         own = (member for member in self._other if member.host == candidate.host)
         return next(own, None) or next(iter(self._other))
 
-    # Places.
+    # Slots.
 
     def _has_priority_place(self, host: str) -> bool:
         limits = self.limits

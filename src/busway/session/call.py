@@ -255,11 +255,11 @@ class RequestInFlight:
     expires: float
 
 
-Places = list[RequestInFlight]
+FreeSlots = list[RequestInFlight]
 """The free slots for requests in flight."""
 
 
-def places(count: int) -> Places:
+def free_slots(count: int) -> FreeSlots:
     """Make ``count`` free slots for requests in flight, for one session or for all sessions of a client."""
     return [RequestInFlight() for _ in range(count)]
 
@@ -345,12 +345,12 @@ class PipelinedBatch:
         first: position of the first request in the call.
         plan: their bytes without transactions.
         transactions: their transaction identifiers.
-        places: the slots they take, one for each request still without its reply.
+        slots: the slots they take, one for each request still without its reply.
         answered: how many of them, counted from the first, have their reply.
         sent, expires: when they were sent and when they time out, in the clock of ``now``.
     """
 
-    __slots__ = ("answered", "call", "expires", "first", "places", "plan", "sent", "transactions")
+    __slots__ = ("answered", "call", "expires", "first", "plan", "sent", "slots", "transactions")
 
     def __init__(
         self,
@@ -358,14 +358,14 @@ class PipelinedBatch:
         first: int,
         plan: BatchPlan,
         transactions: tuple[int, ...],
-        places: Places,
+        slots: FreeSlots,
         sent: float,
     ) -> None:
         self.call: Call = call
         self.first: int = first
         self.plan: BatchPlan = plan
         self.transactions: tuple[int, ...] = transactions
-        self.places: Places = places
+        self.slots: FreeSlots = slots
         self.answered: int = 0
         self.sent: float = sent
         self.expires: float = sent + call.timeout
@@ -382,7 +382,7 @@ class PipelinedBatch:
         """Split the batch into its unanswered requests, each with its transaction identifier."""
         call = self.call
         for index in range(self.answered, len(self.transactions)):
-            awaited = self.places.pop()
+            awaited = self.slots.pop()
             awaited.call = call
             awaited.position = self.first + index
             awaited.encoded = encoded_request(call.requests[awaited.position], call.unit)

@@ -32,7 +32,7 @@ from ..options.client import ClientParameters, MismatchPolicy
 from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
-from .call import HEAD_SIZE, Call, PipelinedBatch, Places, RequestInFlight, encoded_request, places, plan_of
+from .call import HEAD_SIZE, Call, FreeSlots, PipelinedBatch, RequestInFlight, encoded_request, free_slots, plan_of
 from .queue import BURST
 from .retries import CallTracker, ClientCounters
 from .unit_breaker import Breakers, BreakerState
@@ -99,7 +99,7 @@ class TcpClientSession:
         *,
         endpoint: str = "",
         first_transaction: int = 0,
-        shared_places: Places | None = None,
+        shared_slots: FreeSlots | None = None,
     ) -> None:
         self.parameters: ClientParameters = parameters
         self._tracker = CallTracker(parameters, endpoint)
@@ -111,7 +111,7 @@ class TcpClientSession:
         self._queue = self._tracker.queue
         self._pending: dict[int, RequestInFlight] = {}
         self._batches: deque[PipelinedBatch] = deque()
-        self._free = places(parameters.max_transactions) if shared_places is None else shared_places
+        self._free = free_slots(parameters.max_transactions) if shared_slots is None else shared_slots
         self._expired: dict[int, float] = {}
         self._transaction = first_transaction & 0xFFFF
         self._buffer = StreamBuffer()
@@ -176,7 +176,7 @@ class TcpClientSession:
     @property
     def in_flight(self) -> int:
         """Number of requests that were sent and whose reply is awaited."""
-        return len(self._pending) + sum(len(batch.places) for batch in self._batches)
+        return len(self._pending) + sum(len(batch.slots) for batch in self._batches)
 
     # Events of the connection.
 
@@ -444,7 +444,7 @@ class TcpClientSession:
             if replies is not None:
                 taken = len(replies)
                 call.outcomes[batch.first : batch.first + taken] = replies
-                self._free += batch.places
+                self._free += batch.slots
                 batches.popleft()
             elif batch.expects(buffer, at):
                 end = at + plan.reply_sizes[answered]
@@ -452,9 +452,9 @@ class TcpClientSession:
                     break
                 taken = 1
                 call.outcomes[batch.first + answered] = plan.takers[answered](buffer[at + HEAD_SIZE : end])
-                self._free.append(batch.places.pop())
+                self._free.append(batch.slots.pop())
                 batch.answered += 1
-                if not batch.places:
+                if not batch.slots:
                     batches.popleft()
             else:
                 self._split_batches()

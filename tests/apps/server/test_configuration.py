@@ -187,7 +187,7 @@ def test_the_effective_values_are_a_file_that_says_the_same() -> None:
 def test_the_overview_has_a_row_for_everything() -> None:
     rows = {(kind, name): said for kind, name, said in overview(parse_configuration(SYSTEM, "x.toml"))}
     own = rows["listener", "tcp://127.0.0.1:5021"]
-    assert own.startswith("allows 127.0.0.0/8; denies 127.0.0.9; refuses all others; 4 priority places for 10.0.0.1")
+    assert own.startswith("allows 127.0.0.0/8; denies 127.0.0.9; refuses all others; 4 priority slots for 10.0.0.1")
     assert "a role is required" in rows["listener", "tls://127.0.0.1:0"]
     assert rows["policy", ""] == (
         "2 rules (setpoints, rule 2), else read-only; "

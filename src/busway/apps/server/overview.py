@@ -44,7 +44,7 @@ def _listener(listener: Listener, general: ListenerParameters) -> Iterator[str]:
         yield from _addresses(listener.access)
     limits = listener.limits or general
     marked = f" for {', '.join(limits.priority)}" if limits.priority else ""
-    yield f"{limits.max_priority_connections} priority places{marked}, {limits.max_connections} others"
+    yield f"{limits.max_priority_connections} priority slots{marked}, {limits.max_connections} others"
     tls = tls_of(listener)
     if tls is not None:
         yield f"certificate {tls.certificate}, authority {tls.authority}"

@@ -194,7 +194,7 @@ class GatewayFile(SystemFile):
             if name in self.server.model_fields_set:
                 yield ("server", name), "has no effect: a gateway has no units of its own"
         if "shared_slots" in self.server.model_fields_set:
-            yield ("server", "shared_slots"), "has no effect: each listener of a gateway has places of its own"
+            yield ("server", "shared_slots"), "has no effect: each listener of a gateway has slots of its own"
         if not self.route and len(self.link) > 1:
             yield ("route",), f"is missing: there are {len(self.link)} links"
         for index, link in enumerate(self.link):
