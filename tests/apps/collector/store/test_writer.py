@@ -268,6 +268,51 @@ def test_the_log_stays_bounded_while_a_reader_holds_a_snapshot(tmp_path: Path, m
         assert Store(tmp_path).read("d", bucket=1.0).samples == [20] * 50 * 120
 
 
+def test_another_process_that_reads_after_a_sync_takes_the_log_from_nobody(tmp_path: Path) -> None:
+    """The last connection of all processes removes the log: who has closed the file by itself has lost its lock."""
+    reads = f"import busway; print(len(busway.Store({str(tmp_path)!r}).read()))"
+    with filled(tmp_path, 3) as writer:
+        writer.sync()
+        (log,) = (tmp_path / SEGMENTS).glob("*-wal")
+        before = log.stat().st_ino
+        read = subprocess.run([sys.executable, "-c", reads], capture_output=True, text=True, timeout=60, check=True)
+        assert read.stdout == "9\n"
+        assert log.stat().st_ino == before
+        writer.commit([meter_read(10, 10)], [], at(10))
+        assert len(Store(tmp_path).read()) == 12
+
+
+def test_a_segment_whose_end_cannot_be_listed_goes_on_and_ends_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with filled(tmp_path, 3) as writer:
+        with monkeypatch.context() as disk:
+            disk.setattr(writer.manifest, "close_segment", full)
+            with pytest.raises(sqlite3.OperationalError):
+                writer.commit([meter_read(SLOT, 3)], [], at(SLOT))
+        writer.commit([meter_read(SLOT, 3)], [], at(SLOT))
+        assert kinds(writer) == ["open"]
+        writer.commit([meter_read(SLOT + 1, 4)], [], at(SLOT + 1))
+        assert kinds(writer) == ["closed", "open"]
+        assert len(Store(tmp_path).read()) == 15
+
+
+def test_after_a_clock_that_was_set_back_the_gap_begins_with_the_last_commit(tmp_path: Path) -> None:
+    with StoreWriter(tmp_path, now=at(0)) as writer:
+        for moment in (3600, 10, 20):  # the clock was an hour ahead, and was set back
+            writer.commit([meter_read(moment)], [], at(moment))
+            writer.roll()
+    with StoreWriter(tmp_path, now=at(50)):
+        pass
+    with StoreWriter(tmp_path, now=at(70)):
+        pass
+    gaps = [(gap.begin, gap.end, gap.reason) for gap in Store(tmp_path).read().gaps]
+    assert gaps == [(at(20), at(50), Reason.KILLED), (at(50), at(70), Reason.KILLED)]
+
+
 def test_a_store_of_a_later_format_is_refused(tmp_path: Path) -> None:
     with filled(tmp_path, 1) as writer:
         writer.manifest.set_fact("format", 99)
@@ -294,4 +339,4 @@ def test_a_system_clock_that_is_stepped_by_an_hour_loses_nothing(tmp_path: Path,
         table = Store(tmp_path).read()
         assert table.value == list(range(8)), "samples have times of their own, which do not jump"
     with StoreWriter(tmp_path, now=at(10)):
-        assert Store(tmp_path).read().gaps == [Gap(at(3602), at(3602), Reason.KILLED)]
+        assert Store(tmp_path).read().gaps == [Gap(at(3), at(10), Reason.KILLED)], "from the last commit on"

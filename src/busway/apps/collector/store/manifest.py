@@ -288,10 +288,11 @@ class Manifest:
                 " rows = ?, bytes = ? WHERE id = ?",
                 (part.low, part.high, part.first_commit, part.last_commit, part.alive, part.rows, part.bytes, part.id),
             )
-            database.execute(  # a clock that was set back does not make the store younger
-                "INSERT INTO facts VALUES ('alive', ?)"
-                " ON CONFLICT (name) DO UPDATE SET value = max(value, excluded.value)",
-                (part.alive,),
+            database.execute(  # by number, not by time: the clock may have been set back
+                "INSERT OR REPLACE INTO facts SELECT name, value FROM"
+                " (SELECT 'alive' AS name, ?1 AS value UNION ALL SELECT 'alive_commit', ?2)"
+                " WHERE ?2 >= coalesce((SELECT value FROM facts WHERE name = 'alive_commit'), 0)",
+                (part.alive, part.last_commit),
             )
 
     def replace_part(self, old: StorePart, new: Sequence[StorePart], intervals: Iterable[IntervalRow]) -> None:

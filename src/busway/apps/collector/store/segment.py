@@ -11,6 +11,8 @@ Knows one file and its tables; knows nothing of the manifest.
 5. A segment ends, and the next commit begins another: when its ten minutes by the clock are over, when it is larger
    than ``segment_size`` of the store's options, or where a reader keeps its write-ahead log from shrinking. See
    `has_ended`.
+6. While a connection is open, nothing else in this process opens and closes the file: that would release the locks of
+   the connection (POSIX), and a reader in another process that closes would remove the log that is being written.
 """
 
 import contextlib
@@ -152,9 +154,8 @@ class Segment:
         return mend_segment(self._database, first, shift)
 
     def sync(self) -> None:
-        """Make all commits so far durable on disk."""
+        """Make all commits so far durable on disk: they are in the log until SQLite moves them, and syncs the file."""
         sync_file(self._log)
-        sync_file(self.path)
 
     def limit_pages(self, pages: int) -> None:
         """Limit the number of pages of the segment's file, to simulate a full disk."""
@@ -273,7 +274,8 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
 def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StorePart:
     """Return what the manifest says about a segment, from its commits."""
     low, high, first, last, alive, rows = database.execute(
-        "SELECT min(low), max(high), min(number), max(number), max(at), coalesce(sum(samples), 0) FROM commits"
+        "SELECT min(low), max(high), min(number), max(number),"
+        " (SELECT at FROM commits ORDER BY number DESC LIMIT 1), coalesce(sum(samples), 0) FROM commits"
     ).fetchone()
     return replace(part, low=low, high=high, first_commit=first, last_commit=last, alive=alive, rows=rows, bytes=size)
 

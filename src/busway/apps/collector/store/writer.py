@@ -155,6 +155,7 @@ class StoreWriter:
         for part in self.manifest.parts():
             if part.kind == "open":
                 self._finish_listing(part)
+        remove_unlisted(self.folder, self.manifest)
         while self.manifest.fact("mend_from") is not None:
             self.mend_next()
         alive = self.manifest.fact("alive")
@@ -185,7 +186,6 @@ class StoreWriter:
             self._journal_grew = True
             return
         self.manifest.drop_parts([part], before=0)
-        remove_unlisted(self.folder, self.manifest)
 
     def _open_intervals(self) -> list[StateInterval]:
         """Return the stored intervals without polling that have no end yet."""
@@ -349,12 +349,16 @@ class StoreWriter:
         self._segment = None
 
     def roll(self) -> None:
-        """End the open segment, the file that samples are written to; the next commit begins a new one."""
+        """End the open segment, the file that samples are written to; the next commit begins a new one.
+
+        Where the end cannot be listed (a full disk), the segment stays open, and ends with the next attempt.
+        """
         if self._part is None:
             return
         self._close_segment()
-        part, self._part = self._part, None
-        self._finish_listing(part)
+        self._finish_listing(self._part)
+        self._part = None
+        remove_unlisted(self.folder, self.manifest)
         self._step("segment-closed")
 
     def _close_segment(self) -> None:
