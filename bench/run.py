@@ -1,6 +1,6 @@
 """The benchmark of the project: ours, the peers and the floor in one run, on one machine, taking turns.
 
-    python bench/run.py [--quick] [--only server,client,…] [--rounds N] [--seconds S]
+    python bench/run.py [--quick] [--only server,client,…] [--rounds N] [--seconds S] [--minutes M]
 
 Prints the tables and the bars with what became of them, progress on stderr, and keeps everything in
 `bench/results/<date>.json`. Exit code: 0 whether bars are reached or not (shared machines are noisy), 1 when no table
@@ -37,7 +37,7 @@ def main(arguments: list[str] | None = None) -> int:
     asked = _arguments(arguments)
     signal.signal(signal.SIGTERM, _interrupt)
     before = machine.description()
-    bench = prepare(asked.quick, asked.seconds)
+    bench = replace(prepare(asked.quick, asked.seconds), minutes=asked.minutes)
     began = time.time()
     tables: dict[str, Table] = {}
     limit = QUICK_LIMIT if asked.quick else LIMIT
@@ -88,6 +88,8 @@ def _arguments(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, choices=range(1, 101), metavar="N", help="turns of each contender, 1…100")
     seconds_help = "counted seconds of one turn, up to 60, instead of what the budget of its table leaves"
     parser.add_argument("--seconds", type=positive, metavar="S", help=seconds_help)
+    minutes_help = "table store: also store for so many minutes, up to 60, while a page reads"
+    parser.add_argument("--minutes", type=positive, metavar="M", help=minutes_help)
     return parser.parse_args(arguments)
 
 

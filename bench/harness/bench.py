@@ -31,6 +31,7 @@ class Bench:
     say: Callable[[str], None]
     budget: float = 60.0  # seconds that the table may take
     asked_seconds: float | None = None  # by the command line, instead of what the budget leaves
+    minutes: float | None = None  # how long the long run of the table ``store`` lasts; None for no such run
 
     def turn(self, turns: int, *, apart: float = 0.0, overhead: float = 0.06) -> float:
         """Counted seconds of one turn, so that `rounds` rounds of `turns` turns stay within the budget.
