@@ -129,6 +129,39 @@ def test_a_point_stands_where_its_manual_says(
     assert point.conversion.scale == scale
 
 
+MAPS = {
+    # Every parameter of the table of input registers of the Modbus protocol V1.8, as numbers of the 3X list.
+    "sdm630": (
+        *range(30001, 30044, 2),
+        *(30047, 30049, 30053, 30057, 30061, 30063, 30067),
+        *range(30071, 30088, 2),
+        *range(30101, 30108, 2),
+        *range(30201, 30208, 2),
+        30225,
+        *range(30235, 30246, 2),
+        *(30249, 30251),
+        *range(30259, 30270, 2),
+        *range(30335, 30382, 2),
+    ),
+    # As owners of the meter list them beside their programs; of its first fourteen, mbmd and SDM_Energy_Meter too.
+    "sdm120": (
+        *range(30001, 30038, 6),
+        *range(30071, 30080, 2),
+        *range(30085, 30096, 2),
+        *(30259, 30265, 30343, 30345),
+    ),
+}
+
+
+@pytest.mark.parametrize("profile", MAPS)
+def test_a_meter_has_each_register_of_its_manual_and_no_other(profile: str) -> None:
+    points = load_profile(f"device:{profile}", unit=1).described()
+    assert {(each.table, each.start) for each in points} == {
+        (place.table, place.offset) for place in map(parse_address, map(str, MAPS[profile]))
+    }
+    assert {(each.type, each.order[:4], each.conversion.scale) for each in points} == {("float32", "ABCD", 1)}
+
+
 EXAMPLES = [
     # SDM630 protocol document: request 01 04 00 00 00 02 71 CB, reply 01 04 04 43 66 33 34 1B 38: 230.2 V.
     ("sdm630", "voltage_l1", "04 0000 0002", "04 04 4366 3334", 230.2),
@@ -156,6 +189,18 @@ def test_the_bytes_of_a_manual_s_example_travel_and_mean_its_value(
             while len(received) < 7 + len(reply):
                 received += wire.recv(256)
     assert received[7:] == reply
+
+
+def test_the_status_word_of_a_drive_is_that_of_its_manual_s_example() -> None:
+    """FC 360 design guide, "Read Coils": 01 01 00 20 00 10 is answered by 07 06, STW = 0607 hex."""
+    points = {point.name: point for point in load_profile("device:vlt_fc", unit=1).described()}
+    status = {point.start - 32: name for name, point in points.items() if point.start in range(32, 48)}
+    on = {name for bit, name in status.items() if 0x0607 >> bit & 1}
+    assert on == {"control_ready", "drive_ready", "not_coasted", "auto_mode", "in_frequency_range"}
+    assert status.keys() == set(range(16))
+    with played("vlt_fc") as (_, url), busway.connect(url, timeout=5) as link:
+        bits = link.unit(7).read_coils(32, count=16)
+    assert sum(on << place for place, on in enumerate(bits)) == 0x0607
 
 
 def test_what_a_device_says_of_values_that_it_has_not_is_no_value() -> None:
