@@ -9,7 +9,7 @@ from lying_devices import Field, Lies
 from waiting import until
 
 import busway
-from busway.apps.collector.configuration import load_collector
+from busway.apps.collector.configuration import CollectorConfiguration, load_collector
 
 ADDRESSES = {"at0": 0, "at4": 4, "at8": 8}
 
@@ -114,6 +114,39 @@ async def test_a_new_point_under_a_name_that_was_given_up_has_no_history(tmp_pat
             tmp_path, url, (NAMED, {}), ({**NAMED, "at0": "new"}, {"at0": "a"}), (last, {"at0": "a"})
         )
     assert [starts(tmp_path, name) for name in ("new", "a", "b")] == [[0], [8], [4]]
+
+
+async def test_totals_of_points_that_pass_on_their_names_go_on_from_their_own(tmp_path: Path) -> None:
+    device = busway.Device(holding_registers=10)
+
+    def count(*values: int) -> None:
+        for address, value in zip(ADDRESSES.values(), values, strict=True):
+            device.holding_registers[address] = value
+
+    def totals() -> dict[str, object]:
+        table = busway.Store(tmp_path / "data").read("pump/*")
+        rows = zip(table.point, table.value, strict=True)
+        return {point: value for point, value in rows if value is not None}
+
+    async with busway.serve("tcp://127.0.0.1:0", units={1: device}) as server:
+
+        def counters(names: Mapping[str, str], was: Mapping[str, str]) -> CollectorConfiguration:
+            file = plant(tmp_path, server.endpoints[0], names, was)
+            profile = tmp_path / "profile.toml"
+            profile.write_text(profile.read_text().replace('type = "uint64"', 'type = "uint16", rollover = true'))
+            return load_collector(file)
+
+        count(65_000, 50_000, 65_100)
+        async with busway.collect(counters(NAMED, {})) as collector:
+            await until(lambda: totals() == {"a": 65_000, "b": 50_000, "c": 65_100}, 20)
+            count(464, 50_000, 64)
+            await until(lambda: totals() == {"a": 66_000, "b": 50_000, "c": 65_600}, 20)
+            passed_on = {"at0": "first", "at4": "a", "at8": "b"}
+            await collector.reload(counters(passed_on, {"at0": "a", "at4": "b", "at8": "c"}))
+            count(465, 50_001, 65)
+            await until(lambda: totals() == {"first": 66_001, "a": 50_001, "b": 65_601}, 20)
+            await collector.reload(counters({**passed_on, "at8": "c"}, {"at0": "a", "at4": "b"}))
+            await until(lambda: totals().get("c") == 65, 20)  # a new point under a name that was given up
 
 
 async def test_a_sink_gets_each_sample_under_the_name_that_it_was_read_by(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@
 `commands`        values that are written to points, each at most once
 `report_rules`    which report rule holds for a point, in the store and towards sinks
 `reloading`       what another configuration may change while a collector runs
+`renaming`        which points have other names after the configuration was read again
 `sinks`           other systems that get what a store keeps
 `alarms`          alarms of points: limits and states, with delay, hysteresis, acknowledgement and a journal
 `dashboards`      dashboards for Grafana: one for the collector's page for Prometheus

@@ -43,6 +43,7 @@ from .maintenance import MaintenanceBook
 from .permitted_link import PermittedLink
 from .poller import LinkPoller
 from .reloading import left_for_the_next_start, refuse_what_cannot_change, replace_file
+from .renaming import new_names
 from .report_rules import sink_rules, store_rules
 from .sample_clock import SampleClock
 from .samples import CounterState, SampleBatch
@@ -601,8 +602,7 @@ class Collector:
     async def _apply(self, configuration: CollectorConfiguration) -> list[str]:
         """Use another configuration: end links that change, rename points behind all samples so far, start links."""
         assert self._committer is not None
-        self.configuration = configuration
-        self.alarms.configure(self._points())
+        before, self.configuration = self._points(), configuration
         if self._sinks is not None:
             self._sinks.set_point_rules(sink_rules(configuration))
         done: list[str] = []
@@ -612,6 +612,7 @@ class Collector:
             await self._stop_link(name)
             if name not in configuration.links:
                 done.append(f"link {name} ended")
+        await self._rename(before)
         self._committer.describe(
             (each for device in configuration.devices.values() for each in device.descriptions()),
             store_rules(configuration),
@@ -622,6 +623,20 @@ class Collector:
                 done.append(f"link {name} {'began anew' if name in changed else 'began'}")
         self._end_maintenance_of_others()
         return done
+
+    async def _rename(self, before: Mapping[str, Sequence[Point]]) -> None:
+        """Go on with accumulators and alarms of points that have other names or limits, each with its own state."""
+        is_any = False
+        for device, points in self._points().items():
+            counters = self._counters.get(device, {})
+            names = new_names(before.get(device, ()), points, counters)
+            is_any = is_any or bool(names)
+            found = (replace(each, point=names.get(each.point, each.point)) for each in counters.values())
+            self._counters[device] = {each.point: each for each in found}
+        self.alarms.configure(self._points())
+        if is_any:
+            await self.flush()  # events that have the old names: these may be those of other points now
+        self.alarms.rename(self._points())
 
     def _end_maintenance_of_others(self) -> None:
         """End the maintenance of devices that are no longer in the configuration."""
@@ -656,9 +671,7 @@ class Collector:
         )
         for device in configuration.devices_of(name):
             known = configuration.known_of(device, self.knowledge)
-            derived = DerivedPoints(
-                device.name, device.points, _renamed(self._counters.get(device.name, {}).values(), device.points)
-            )
+            derived = DerivedPoints(device.name, device.points, self._counters.get(device.name, {}).values())
             poller.add(
                 device.name,
                 device.unit,
@@ -786,13 +799,6 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
         return None
     devices: list[CollectedDevice] = configuration.devices_of(link)
     return configuration.links[link].settings, tuple(devices), tuple(configuration.periods.items())
-
-
-def _renamed(counters: Iterable[CounterState], points: Sequence[Point]) -> list[CounterState]:
-    """Return the states of accumulators under the names that their points have now."""
-    names = {point.name for point in points}
-    former = {point.was: point.name for point in points if point.was and point.was not in names}
-    return [replace(each, point=former.get(each.point, each.point)) for each in counters]
 
 
 async def _ended(task: "asyncio.Task[None]") -> None:

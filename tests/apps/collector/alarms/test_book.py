@@ -61,6 +61,35 @@ def test_a_renamed_point_takes_its_alarms_along() -> None:
     assert told(book, 5.0, group=PointGroup("meter", ("amps",))) == ["H cleared"]
 
 
+def test_points_that_exchange_their_names_keep_their_own_alarms_and_delays() -> None:
+    slow = (AlarmRule("H", 10.0, delay=10.0),)
+    points = (replace(POINTS[0], alarms=LIMITS), CURRENT, Point("power", Table.HOLDING_REGISTERS, 2, alarms=slow))
+    group = PointGroup("meter", ("power", "current"))
+    book = book_of(points)
+    assert told(book, 15.0) == ["H raised"]
+    assert [event.limit for event in book.take(SampleBatch(group, 0, 0, [50.0, None], [0, 64]), 0.0)] == []
+    exchanged = [
+        replace(points[0], name="current", was="voltage"),
+        replace(points[1], name="voltage", was="current"),
+        replace(points[2], name="apparent", was="power"),
+        Point("power", Table.HOLDING_REGISTERS, 3, alarms=slow),
+    ]
+    for _ in range(2):  # read again, it says the same, and nothing is exchanged a second time
+        assert book.configure({"meter": exchanged}, 2) == []
+        alarms = {key[1]: machine.alarm for key, machine in book.machines.items() if machine.alarm}
+        assert {name: (alarm.point, alarm.limit) for name, alarm in alarms.items()} == {"voltage": ("voltage", "H")}
+    assert told(book, 50.0, at=11.0, group=PointGroup("meter", ("power",))) == [], "the delay was that of another point"
+    ended = book.configure({"meter": [replace(each, alarms=()) for each in exchanged]}, 3)
+    assert [event.key for event in ended] == [("meter", "voltage", "H")]
+
+
+def test_the_end_of_an_alarm_of_a_renamed_point_has_the_name_that_the_journal_knows() -> None:
+    book = book_of()
+    told(book, 15.0)
+    (ended,) = book.configure({"meter": (replace(CURRENT, name="amps", was="current", alarms=()),)}, 2)
+    assert ended.key == ("meter", "current", "H")
+
+
 def test_an_alarm_whose_limit_or_device_is_gone_is_ended_by_an_event() -> None:
     book = book_of()
     told(book, 25.0)

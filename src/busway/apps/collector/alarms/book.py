@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from ....points.point import Point
+from ..renaming import new_names
 from ..samples import PointGroup, SampleBatch
 from .events import AlarmEvent, AlarmEventKind, AlarmKey, RaisedAlarm
 from .machine import AlarmMachine
@@ -21,10 +22,17 @@ _Places = tuple[tuple[int, tuple[AlarmMachine, ...]], ...]
 
 
 class AlarmBook:
-    """The states of all alarms of a collector, by device, point and limit."""
+    """The states of all alarms of a collector, by device, point and limit.
+
+    Attributes:
+        machines: the states.
+        renamed: the new names of points that `configure` has renamed last, by device and old name.
+    """
 
     def __init__(self) -> None:
         self.machines: dict[AlarmKey, AlarmMachine] = {}
+        self.renamed: dict[tuple[str, str], str] = {}
+        self._points: dict[str, Sequence[Point]] = {}
         self._devices: frozenset[str] = frozenset()
         self._places: weakref.WeakKeyDictionary[PointGroup, _Places] = weakref.WeakKeyDictionary()
 
@@ -39,26 +47,37 @@ class AlarmBook:
             raised: at a start, what the journal says there was.
 
         Returns:
-            Ends of alarms whose limits are gone.
+            Ends of alarms whose limits are gone; their points have the names that they had.
         """
         before = self.machines
-        alarms = {key: each.alarm for key, each in before.items() if each.alarm} if raised is None else dict(raised)
+        self.renamed = {
+            (device, was): name
+            for device, points in (devices.items() if raised is None else ())
+            for was, name in new_names(self._points.get(device, ()), points).items()
+        }
+        self._points = dict(devices)
+        moved = self.renamed.keys() | {(device, name) for (device, _), name in self.renamed.items()}
+        kept = (each.alarm for each in before.values() if each.alarm) if raised is None else raised.values()
+        alarms = {self._with_name(alarm).key: alarm for alarm in kept}
         self.machines = {}
         for device, points in devices.items():
             for point in points:
                 for rule in point.alarms:
                     key = (device, point.name, rule.kind)
-                    former = (device, point.was, rule.kind)
                     known = before.get(key)
                     alarm = alarms.pop(key, None)
-                    if alarm is None and former in alarms:
-                        alarm = replace(alarms.pop(former), point=point.name)
-                    if known is None or known.rule != rule or known.alarm is not alarm:
+                    alarm = alarm if alarm is None else self._with_name(alarm)
+                    is_new = known is None or known.rule != rule or known.alarm is not alarm
+                    if known is None or is_new or (device, point.name) in moved:
                         known = AlarmMachine(device, point.name, rule, point.unit_of_measure, alarm)
                     self.machines[key] = known
         self._devices = frozenset(device for device, _, _ in self.machines)
         self._places.clear()
         return [AlarmEvent(*alarm.key, AlarmEventKind.REMOVED, at, text=alarm.text) for alarm in alarms.values()]
+
+    def _with_name(self, alarm: RaisedAlarm) -> RaisedAlarm:
+        name = self.renamed.get((alarm.device, alarm.point))
+        return alarm if name is None else replace(alarm, point=name)
 
     def take(self, batch: SampleBatch, now: float) -> Sequence[AlarmEvent]:
         """Return the alarm events that the samples of a read cause; ``now``: monotonic seconds at its middle."""

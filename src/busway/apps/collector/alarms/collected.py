@@ -144,7 +144,14 @@ class CollectorAlarms:
         self._tell(self._book.configure(devices, self._wall(), self._raised))
 
     def configure(self, devices: Mapping[str, Sequence[Point]]) -> None:
-        """Go on with the alarm limits of a configuration file that was read again."""
+        """Go on with the alarm limits of a configuration file that was read again; `rename` follows."""
+        self._tell(self._book.configure(devices, self._wall()))
+
+    def rename(self, devices: Mapping[str, Sequence[Point]]) -> None:
+        """Show alarms by the new names of their points, once the events with their old names are in the journal."""
+        names = self._book.renamed
+        raised = [replace(each, point=names.get(each.key[:2], each.point)) for each in self._raised.values()]
+        self._raised = {each.key: each for each in raised}
         there = {(device, point.name) for device, points in devices.items() for point in points}
         self._renamed = {
             (device, point.was): point.name
@@ -152,8 +159,6 @@ class CollectorAlarms:
             for point in points
             if point.was and (device, point.was) not in there
         }
-        self._raised = {each.key: each for each in map(self._with_name, self._raised.values())}
-        self._tell(self._book.configure(devices, self._wall()))
 
     def take(self, batch: SampleBatch) -> Sequence[AlarmEvent]:
         """Return the alarm events that the samples of a read cause; the caller stores both together."""
