@@ -6,7 +6,8 @@ Knows the fault profiles and the page; no word in the table is written by hand.
 from marked import ROOT, replaced, update
 
 from busway.faults.profiles.elsewhere import ELSEWHERE
-from busway.testing import FAULT_PROFILES, Carrier, FaultProfile, Parameter
+from busway.options.declaration import Option
+from busway.testing import FAULT_PROFILES, Carrier, FaultProfile
 
 PAGE = ROOT / "docs" / "simulator.md"
 
@@ -43,11 +44,10 @@ def parameters(fault_profile: FaultProfile) -> str:
     return "<br>".join(parameter(one) for one in fault_profile.parameters.values())
 
 
-def parameter(one: Parameter) -> str:
+def parameter(one: Option) -> str:
     """``delay`` = 1.5: seconds from request to reply (0…86400)."""
     given = "" if one.default is None else f" = {shown(one.default)}"
-    within = f" ({one.range_text})" if one.range_text else ""
-    return f"`{one.name}{given}`: {one.says.meaning}{within}"
+    return f"`{one.name}{given}`: {one.help}{f' ({one.limits})' if one.limits else ''}"
 
 
 def shown(value: object) -> str:

@@ -51,9 +51,9 @@ def test_unknown_name_lists_those_there_are() -> None:
 @pytest.mark.parametrize("one", FAULT_PROFILES.values(), ids=list(FAULT_PROFILES))
 def test_options_say_what_they_mean_and_their_defaults_are_within_their_ranges(one: FaultProfile) -> None:
     for parameter in one.parameters.values():
-        assert parameter.kind in (float, int, bool)
-        assert parameter.says.meaning
-        assert (parameter.range_text == "") is (parameter.kind is bool)
+        assert parameter.kinds[0] in (float, int, bool)
+        assert parameter.help
+        assert (parameter.limits is None) is (parameter.kinds == (bool,))
         parameter.check(parameter.default)
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..faults.clock import Clock, FakeClock, LoopClock
     from ..faults.fault import SILENCE, AppliedFault, Contact, Emission, Exchange, Fault, Faults, Schedule, Selection
     from ..faults.faulty_conversation import FaultyConversation
-    from ..faults.profile import Carrier, FaultProfile, FaultProfileTable, Parameter, Says
+    from ..faults.profile import Carrier, FaultProfile, FaultProfileTable
     from ..faults.profiles import FAULT_PROFILES
     from .certificates import CertificateFiles, CertificateStore
     from .device import known_device
@@ -52,7 +52,7 @@ _HOME = {
     "golden": ("GOLDEN_EXCEPTIONS", "GOLDEN_EXCHANGES", "GoldenExchange", "golden_adu"),
     "memory": ("MemoryPair", "MemoryTransport", "Passage"),
     ".faults.profiles": ("FAULT_PROFILES",),
-    ".faults.profile": ("Carrier", "Parameter", "FaultProfile", "FaultProfileTable", "Says"),
+    ".faults.profile": ("Carrier", "FaultProfile", "FaultProfileTable"),
     "server": ("FaultyServer", "faulty_server"),
     "simulated": ("SimulatedDevice", "simulated_device"),
 }
@@ -85,9 +85,7 @@ __all__ = [
     "LoopClock",
     "MemoryPair",
     "MemoryTransport",
-    "Parameter",
     "Passage",
-    "Says",
     "Schedule",
     "Selection",
     "SimulatedDevice",

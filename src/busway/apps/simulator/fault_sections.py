@@ -123,8 +123,7 @@ def fault_profile_lines(fault_profiles: FaultProfileTable = FAULT_PROFILES) -> l
 def _parameter_lines(fault_profile: FaultProfile) -> Iterator[str]:
     for one in fault_profile.parameters.values():
         given = "" if one.default is None else f"={_shown(one.default)}"
-        within = f" ({one.range_text})" if one.range_text else ""
-        yield f"{one.name}{given}: {one.says.meaning}{within}"
+        yield f"{one.name}{given}: {one.help}{f' ({one.limits})' if one.limits else ''}"
 
 
 def _shown(value: object) -> str:

@@ -100,9 +100,9 @@ def _fault_profile(fault_profile: FaultProfile) -> FaultyAnswer:
             ParameterAnswer(
                 name=one.name,
                 default=plain_value(one.default),
-                kind="" if one.kind is None else one.kind.__name__,
-                meaning=one.says.meaning,
-                range=one.range_text,
+                kind="" if one.kinds == (Any,) else one.kinds[0].__name__,
+                meaning=one.help,
+                range=str(one.limits or ""),
             )
             for one in fault_profile.parameters.values()
         ],

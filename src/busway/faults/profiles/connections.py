@@ -4,12 +4,14 @@ from typing import Annotated
 from weakref import WeakSet
 
 from ..fault import SILENCE, Contact, Emission, Exchange, Fault
-from ..profile import Carrier, FaultProfile, Says, in_seconds
+from ..profile import SECONDS, Carrier, FaultProfile
 
 _CONNECTIONS = frozenset({Carrier.CONNECTION})
 
 
-def _close_if_silent(seconds: Annotated[float, in_seconds("within which the first request must come")] = 1.0) -> Fault:
+def _close_if_silent(
+    seconds: Annotated[float, SECONDS, "seconds within which the first request must come"] = 1.0,
+) -> Fault:
     def closes_at(contact: Contact) -> float | None:
         return contact.opened + seconds if contact.last_received is None else None
 
@@ -17,7 +19,7 @@ def _close_if_silent(seconds: Annotated[float, in_seconds("within which the firs
 
 
 def _single_client(
-    starve: Annotated[bool, Says("the second connection is taken and never answered, instead of being closed")] = False,
+    starve: Annotated[bool, "the second connection is taken and never answered, instead of being closed"] = False,
 ) -> Fault:
     starved: WeakSet[Contact] = WeakSet()
 
@@ -33,7 +35,7 @@ def _single_client(
 
 
 def _idle_close(
-    seconds: Annotated[float, in_seconds("without a request, after which the connection is closed")] = 30.0,
+    seconds: Annotated[float, SECONDS, "seconds without a request, after which the connection is closed"] = 30.0,
 ) -> Fault:
     def closes_at(contact: Contact) -> float | None:
         return (contact.opened if contact.last_received is None else contact.last_received) + seconds

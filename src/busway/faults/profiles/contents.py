@@ -4,8 +4,9 @@ from dataclasses import replace
 from typing import Annotated
 
 from ...codes import FunctionCode
+from ...options.declaration import Range
 from ..fault import Emission, Exchange, Fault
-from ..profile import FaultProfile, Says, in_seconds
+from ..profile import SECONDS, FaultProfile
 
 _READS_REGISTERS = frozenset({FunctionCode.READ_HOLDING_REGISTERS, FunctionCode.READ_INPUT_REGISTERS})
 _ECHOES = frozenset(
@@ -26,7 +27,7 @@ def _is_refusal(pdu: bytes) -> bool:
 
 def _wide_register(
     size: Annotated[
-        int, Says("bytes for each register; as many registers are sent as a byte count can announce", 4, 12)
+        int, Range(4, 12), "bytes for each register; as many registers are sent as a byte count can announce"
     ] = 4,
 ) -> Fault:
     def widened(one: Emission) -> Emission:
@@ -43,8 +44,8 @@ def _wide_register(
 
 
 def _short(
-    missing: Annotated[int, Says("bytes that are not sent", 1, 252)] = 1,
-    header: Annotated[bool, Says("the header's length still counts them, so the frame seems unfinished")] = False,
+    missing: Annotated[int, Range(1, 252), "bytes that are not sent"] = 1,
+    header: Annotated[bool, "the header's length still counts them, so the frame seems unfinished"] = False,
 ) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         return [
@@ -60,8 +61,8 @@ def _short(
 
 
 def _long(
-    extra: Annotated[int, Says("bytes too many", 1, 1000)] = 1,
-    header: Annotated[bool, Says("the header's length counts them; otherwise they stand between two frames")] = True,
+    extra: Annotated[int, Range(1, 1000), "bytes too many"] = 1,
+    header: Annotated[bool, "the header's length counts them; otherwise they stand between two frames"] = True,
 ) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         return [
@@ -84,8 +85,8 @@ def _wrong_echo() -> Fault:
 
 
 def _dribble(
-    piece: Annotated[int, Says("bytes per segment", 1, 260)] = 1,
-    pause: Annotated[float, in_seconds("between segments")] = 0.001,
+    piece: Annotated[int, Range(1, 260), "bytes per segment"] = 1,
+    pause: Annotated[float, SECONDS, "seconds between segments"] = 0.001,
 ) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         return [replace(one, piece=piece, pause=pause) for one in emissions]
@@ -94,7 +95,7 @@ def _dribble(
 
 
 def _glue(
-    window: Annotated[float, Says("seconds; what is due in the same ones leaves in one segment", 0.001, 60)] = 0.02,
+    window: Annotated[float, Range(0.001, 60), "seconds; what is due in the same ones leaves in one segment"] = 0.02,
 ) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         wait = window - (exchange.now - exchange.contact.opened) % window

@@ -4,15 +4,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated
 
+from ...options.declaration import Range
 from ..fault import Emission, Exchange, Fault
-from ..profile import Carrier, FaultProfile, Says
+from ..profile import Carrier, FaultProfile
 
 _TCP = frozenset({Carrier.TCP})
 
 
 def _foreign_transaction(
-    instead: Annotated[bool, Says("the own reply does not come")] = False,
-    distance: Annotated[int, Says("from the own identifier to the foreign one", 1, 0xFFFF)] = 0x4000,
+    instead: Annotated[bool, "the own reply does not come"] = False,
+    distance: Annotated[int, Range(1, 0xFFFF), "from the own identifier to the foreign one"] = 0x4000,
 ) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         foreign = [replace(one, transaction=(one.transaction + distance) & 0xFFFF) for one in emissions]

@@ -7,14 +7,15 @@ stream, which no device is known for.
 from dataclasses import replace
 from typing import Annotated
 
+from ...options.declaration import Range
 from ..fault import Emission, Exchange, Fault
-from ..profile import Carrier, FaultProfile, Says
+from ..profile import Carrier, FaultProfile
 
 _LINES = frozenset({Carrier.SERIAL})
 _LONGEST_JUNK = 250
 
 
-def _leading_zero(zeros: Annotated[int, Says("bytes before each reply", 1, _LONGEST_JUNK)] = 1) -> Fault:
+def _leading_zero(zeros: Annotated[int, Range(1, _LONGEST_JUNK), "bytes before each reply"] = 1) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         return [replace(one, before=bytes(zeros) + one.before) for one in emissions]
 
@@ -22,9 +23,9 @@ def _leading_zero(zeros: Annotated[int, Says("bytes before each reply", 1, _LONG
 
 
 def _noise(
-    size: Annotated[int, Says("random bytes at each place", 1, _LONGEST_JUNK)] = 3,
-    before: Annotated[bool, Says("whether they come before a reply")] = True,
-    after: Annotated[bool, Says("whether they come behind it")] = True,
+    size: Annotated[int, Range(1, _LONGEST_JUNK), "random bytes at each place"] = 3,
+    before: Annotated[bool, "whether they come before a reply"] = True,
+    after: Annotated[bool, "whether they come behind it"] = True,
 ) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         def junk() -> bytes:

@@ -4,10 +4,11 @@ from collections.abc import Callable
 from typing import Annotated
 
 from ...codes import ExceptionCode, FunctionCode
+from ...options.declaration import Range
 from ..fault import SILENCE, Exchange, Fault
-from ..profile import FaultProfile, Says, in_seconds
+from ..profile import SECONDS, FaultProfile
 
-_ANY_CODE = Says("exception code", 0, 255)
+_Code = Annotated[int, Range(0, 255), "exception code"]
 _SINGLE = frozenset({FunctionCode.WRITE_SINGLE_COIL, FunctionCode.WRITE_SINGLE_REGISTER})
 _MULTIPLE = frozenset({FunctionCode.WRITE_MULTIPLE_COILS, FunctionCode.WRITE_MULTIPLE_REGISTERS})
 
@@ -17,8 +18,8 @@ def _refused(exchange: Exchange, code: int) -> bytes:
 
 
 def _max_block(
-    items: Annotated[int, Says("most items of one request", 0, 2000)] = 50,
-    code: Annotated[int, _ANY_CODE] = ExceptionCode.ILLEGAL_DATA_VALUE,
+    items: Annotated[int, Range(0, 2000), "most items of one request"] = 50,
+    code: _Code = ExceptionCode.ILLEGAL_DATA_VALUE,
 ) -> Fault:
     def asked(exchange: Exchange) -> bytes | None:
         return _refused(exchange, code) if any(one.count > items for one in exchange.spans) else None
@@ -27,8 +28,8 @@ def _max_block(
 
 
 def _hole(
-    address: Annotated[int, Says("the missing item, 0-based, in every table", 0, 0xFFFF)] = 0,
-    code: Annotated[int, _ANY_CODE] = ExceptionCode.ILLEGAL_DATA_ADDRESS,
+    address: Annotated[int, Range(0, 0xFFFF), "the missing item, 0-based, in every table"] = 0,
+    code: _Code = ExceptionCode.ILLEGAL_DATA_ADDRESS,
 ) -> Fault:
     def asked(exchange: Exchange) -> bytes | None:
         touched = any(one.address <= address < one.address + one.count for one in exchange.spans)
@@ -38,7 +39,7 @@ def _hole(
 
 
 def _busy(
-    seconds: Annotated[float | None, in_seconds("from the first request on; nothing for ever")] = 60.0,
+    seconds: Annotated[float | None, SECONDS, "seconds from the first request on; nothing for ever"] = 60.0,
 ) -> Fault:
     since: list[float] = []
 
@@ -52,8 +53,8 @@ def _busy(
 
 
 def _odd_exception(
-    code: Annotated[int, _ANY_CODE] = 0x63,
-    size: Annotated[int, Says("bytes of the PDU; 2 is what it should be", 1, 253)] = 2,
+    code: _Code = 0x63,
+    size: Annotated[int, Range(1, 253), "bytes of the PDU; 2 is what it should be"] = 2,
 ) -> Fault:
     def asked(exchange: Exchange) -> bytes | None:
         return (_refused(exchange, code) + bytes(max(size - 2, 0)))[:size]
@@ -63,7 +64,7 @@ def _odd_exception(
 
 def _without(functions: frozenset[FunctionCode]) -> Callable[..., Fault]:
     def make(
-        refuses: Annotated[bool, Says("the others are answered with exception 01, instead of not at all")] = False,
+        refuses: Annotated[bool, "the others are answered with exception 01, instead of not at all"] = False,
     ) -> Fault:
         def asked(exchange: Exchange) -> bytes | None:
             if exchange.function not in functions:

@@ -2,14 +2,16 @@
 
 from collections import deque
 from dataclasses import replace
+from math import inf
 from typing import Annotated
 from weakref import WeakKeyDictionary
 
+from ...options.declaration import Range
 from ..fault import SILENCE, Contact, Emission, Exchange, Fault
-from ..profile import FaultProfile, Says, in_seconds
+from ..profile import SECONDS, FaultProfile
 
 
-def _late(delay: Annotated[float, in_seconds("from request to reply")] = 1.5) -> Fault:
+def _late(delay: Annotated[float, SECONDS, "seconds from request to reply"] = 1.5) -> Fault:
     def answered(exchange: Exchange, emissions: list[Emission]) -> list[Emission]:
         return [replace(one, delay=one.delay + delay) for one in emissions]
 
@@ -17,9 +19,11 @@ def _late(delay: Annotated[float, in_seconds("from request to reply")] = 1.5) ->
 
 
 def _queue_lag(
-    behind: Annotated[int, Says("requests that replies lag", 0, 1000)] = 1,
-    stamped: Annotated[bool, Says("replies carry the identifier of the request they meet")] = False,
-    connections: Annotated[int | None, Says("how many connections lag, from the first on; nothing for all", 0)] = None,
+    behind: Annotated[int, Range(0, 1000), "requests that replies lag"] = 1,
+    stamped: Annotated[bool, "replies carry the identifier of the request they meet"] = False,
+    connections: Annotated[
+        int | None, Range(0, inf), "how many connections lag, from the first on; nothing for all"
+    ] = None,
 ) -> Fault:
     held: WeakKeyDictionary[Contact, deque[Emission]] = WeakKeyDictionary()
     met: list[None] = []
@@ -39,7 +43,7 @@ def _queue_lag(
 
 
 def _mute_after_connect(
-    seconds: Annotated[float, in_seconds("after the connection was made in which nothing is heard")] = 2.0,
+    seconds: Annotated[float, SECONDS, "seconds after the connection was made in which nothing is heard"] = 2.0,
 ) -> Fault:
     def asked(exchange: Exchange) -> bytes | None:
         return SILENCE if exchange.now - exchange.contact.opened < seconds else None
@@ -51,7 +55,7 @@ def _wedged() -> Fault:
     return Fault(asked=lambda exchange: SILENCE)
 
 
-def _min_gap(seconds: Annotated[float, in_seconds("after a reply in which nothing is heard")] = 0.1) -> Fault:
+def _min_gap(seconds: Annotated[float, SECONDS, "seconds after a reply in which nothing is heard"] = 0.1) -> Fault:
     def asked(exchange: Exchange) -> bytes | None:
         sent = exchange.contact.last_sent
         return SILENCE if sent is not None and exchange.now - sent < seconds else None
