@@ -114,7 +114,6 @@ def test_parameters_keep_their_type_where_nothing_stands_around_them() -> None:
         (including(), "nothing = 1\n" + METER, "meter.toml:1: nothing: unknown key"),
         (including(), "listen = []\n" + METER, "meter.toml:1: listen: unknown key"),
         (including(), "[[", "meter.toml:1:"),
-        (including('"1-3, 3"'), METER, "plant.toml:3: include[0].units: unit 3 is there twice"),
         (
             "[[unit]]\nunit = 3\ncoils = 1\n" + including('"1-3"'),
             METER,

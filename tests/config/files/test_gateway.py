@@ -95,11 +95,11 @@ def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> No
         ),
         (
             LISTENER + LINE.replace("link", "line"),
-            ["x.toml:3: line: this key has another name now; write [[link]]"],
+            ["x.toml:3: line: unknown key; is it link?"],
         ),
         (
             LISTENER + LINE + ROUTE + 'line = "hall"\n',
-            ["x.toml:7: route[0].line: this key has another name now; write link"],
+            ["x.toml:7: route[0].line: unknown key; is it link?"],
         ),
         (LISTENER + LINE + "deadline = 3\n", ["x.toml:6: link[0].deadline: has no effect on a link of a gateway"]),
         (

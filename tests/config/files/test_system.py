@@ -137,7 +137,7 @@ def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_un
         ),
         (
             '[[client.link]]\nname = "a"\nurl = "tcp://h"\n',
-            "x.toml:1: client.link: this key has another name now; write [[link]]",
+            "x.toml:1: client.link: unknown key; the keys allowed here are preset, timeout",
         ),
         ('[[link]]\nname = ""\nurl = "tcp://h"\n', "x.toml:2: link[0].name: "),
         ('[[link]]\nname = "a"\nurl = "tls://h"\n', "x.toml:1: link[0]: the authority that the server's"),

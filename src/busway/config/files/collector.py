@@ -2,29 +2,7 @@
 
 Knows what can be written and which names have to be there; profiles are read by `busway.apps.collector.configuration`.
 
-::
-
-    [collector]
-    store = "data"
-
-    [poll_class]
-    fast.period = 1.0
-    slow.period = 60.0
-
-    [[link]]
-    name = "hall"
-    url = "rtu:///dev/ttyUSB0?baud=19200"
-
-    [[device]]
-    name = "meter-7"
-    link = "hall"
-    unit = 7
-    profile = "meter"
-    poll_class = "fast"
-
-    [[sink]]
-    name = "broker"
-    url = "mqtts://broker.example:8883"
+An example stands in `docs/reference/collector-file.md`.
 
 Rules:
 
@@ -38,7 +16,7 @@ Rules:
 
 import math
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import BeforeValidator, Field
 
@@ -148,8 +126,6 @@ def _none_here(value: object) -> object:
 
 class CollectorFile(SystemFile):
     """The checked contents of a collector file."""
-
-    retired: ClassVar[dict[str, str]] = {}
 
     collector: Annotated[CollectorSection, "where samples are stored, and options of the collector."] = (
         CollectorSection()

@@ -2,20 +2,7 @@
 
 Knows what can be written and what fits together; knows no device (`busway.config.devices` makes them).
 
-::
-
-    listen = ["tcp://127.0.0.1:5020"]
-
-    [[unit]]
-    unit = 1
-    holding_registers = 1000
-
-    [[unit.point]]
-    name = "tank.level"
-    address = "4x1"
-    type = "float32"
-    value = 2.5
-    unit_of_measure = "m"
+An example stands in `docs/reference/device-file.md`.
 
 Rules:
 
@@ -137,7 +124,6 @@ class ServerSection(OptionSection):
     names.
     """
 
-    retired: ClassVar[dict[str, str]] = {"shared_places": "shared_slots"}
     checked_later: ClassVar[tuple[type[Any], ...]] = (ListenerParameters,)  # with the listeners
 
     preset: Annotated[

@@ -3,23 +3,12 @@
 Knows the keys, and which requests a section chooses; what goes wrong is in the fault profiles, which
 `busway.apps.simulator.fault_sections` looks up with their parameters.
 
-::
-
-    [[fault]]
-    name = "slow meters"
-    fault_profile = "late"
-    units = "1-3"
-    functions = ["read_holding_registers", 4]
-    addresses = "4x101-4x110"
-    probability = 0.1
-    schedule = { from = 60, for = 10, every = 300 }
-    on = true
-    parameters = { delay = 2.0 }
+An example stands in `docs/simulator.md`.
 """
 
 import math
 import re
-from typing import Annotated, Any, ClassVar, Final
+from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -71,8 +60,6 @@ class ScheduleSection(Section):
 
 class FaultSection(Section):
     """``[[fault]]``: one fault; keys that are left out match every request."""
-
-    retired: ClassVar[dict[str, str]] = {"personality": "fault_profile"}
 
     name: Annotated[str, "what it is switched by; left out: the fault profile."] = ""
     fault_profile: Annotated[str, Name("the name of a fault profile"), "what goes wrong."]

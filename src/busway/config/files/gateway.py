@@ -4,21 +4,7 @@ Knows the keys; `busway.apps.gateway.configuration` checks what goes together.
 The sections of configuration files that concern servers ([server], [security], [policy], [audit], [metrics], [control])
 are the same here.
 
-::
-
-    [[listener]]
-    name = "scada"
-    url = "tcp://:502"
-    client_deadline = 3.0
-
-    [[link]]
-    name = "hall"
-    url = "rtu:///dev/ttyUSB0?baud=19200"
-    timeout = 0.5
-
-    [[route]]
-    units = "1-10"
-    link = "hall"
+An example stands in `docs/gateway.md`.
 
 Rules:
 
@@ -82,8 +68,6 @@ class UpstreamSection(LinkSection):
 @with_options_of(RouteParameters)
 class RouteSection(OptionSection):
     """``[[route]]``: which requests the route applies to, and where they are forwarded."""
-
-    retired: ClassVar[dict[str, str]] = {"line": "link"}
 
     @property
     def parameters(self) -> RouteParameters:
@@ -163,8 +147,6 @@ def _no_units(value: object) -> object:
 
 class GatewayFile(SystemFile):
     """The checked contents of a gateway file."""
-
-    retired: ClassVar[dict[str, str]] = {"line": "[[link]]"}
 
     listener: Annotated[Sequence[GatewayListenerSection], "where clients reach the gateway."] = NO_LIST
     link: Annotated[Sequence[UpstreamSection], "serial lines and servers that requests are forwarded to."] = NO_LIST

@@ -3,25 +3,7 @@
 Knows what can be written and what fits together within a point or a group; what a point then does is known by
 `busway.points`, and what fits together in a unit by `device`.
 
-::
-
-    [[unit.point]]
-    name = "temperature"
-    address = "3x1"
-    type = "int16"
-    scale = 0.1
-    invalid = [0x8000]
-    valid = [-40.0, 125.0]
-    unit_of_measure = "°C"
-
-    [[unit.group]]
-    name = "string"
-    count = 12
-    stride = 4
-    point = [
-        { name = "voltage", address = "3x101", scale = 0.1 },
-        { name = "current", address = "3x102", scale = 0.01 },
-    ]
+An example stands in `docs/reference/device-file.md`.
 
 Rules:
 

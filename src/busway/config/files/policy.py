@@ -2,20 +2,7 @@
 
 Knows the keys; `busway.access` knows what they mean and what goes together.
 
-::
-
-    [policy]
-    default = "read-only"
-    allow = ["10.0.0.0/8"]
-
-    [[policy.rule]]
-    name = "setpoints"
-    roles = ["operator"]
-    functions = ["write"]
-    addresses = "4x101-4x110"
-    values = { min = 0, max = 1000 }
-
-or in one word: ``policy = "read-only"``.
+An example stands in `docs/security.md`; ``policy = "read-only"`` is a policy in one word.
 """
 
 from typing import Annotated, Any, Final, Literal

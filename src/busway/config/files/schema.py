@@ -59,9 +59,6 @@ class Section(BaseModel):
         extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True, json_schema_extra=_describe
     )
 
-    retired: ClassVar[Mapping[str, str]] = {}
-    """Keys that this table had once, and what is written instead."""
-
     def __init_subclass__(cls, **kwargs: Any) -> None:  # Any: as pydantic has it
         super().__init_subclass__(**kwargs)
         own = get_annotations(cls)
@@ -321,8 +318,6 @@ def _sentence(error: Any, schema: type[Section], path: Path) -> str:
 def _unknown_key(key: str, section: type[Section] | None) -> str:
     if section is None:
         return "unknown key"
-    if key in section.retired:
-        return f"this key has another name now; write {section.retired[key]}"
     known = list(keys_of(section))
     near = get_close_matches(key, known, 1)
     if near:

@@ -3,24 +3,7 @@
 Knows what can be written and what fits together; knows no device that behaves (`apps.simulator`). Every device file
 and every configuration file is a simulation file too.
 
-::
-
-    [simulation]
-    keep = "state.json"
-
-    [[unit]]
-    unit = 1
-
-    [[unit.point]]
-    name = "voltage"
-    address = "3x1"
-    type = "float32"
-    behaviour = { kind = "sine", mean = 230.0, amplitude = 4.0, period = 60 }
-
-    [[include]]
-    file = "meter.toml"
-    units = "10-19"
-    with = { base = 230.0 }
+An example stands in `docs/simulator.md`.
 
 Rules:
 
@@ -39,8 +22,9 @@ from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from ...access.notation import parse_units
 from ...codes import Table
-from ...errors import ConfigError, InvalidRequest
+from ...errors import InvalidRequest
 from ...options.declaration import Name, Range
 from ...points.expression import parse_expression
 from ...values.refusal import shown
@@ -53,7 +37,6 @@ from .schema import NO_LIST, NO_TABLE, Section, json_schema
 from .system import DEFAULT_LISTEN, SystemFile
 
 REFUSE: Final = "refuse"
-_MOST_UNITS: Final = 256
 
 
 def _as_hole(value: object) -> object:
@@ -152,24 +135,6 @@ class SimulatedUnitSection(UnitSection):
     ] = HolesSection()
 
 
-def unit_numbers(text: str) -> list[int]:
-    """Parse unit numbers such as ``1-100`` or ``1, 5, 10-12``. Raises `ConfigError`."""
-    found: list[int] = []
-    for part in text.split(","):
-        first, dash, last = (each.strip() for each in part.partition("-"))
-        ends = [first, last] if dash else [first, first]
-        if not all(each.isascii() and each.isdecimal() and len(each) <= 3 for each in ends):
-            raise ConfigError(f'must be units such as "1-100" or "1, 5, 10-12", not {shown(text)}')
-        low, high = int(ends[0]), int(ends[1])
-        if not low <= high < _MOST_UNITS:
-            raise ConfigError(f"units are 0…{_MOST_UNITS - 1}, the lower first, not {shown(part.strip())}")
-        found += range(low, high + 1)
-    repeated = next((number for number in found if found.count(number) > 1), None)
-    if repeated is not None:
-        raise ConfigError(f"unit {repeated} is there twice")
-    return found
-
-
 Parameter = int | float | bool | str
 """What a parameter may be."""
 
@@ -187,7 +152,7 @@ class IncludeSection(Section):
 
     def numbers(self) -> list[int] | None:
         """Return the unit numbers that the include creates; None for those of the included file."""
-        return None if self.units is None else unit_numbers(self.units)
+        return None if self.units is None else sorted(parse_units(self.units))
 
     @model_validator(mode="after")
     def _check(self) -> "IncludeSection":

@@ -2,14 +2,7 @@
 
 Knows the keys; what they mean is declared in `busway.options.sinks`, and `busway.apps.collector.sinks` makes the sinks.
 
-::
-
-    [[sink]]
-    name = "broker"
-    url = "mqtts://collector@broker.example:8883"
-    password_file = "broker-password"
-    points = ["meter-7", "*/power"]
-    report = { when = "change", deadband = "1 %" }
+An example stands in `docs/how-to/send-samples-on.md`.
 """
 
 from collections.abc import Mapping

@@ -3,30 +3,7 @@
 Knows what can be written and what goes together; knows no component (`busway.config` makes them). Every device file
 is a configuration file too.
 
-::
-
-    [security]
-    certificate = "server.pem"
-    key = "server.key"
-    authority = "ca.pem"
-
-    [[listener]]
-    url = "tcp://:502"
-    allow = ["10.0.0.0/8"]
-
-    [[listener]]
-    url = "tls://:802"
-
-    [policy]
-    default = "read-only"
-
-    [[link]]
-    name = "boiler"
-    url = "tcp://10.0.0.5"
-
-    [[unit]]
-    unit = 1
-    holding_registers = 1000
+An example stands in `docs/reference/configuration.md`.
 
 Rules:
 
@@ -81,8 +58,6 @@ class LinkSection(LinkKeys):
 
 class ClientSection(LinkKeys):
     """``[client]``: options for all links whose URL scheme has them."""
-
-    retired: ClassVar[dict[str, str]] = {"link": "[[link]]"}
 
     supported_connections: Annotated[
         int | None, Range(1, 65_535), "connections that the process may have opened at once; None: no limit."
