@@ -11,6 +11,7 @@ from handlers import HeldReplies, ScriptedHandler, later
 from waiting import until
 
 import busway
+from busway.testing.line import PacedLine
 
 ANY_PORT = "tcp://127.0.0.1:0"
 
@@ -296,3 +297,30 @@ async def test_device_that_also_answers_as_0_and_255_has_one_set_of_counters() -
             await link.unit(unit).read_holding_registers(0, count=1)
         assert await link.unit(255).diagnostics(0x0E) == b"\x00\x04"
         assert await link.unit(7).diagnostics(0x0E) == b"\x00\x05"
+
+
+@pytest.mark.parametrize("endpoint", [ANY_PORT, "udp://127.0.0.1:0", "rtu"])
+async def test_responders_that_are_cancelled_by_the_end_of_the_server_have_ended_with_it(endpoint: str) -> None:
+    answering, ended = asyncio.Event(), asyncio.Event()
+
+    async def answer() -> busway.Message:
+        answering.set()
+        try:
+            await asyncio.get_running_loop().create_future()
+        finally:
+            for _ in range(20):  # ending takes turns of the loop, as closing a connection does
+                await asyncio.sleep(0)
+            ended.set()
+        raise AssertionError
+
+    with contextlib.ExitStack() as stack:
+        near = endpoint
+        if endpoint == "rtu":
+            line = stack.enter_context(PacedLine(ports=2, baud=115_200))
+            near, endpoint = (f"rtu://{path}?baud=115200" for path in line.paths)
+        async with busway.serve(endpoint, responder=ScriptedHandler(lambda context, request: answer())) as server:
+            asking = asyncio.create_task(_read(near if near.startswith("rtu") else server.endpoints[0]))
+            await asyncio.wait_for(answering.wait(), 10)
+        assert ended.is_set()
+        asking.cancel()
+        await asyncio.wait([asking])

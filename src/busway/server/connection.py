@@ -394,7 +394,8 @@ class ServerConnection(asyncio.BufferedProtocol):
         deferred, session.deferred = session.deferred, []
         if self._tasks is None:
             self._tasks = set()
-        begin_late_answers(deferred, self._management.loop, self._tasks)
+        management = self._management
+        begin_late_answers(deferred, management.loop, self._tasks, management.listener_context.late_answers)
 
     def _report(self, session: Session) -> None:
         failures, session.failures = session.failures, []

@@ -139,7 +139,9 @@ class SerialListener:
             await asyncio.gather(self._opening, return_exceptions=True)
             self._opening = None
         connection, self._connection = self._connection, None
+        late = [*self._tasks]
         self._ended()
+        await asyncio.gather(*late, return_exceptions=True)
         if connection is not None:
             connection.close()
             await connection.wait_closed()

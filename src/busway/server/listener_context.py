@@ -97,6 +97,7 @@ class ListenerContext:
         diagnosis: for the status indicators.
         rates: of requests; None without a limit.
         damaged: what could not be followed.
+        late_answers: tasks that await responders, also of ended connections, whose tasks are cancelled.
     """
 
     def __init__(
@@ -128,6 +129,7 @@ class ListenerContext:
         self.diagnosis: Diagnosis = Diagnosis()
         self.rates: Rates | None = None if self.parameters.request_rate is None else Rates(self.parameters.request_rate)
         self.damaged: int = 0
+        self.late_answers: set[asyncio.Task[None]] = set()
         self._units = units
         self._session_parameters = session_parameters
         self._server_slots = slots

@@ -30,13 +30,14 @@ def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
 
 
 def begin_late_answers(
-    deferred: Iterable[Deferred], loop: asyncio.AbstractEventLoop, tasks: set[asyncio.Task[None]]
+    deferred: Iterable[Deferred], loop: asyncio.AbstractEventLoop, *holders: set[asyncio.Task[None]]
 ) -> None:
-    """Start a task for each reply that a responder will give later; ``tasks`` holds those not ended."""
+    """Create a task for each deferred reply; each of ``holders`` contains those that have not ended."""
     for one in deferred:
         task = loop.create_task(answer_later(one))
-        tasks.add(task)
-        task.add_done_callback(tasks.discard)
+        for holder in holders:
+            holder.add(task)
+            task.add_done_callback(holder.discard)
 
 
 async def answer_later(deferred: Deferred) -> None:

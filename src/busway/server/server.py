@@ -293,6 +293,13 @@ class Server:
         for each in streams:
             each.management.close_all(at_once=True)
         await settle()
+        contexts = [
+            *(each.management.listener_context for each in streams),
+            *(one.listener_context for one in datagrams),
+        ]
+        late = {task for context in contexts for task in context.late_answers}
+        if late:  # they are cancelled; what responders do then gets as much time as replies
+            await asyncio.wait(late, timeout=_STOP_SECONDS)
 
     async def reset(self) -> None:
         """Stop the server, clear its counters, and start it again."""

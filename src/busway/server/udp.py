@@ -276,7 +276,8 @@ class _Peer:
         session = self.session
         if session.deferred:
             deferred, session.deferred = session.deferred, []
-            begin_late_answers(deferred, self._listener_context.loop, self._tasks)
+            context = self._listener_context
+            begin_late_answers(deferred, context.loop, self._tasks, context.late_answers)
         if session.failures:
             failures, session.failures = session.failures, []
             self._listener_context.failed(self.peer, failures)
