@@ -10,6 +10,8 @@ import time
 import pytest
 from page_collector import watched_collector
 
+from busway.apps.collector.samples import PointGroup, SampleBatch
+
 PHONE = {"width": 390, "height": 844}
 VIEWS = ("values", "alarms", "devices", "links", "sinks", "commands", "log", "configuration")
 WRITABLE = """\
@@ -357,12 +359,11 @@ RUNS = """(canvas) => {
 
 def test_time_without_samples_is_a_gap_in_the_history(new_page, plant, keep):
     page = new_page(plant.page.url, color_scheme="light")
-    poll = plant.collector._poller_of("pump")
-    time.sleep(2)
-    plant.loop.call_soon_threadsafe(lambda: poll.pause("pump", paused=True))
-    time.sleep(5)
-    plant.loop.call_soon_threadsafe(lambda: poll.pause("pump", paused=False))
-    time.sleep(3)
+    level, now, committer = PointGroup("pump", ("level",)), time.time(), plant.collector._committer
+    for begin, end in ((300, 200), (100, 50)):  # seconds ago
+        for tenths in range(10 * end, 10 * begin):
+            committer.add(SampleBatch(level, int(1e9 * (now - tenths / 10)), 1_000_000, [7 + tenths % 5]))
+    committer.flush()
     row(page, "pump/level").get_by_role("button", name="pump/level", exact=True).click()
     page.locator("#span").select_option("600")
     expect(page.locator("#chart")).to_have_attribute("data-gaps", re.compile("[1-9]"))

@@ -1,10 +1,12 @@
 """The collector's page in a browser with all that is behind it: writes that reach a device, alarms, maintenance."""
 
 import re
-import time
 
 import pytest
 from page_collector import watched_collector
+
+import busway
+from busway.apps.collector.samples import Reason
 
 PROFILE = """\
 [[unit]]
@@ -93,7 +95,7 @@ def test_an_alarm_is_told_at_once_acknowledged_and_kept_in_the_journal(plant, si
     expect(page.locator("#no-alarms")).to_be_visible()
 
 
-def test_maintenance_stops_polling_until_it_ends(plant, signed):
+def test_maintenance_stops_polling_until_it_ends(plant, signed, tmp_path):
     page = signed("operate")
     expect(row(page, "pump/level")).to_contain_text("7")
     page.click("#tab-devices")
@@ -101,12 +103,14 @@ def test_maintenance_stops_polling_until_it_ends(plant, signed):
     page.get_by_label("Reason").fill("new bearing")
     page.get_by_role("button", name="Begin", exact=True).click()
     expect(page.locator("#device-rows tr")).to_contain_text("maintenance")
-    time.sleep(0.3)  # a read that had begun has ended
     plant.device.holding_registers[1] = 55
     page.get_by_role("button", name="End the maintenance of pump").click()
     expect(page.locator("#device-rows tr")).to_contain_text("polled")
     page.click("#tab-values")
     expect(row(page, "pump/level")).to_contain_text("55")
+    kept = busway.Store(tmp_path / "data").read("pump/level")
+    (interval,) = [each for each in kept.intervals if each.reason == Reason.MAINTENANCE]
+    assert all(sample.time > interval.end for sample in kept if sample.value == 55)
 
 
 def test_a_configuration_that_is_wrong_is_refused_and_a_right_one_applied(plant, signed, complaints):

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import pytest
 from handlers import HeldReplies, ScriptedHandler, address_of, later, registers
 from handles import open_handles
-from waiting import until
+from waiting import set_forward, until
 
 import busway
 from busway.framing.ascii import encode_ascii
@@ -562,23 +562,26 @@ async def test_place_of_a_client_that_began_a_frame_and_fell_silent_is_freed() -
         assert server.counters.frame_timeouts == 4
 
 
-async def test_idle_connection_and_one_that_sends_whole_frames_in_pieces_outlive_the_frame_timeout() -> None:
-    async with busway.serve(ANY_PORT, units=busway.Device(holding_registers=10), frame_timeout=0.1) as server:
+async def test_idle_connection_and_one_that_sends_whole_frames_in_pieces_outlive_the_frame_timeout(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limits = {"frame_timeout": 12.0, "header_timeout": 12.0}
+    async with busway.serve(ANY_PORT, units=busway.Device(holding_registers=10), **limits) as server:
         idle_reader, idle_writer = await asyncio.open_connection("127.0.0.1", _port(server))
         idle_writer.write(_question(0, 1))
         await idle_reader.readexactly(11)
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
-        begin = asyncio.get_running_loop().time()
-        transaction = 0
         # Every segment ends inside a frame, so there is never a moment without an unfinished one.
-        writer.write(_question(0, transaction)[:5])
-        while asyncio.get_running_loop().time() < begin + 0.35:
+        writer.write(_question(0, 0)[:5])
+        for transaction in range(5):
+            set_forward(monkeypatch, 5.0)
             writer.write(_question(0, transaction)[5:] + _question(0, transaction + 1)[:5])
             assert await reader.readexactly(11) == _answer(0, transaction)
-            transaction += 1
         idle_writer.write(_question(0, 2))
         assert await idle_reader.readexactly(11) == _answer(0, 2)
         assert server.counters.frame_timeouts == 0
+        set_forward(monkeypatch, 12.0)
+        await until(lambda: server.counters.frame_timeouts == 1)  # so the clock was set forward for the server too
         await _close(idle_writer)
         await _close(writer)
 

@@ -23,6 +23,8 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Self
 
+from waiting import wait_until
+
 SCALES = 1000
 """Here four registers are: device % 1000, an exponent of ten, how many places a group has, and 0."""
 PLACES = 4
@@ -141,6 +143,14 @@ class Field:
         self._loop.call_soon_threadsafe(stop)
         self._thread.join(5)
         self._loop.close()
+
+    def wait_for_answers(self, count: int, seconds: float = 60.0) -> None:
+        """Wait until the devices have been asked so many times more. Raises `TimeoutError`."""
+        wanted = self._answered() + count
+        wait_until(lambda: self._answered() >= wanted, seconds)
+
+    def _answered(self) -> int:
+        return sum(len(each) for each in list(self.answers.values()))
 
     def endpoint(self, kind: str, units: Sequence[int], lies: Lies | None = None) -> tuple[str, dict[int, LyingDevice]]:
         """Open an endpoint: ``tcp``, ``rtu+tcp`` or ``rtu``; its URL and its devices by unit."""

@@ -2,8 +2,8 @@
 
     python sink_worker.py FOLDER FIRST COUNT
 
-Commits reads FIRST to FIRST + COUNT of the meter in a thread, while a sink writes ``FOLDER/sent.jsonl``; prints "done"
-when all are committed and sent.
+Commits reads FIRST to FIRST + COUNT of the meter in a thread, at most `AHEAD` samples before a sink, which writes
+``FOLDER/sent.jsonl``; prints "done" when all are committed and sent.
 """
 
 import os
@@ -21,6 +21,8 @@ from busway.apps.collector.sinks.running import SinkThread
 from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
+AHEAD = 3000
+
 
 def main() -> None:
     folder, first, count = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
@@ -33,7 +35,7 @@ def main() -> None:
     for number in range(first, first + count):
         now = at(number)
         committer.add(meter_read(number, number))
-        if number % 20 == 0:
+        while 3 * (number - first) > sinks.statuses()[0].sent + AHEAD:
             time.sleep(0.001)
         if number % 500 == 0:
             writer.seal_closed()

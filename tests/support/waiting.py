@@ -4,6 +4,8 @@ import asyncio
 import time
 from collections.abc import Callable
 
+import pytest
+
 LONGEST_WAIT = 10.0
 """Seconds after which something that should happen at once has failed."""
 
@@ -19,6 +21,15 @@ async def until(condition: Callable[[], object], seconds: float = LONGEST_WAIT) 
         while not condition():
             turns += 1
             await asyncio.sleep(0 if turns < TURNS_AT_ONCE else 0.002)
+
+
+def set_forward(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
+    """From now on the monotonic clock of this process is some seconds ahead: what is due by then is due now.
+
+    The limit of a coroutine test, 60 seconds, is due by then too.
+    """
+    before = time.monotonic
+    monkeypatch.setattr(time, "monotonic", lambda: before() + seconds)
 
 
 def wait_until(condition: Callable[[], object], seconds: float = LONGEST_WAIT) -> None:

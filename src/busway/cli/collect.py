@@ -110,7 +110,6 @@ async def _collect(configuration: "CollectorConfiguration", every: float, *, as_
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
             collector = await stack.enter_async_context(Collector(configuration))
-            await open_page(stack, collector)
             tasks: set[asyncio.Task[None]] = set()
 
             def read_again() -> None:
@@ -118,7 +117,8 @@ async def _collect(configuration: "CollectorConfiguration", every: float, *, as_
                 tasks.add(task)
                 task.add_done_callback(tasks.discard)
 
-            with on_hangup(read_again):
+            with on_hangup(read_again):  # before anything shows that it runs: a hangup would end it
+                await open_page(stack, collector)
                 _say_what_runs(collector)
                 while not stop.is_set():
                     try:

@@ -43,6 +43,7 @@ SEED = int(os.environ.get("BUSWAY_WALK_SEED", "20261122"))
 PLACES = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin"])
 SUPPORT = Path(__file__).parents[2] / "support"
 LIMIT = 60.0
+AGAIN = "read again"
 
 
 class Collecting:
@@ -117,10 +118,9 @@ class Walk:
 
     # What happens.
 
-    def run(self, seconds: float) -> None:
+    def run(self, turns: int) -> None:
         self.collecting.start()
         until(self._is_up, self.log)
-        end = time.monotonic() + seconds
         deeds: list[Callable[[], None]] = [
             *(self.kill,) * 3,
             self.terminate,
@@ -134,10 +134,13 @@ class Walk:
         ]
         if self.nats is not None:
             deeds.append(self.take_server_away)
-        while time.monotonic() < end:
-            time.sleep(self.chance.choice((0.05, 0.3, 1.0)) * self.chance.uniform(0.5, 1.5))
+        for turn in range(turns):
+            if self._is_up():
+                self._world.wait_for_answers(self.chance.choice((5, 50, 150)))
+            else:
+                time.sleep(self.chance.uniform(0, 0.5))  # any moment of its start; nothing tells of each
             deed = self.chance.choice(deeds)
-            print(f"{time.monotonic() - end:8.2f} {deed.__name__}")
+            print(f"{turn} {deed.__name__}")
             deed()
             assert self.collecting.process.poll() is None, self.log()
 
@@ -164,14 +167,15 @@ class Walk:
         now = time.time_ns()
         self._write(self.chance.choice((0.03, 0.05, 0.1)))
         if self._is_up():  # before that a signal ends the process
+            told = self.log().count(AGAIN)
             self.collecting.process.send_signal(signal.SIGHUP)
-            time.sleep(0.3)
-            self.excused.append((now, now + 2 * SECOND))
+            until(lambda: self.log().count(AGAIN) > told, self.log)
+            self.excused.append((now, time.time_ns() + SECOND))
 
     def pause(self) -> None:
-        """The process stands still, as on a machine that sleeps."""
+        """The process stands still, as on a machine that sleeps: for some time nothing happens at all."""
         self.collecting.process.send_signal(signal.SIGSTOP)
-        time.sleep(self.chance.uniform(0.1, 1))
+        time.sleep(self.chance.uniform(0.1, 0.6))
         self.collecting.process.send_signal(signal.SIGCONT)
 
     def look(self) -> None:
@@ -204,7 +208,7 @@ class Walk:
         away = self.out.with_name("away")
         self.out.rename(away)
         self.out.write_text("in the way")
-        time.sleep(self.chance.uniform(0.1, 1))
+        self._until_it_is_missed("lines")
         if self.chance.random() < 0.5:
             self.kill()
         self.out.unlink()
@@ -213,10 +217,15 @@ class Walk:
     def take_server_away(self) -> None:
         assert self.nats is not None
         self.nats.stop()
-        time.sleep(self.chance.uniform(0.1, 1))
+        self._until_it_is_missed("bus")
         if self.chance.random() < 0.5:
             self.kill()
         self.nats.start()
+
+    def _until_it_is_missed(self, name: str) -> None:
+        """Wait until the page says that a sink cannot deliver; not while the collector starts."""
+        if self._is_up():
+            until(lambda: any(each["error"] for each in self._sinks() if each["name"] == name), self.log)
 
     # What is there.
 
@@ -240,15 +249,19 @@ class Walk:
             device.is_dead = True
         until(self._is_up, self.log)
         self.excused.append((time.time_ns() - SECOND, time.time_ns() + 600 * SECOND))
-        time.sleep(1)
+        # What was read before is committed: the page shows of each point that its device is silent.
+        until(lambda: "good" not in self._ask("values")["quality"], self.log)
         until(lambda: not self._not_handed_on(), lambda: f"never handed on: {self._not_handed_on()[:5]}\n{self.log()}")
         assert self.collecting.end(signal.SIGTERM) == 0, self.log()
 
     def _not_handed_on(self) -> list[object]:
         """Samples that are not in the file, and sinks that are behind."""
         kept, _ = good_samples(busway.Store(self.folder / "data").read())
-        behind = [sink for sink in self._ask("sinks")["sinks"] if sink["behind"] or sink["error"]]
+        behind = [sink for sink in self._sinks() if sink["behind"] or sink["error"]]
         return [*(kept.keys() - self.lines().values.keys()), *behind]
+
+    def _sinks(self) -> list[dict[str, Any]]:
+        return list(self._ask("sinks")["sinks"])
 
     def _is_up(self) -> bool:
         try:
@@ -375,13 +388,13 @@ def stream_problems(found: list[dict[str, Any]], lines: Delivered) -> list[str]:
     return wrong + [f"{key} never reached the stream" for key in wanted - samples]
 
 
-def check_a_walk(folder: Path, seed: int, seconds: float, collector: str = "") -> None:
+def check_a_walk(folder: Path, seed: int, turns: int, collector: str = "") -> None:
     """Walk, and fail with what was lost, doubled or changed."""
-    print(f"seed {seed}, {seconds:g} seconds")
+    print(f"seed {seed}, {turns} turns")
     with Field(seed) as world, nats_where_there(folder) as nats:
         walk = Walk(folder, world, seed, segment=60_000, nats=nats, collector=collector)
         try:
-            walk.run(seconds)
+            walk.run(turns)
             walk.settle()
             wrong = walk.problems()
             if nats is not None:
@@ -401,18 +414,18 @@ def nats_where_there(folder: Path) -> contextlib.AbstractContextManager[ForeignS
 
 @pytest.mark.real_time
 def test_what_was_shown_or_handed_on_is_kept_once_and_sinks_have_it_all(tmp_path: Path) -> None:
-    check_a_walk(tmp_path, SEED, 6.0)
+    check_a_walk(tmp_path, SEED, 10)
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("seed", range(SEED, SEED + 5))
 def test_the_same_over_long_walks(tmp_path: Path, seed: int) -> None:
-    check_a_walk(tmp_path, seed, 120.0)
+    check_a_walk(tmp_path, seed, 150)
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(600)
 def test_retention_takes_the_oldest_and_nothing_that_sinks_lack(tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
-    check_a_walk(tmp_path, SEED, 60.0, "keep_days = 2\n")
+    check_a_walk(tmp_path, SEED, 75, "keep_days = 2\n")

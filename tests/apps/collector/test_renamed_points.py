@@ -75,16 +75,13 @@ async def test_history_goes_on_under_the_new_name_and_both_names_find_it(tmp_pat
 async def test_a_sample_that_was_on_its_way_when_its_point_was_renamed_belongs_to_the_new_name(tmp_path: Path) -> None:
     with Field() as world:
         url, devices = world.endpoint("tcp", [1], Lies(delay=0.02))
-        for number in range(6):
-            names = {**NAMED, "at0": f"new{number}"}
-            was = {"at0": f"new{number - 1}"} if number else {}
-            file = plant(tmp_path, url, names, was)
-            if number == 0:
-                collector = await busway.collect(file).__aenter__()
-            else:
-                await collector.reload(load_collector(file))
-            await asyncio.sleep(0.1 + 0.007 * number)
-        await collector.__aexit__(None, None, None)
+        async with busway.collect(plant(tmp_path, url, {**NAMED, "at0": "new0"}, {})) as collector:
+            for number in range(1, 6):
+                turns = devices[1].turns + 2
+                await until(lambda turns=turns: devices[1].turns > turns, 20)  # what was asked last is not answered yet
+                names, was = {**NAMED, "at0": f"new{number}"}, {"at0": f"new{number - 1}"}
+                await collector.reload(load_collector(plant(tmp_path, url, names, was)))
+            await some_rounds(collector)
     assert {point.point for point in busway.Store(tmp_path / "data").points()} == {"new5", "b", "c"}
     assert starts(tmp_path, "new5") == [0]
     assert len(devices) == 1

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 from commanded_plant import RecordedDevice, commanded_plant
-from waiting import until
+from waiting import set_forward, until
 
 import busway
 from busway.apps.collector.commands.command import CommandResult, CommandState
@@ -181,11 +181,15 @@ async def test_a_command_whose_time_is_over_is_not_sent(tmp_path: Path) -> None:
         assert "further away" in far.reason
 
 
-async def test_a_command_that_waits_for_its_turn_longer_than_its_time_is_not_sent(tmp_path: Path) -> None:
+async def test_a_command_that_waits_for_its_turn_longer_than_its_time_is_not_sent(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     async with plant(tmp_path) as running:
         release = await running.hold()
-        waiting = asyncio.create_task(running.write("setpoint", 5, expires=time.time() + 0.1))
-        await asyncio.sleep(0.2)
+        poller = running.collector._poller_of("boiler")
+        waiting = asyncio.create_task(running.write("setpoint", 5, expires=time.time() + 15))
+        await until(lambda: len(poller.schedule._writes) == 1)
+        set_forward(monkeypatch, 20.0)
         release.set()
         result = await waiting
         assert (result.state, running.boiler.writes) == (EXPIRED, [])

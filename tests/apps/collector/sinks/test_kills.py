@@ -4,16 +4,22 @@ import json
 import random
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 import sink_worker
+from waiting import wait_until
 
 from busway.apps.collector.store.reading import Store
 
 pytest.importorskip("pyarrow")
 EACH = 100_000
+MOST_BYTES = 300_000
+"""Of samples that are sent between two kills: some segments are sealed meanwhile."""
+
+
+def size_of(path: Path) -> int:
+    return path.stat().st_size if path.exists() else 0
 
 
 def sent(folder: Path) -> list[tuple[str, int]]:
@@ -35,13 +41,14 @@ def stored(folder: Path) -> set[tuple[str, int]]:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_what_was_sent_is_in_the_store_and_all_of_the_store_is_sent_in_the_end(tmp_path: Path, seed: int) -> None:
-    moments = random.Random(seed)
+    moments, path = random.Random(seed), tmp_path / "sent.jsonl"
     for run in range(3):
         command = [sys.executable, sink_worker.__file__, str(tmp_path), str(run * EACH), str(EACH)]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as worker:
             assert worker.stdout is not None
             assert worker.stdout.readline() == b"ready\n"
-            time.sleep(moments.uniform(0.1, 1.0))
+            wanted = size_of(path) + moments.randrange(MOST_BYTES)
+            wait_until(lambda wanted=wanted: size_of(path) >= wanted, 60)
             worker.kill()
         assert set(sent(tmp_path)) <= stored(tmp_path)
     command = [sys.executable, sink_worker.__file__, str(tmp_path), str(4 * EACH), "100"]
