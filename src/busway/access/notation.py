@@ -72,6 +72,15 @@ def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Functio
     return frozenset(found)
 
 
+def parse_whole_functions(value: str | int | Iterable[str | int], what: str) -> frozenset[int]:
+    """Parse function codes or names without sub-functions, which ``what`` cannot have. Raises `ConfigError`."""
+    found = parse_functions(value)
+    for code, sub_code in found:
+        if sub_code is not None:
+            raise ConfigError(f"{what} is for whole functions, not for sub-function {code}/{sub_code}")
+    return frozenset(code for code, _ in found)
+
+
 def parse_table(value: str | Table) -> Table:
     """Parse the name of a table: ``holding``, ``holding_registers``, ``coil``. Raises `ConfigError`."""
     if isinstance(value, Table):

@@ -61,7 +61,7 @@ def test_section_says_which_requests_are_meant_and_when() -> None:
     [
         ("fault_profil = 1", "fault[0].fault_profil: unknown key; is it fault_profile?"),
         ('units = "1-300"', "fault[0].units: a unit is 0…255, not 300"),
-        ('functions = ["8/1"]', "fault[0].functions: a fault is for a whole function, not for sub-function 8/1"),
+        ('functions = ["8/1"]', "fault[0].functions: a fault is for whole functions, not for sub-function 8/1"),
         ("functions = [128]", "fault[0].functions: a function code is 1…127, not 128"),
         ('addresses = "4x5-3x7"', "fault[0].addresses: '4x5-3x7' does not end in the table where it begins"),
         ('addresses = "somewhere"', "fault[0].addresses: "),

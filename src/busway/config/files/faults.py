@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final
 from pydantic import BeforeValidator, Field, model_validator
 
 from ...access.notation import Range as ItemRange
-from ...access.notation import merged, parse_functions, parse_items, parse_units
+from ...access.notation import merged, parse_items, parse_units, parse_whole_functions
 from ...codes import Table
 from ...errors import ConfigError
 from ...options.declaration import Name, Range
@@ -93,13 +93,7 @@ class FaultSection(Section):
 
     def chosen_functions(self) -> frozenset[int] | None:
         """Return the function codes, 1…127, that the fault applies to; None for all."""
-        if self.functions is None:
-            return None
-        found = parse_functions(self.functions)
-        for code, sub_code in found:
-            if sub_code is not None:
-                raise ConfigError(f"a fault is for a whole function, not for sub-function {code}/{sub_code}")
-        return frozenset(code for code, _ in found)
+        return None if self.functions is None else parse_whole_functions(self.functions, "a fault")
 
     def chosen_addresses(self) -> dict[Table, tuple[ItemRange, ...]] | None:
         """Return the item ranges that the fault applies to, by table; None for all."""

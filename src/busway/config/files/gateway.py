@@ -18,7 +18,7 @@ from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import BeforeValidator, model_validator
 
-from ...access.notation import parse_functions, parse_items, parse_table, parse_units
+from ...access.notation import parse_items, parse_table, parse_units, parse_whole_functions
 from ...codes import Table
 from ...errors import ConfigError
 from ...options.gateway import GatewayListenerParameters, GatewayParameters, RouteParameters, UpstreamParameters
@@ -104,12 +104,7 @@ class RouteSection(OptionSection):
     def asked_functions(self) -> frozenset[int]:
         """Return the function codes that the route applies to; empty for all. Raises `ConfigError`."""
         functions = self.parameters.functions
-        if functions is None:
-            return frozenset()
-        found = parse_functions(functions.written)
-        if any(sub_code is not None for _, sub_code in found):
-            raise ConfigError("a route is for whole functions, not for a sub-function")
-        return frozenset(code for code, _ in found)
+        return frozenset() if functions is None else parse_whole_functions(functions.written, "a route")
 
     def asked_table(self) -> Table | None:
         """Return the table that plain numbers in the route's addresses belong to. Raises `ConfigError`."""

@@ -33,7 +33,7 @@ from .device import OF_GROUP, GroupSection, UnitSection, Whole
 from .faults import FaultSection
 from .lines import Path
 from .points import PointSection, checked, resolved
-from .schema import NO_LIST, NO_TABLE, Section, json_schema
+from .schema import NO_LIST, NO_TABLE, Section, json_schema, keys_of
 from .system import DEFAULT_LISTEN, SystemFile
 
 REFUSE: Final = "refuse"
@@ -229,7 +229,7 @@ def is_only_of_simulations(key: str) -> bool:
     if found is None:
         return False
     here, plain = _SECTIONS[(found["part"] or "").count(".")]
-    return found["key"] in _keys(here) - _keys(plain)
+    return found["key"] in keys_of(here).keys() - keys_of(plain).keys()
 
 
 _SECTIONS: Final[tuple[tuple[type[Section], type[Section]], ...]] = (
@@ -237,7 +237,3 @@ _SECTIONS: Final[tuple[tuple[type[Section], type[Section]], ...]] = (
     (SimulatedUnitSection, UnitSection),
     (SimulatedPointSection, PointSection),
 )
-
-
-def _keys(section: type[Section]) -> set[str]:
-    return {field.alias or name for name, field in section.model_fields.items()}
