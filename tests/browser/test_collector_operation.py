@@ -186,6 +186,29 @@ def test_what_was_armed_no_longer_counts_once_another_value_is_typed_or_the_time
     assert confirmed == []
 
 
+def test_an_answer_that_comes_too_late_is_not_taken_for_that_of_what_was_typed_since(new_page, plant, sign_in):
+    page = new_page(plant.page.url)
+    sign_in(page, "operate")
+    late = """(content) => new Promise((done) => {
+      const fetched = window.fetch;
+      window.fetch = async (...given) => {
+        window.fetch = fetched;
+        await new Promise((go) => { window.go = go; });
+        setTimeout(done, 50);
+        return new Response(JSON.stringify(content));
+      };
+      window.held = done;
+    })"""
+    open_write(page)
+    page.locator("#write-value").fill("2.5")
+    page.evaluate(f"(content) => {{ window.late = ({late})(content); }}", armed())
+    page.keyboard.press("Enter")
+    page.locator("#write-value").fill("3")
+    page.evaluate("() => { window.go(); return window.late; }")
+    expect(page.locator("#write-question")).to_be_hidden()
+    expect(page.locator("#write-arm")).to_be_visible()
+
+
 def test_a_write_of_unknown_outcome_says_so(new_page, plant, sign_in, complaints):
     page = new_page(plant.page.url)
     sign_in(page, "operate")

@@ -3,7 +3,7 @@
 import re
 
 import pytest
-from page_collector import watched_collector
+from page_collector import PUMP, watched_collector
 
 PHONE = {"width": 390, "height": 844}
 
@@ -75,3 +75,16 @@ def test_the_keyboard_opens_and_closes_a_history_and_changes_views(new_page, col
     page.keyboard.press("ArrowRight")
     expect(page.locator("#tab-devices")).to_be_focused()
     expect(page.locator("#devices")).to_be_visible()
+
+
+def test_a_page_that_stays_open_over_a_restart_shows_each_value_under_its_own_name(new_page, tmp_path, complaints):
+    with watched_collector(tmp_path) as running:
+        address = running.page.url.split("/")[2]
+        page = new_page(running.page.url)
+        expect(row(page, "pump/level")).to_contain_text("7")
+    first = '{ name = "first", address = "4x3", description = "before the others" },'
+    with watched_collector(tmp_path, at=address, profile=PUMP.replace("point = [", f"point = [ {first}")):
+        expect(row(page, "pump/first").locator(".c-value")).to_have_text("0")
+        expect(row(page, "pump/speed").locator(".c-value")).to_have_text("1.5 rpm")
+        expect(row(page, "pump/level").locator(".c-value")).to_have_text("7")
+        complaints.clear()  # the connection that was refused meanwhile

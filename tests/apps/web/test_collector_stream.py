@@ -8,10 +8,12 @@ from typing import Any
 
 import pytest
 from page_collector import WatchedCollector, watched_collector
+from waiting import wait_until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from busway.apps.web import collector_stream
+from busway.apps.web.live_values import LiveValues
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +60,20 @@ def test_the_first_message_has_every_point_and_later_ones_what_changes(plant: Wa
         assert first["revision"] == plant.ask("/api/points")[1]["revision"]
         plant.device.holding_registers[1] = 321
         until_values(socket, p1=321)
+
+
+def test_a_defect_while_values_are_told_is_logged_and_the_next_viewer_gets_them(
+    plant: WatchedCollector, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def since(values: LiveValues, seen: int) -> str:
+        raise ZeroDivisionError("of the test")
+
+    with stream_of(plant):
+        with monkeypatch.context() as patched:
+            patched.setattr(LiveValues, "since", since)
+            wait_until(lambda: "values are no longer sent to the page" in caplog.text)
+        with stream_of(plant) as second:
+            assert json.loads(second.recv(timeout=20))["changed"]
 
 
 def test_registers_come_for_points_that_are_shown_and_only_as_they_change(plant: WatchedCollector) -> None:

@@ -42,7 +42,9 @@ class CollectedPoint(Answer):
 class CollectedPoints(Answer):
     """Response: all points that the collector reads."""
 
-    revision: int = Field(description="How often they became others since the start; the stream has the same number.")
+    revision: int = Field(
+        description="Names this list: another number after each change and each start. The stream has it too."
+    )
     points: list[CollectedPoint]
 
 

@@ -12,6 +12,8 @@ Knows viewers and what they look at; knows no store. Values come from `live_valu
 import asyncio
 import contextlib
 import json
+import logging
+import secrets
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping
@@ -41,6 +43,9 @@ _LEASE_EVERY: Final = 4.0
 _TRY_AGAIN_LATER: Final = 1013
 _UNSUPPORTED: Final = 1003
 _MILLION: Final = 1_000_000
+_REVISIONS: Final = 1 << 30
+
+_log = logging.getLogger("busway.apps.web")
 
 
 class Shown(Asked):
@@ -72,7 +77,7 @@ class CollectorStream:
 
     Attributes:
         values: its last values.
-        revision: how often its points have become others.
+        revision: names the list of its points: another number after each change, and after each start of the collector.
         points: device and name of each point, by place.
     """
 
@@ -81,7 +86,7 @@ class CollectorStream:
         self._viewers: list[Viewer] = []
         self._ticker: asyncio.Task[None] | None = None
         self._leased_at = 0.0
-        self.revision: int = 0
+        self.revision: int = secrets.randbelow(_REVISIONS)
         self._configuration = collector.configuration
         self.points: list[tuple[str, str]] = _points_of(collector)
         self.values: LiveValues = LiveValues(self.points, collector.values.intervals())
@@ -150,6 +155,7 @@ class CollectorStream:
         self._viewers.append(viewer)
         if self._ticker is None:
             self._ticker = asyncio.create_task(self._tick(), name="busway page ticks")
+            self._ticker.add_done_callback(self._ticks_ended)
         sender = asyncio.create_task(_send(socket, viewer))
         try:
             await self._receive(socket, viewer)
@@ -164,6 +170,13 @@ class CollectorStream:
             for task in ended:
                 task.cancel()
             await asyncio.gather(*ended, return_exceptions=True)
+
+    def _ticks_ended(self, task: "asyncio.Task[None]") -> None:
+        if not task.cancelled() and task.exception() is not None:
+            _log.error(
+                "values are no longer sent to the page; the next viewer begins that anew", exc_info=task.exception()
+            )
+            self._ticker = None
 
     async def _receive(self, socket: WebSocket, viewer: Viewer) -> None:
         while True:
@@ -181,19 +194,19 @@ class CollectorStream:
 
     async def _tick(self) -> None:
         while True:
-            values = self.refresh()
+            values, revision = self.refresh(), self.revision
             await asyncio.to_thread(values.advance)
             ready = [viewer for viewer in self._viewers if not viewer.is_sending]
             for viewer in ready:
-                if viewer.revision != self.revision:
-                    viewer.seen, viewer.revision, viewer.told = -1, self.revision, {}
+                if viewer.revision != revision:
+                    viewer.seen, viewer.revision, viewer.told = -1, revision, {}
             texts = {seen: await asyncio.to_thread(values.since, seen) for seen in {each.seen for each in ready}}
             now = time.time_ns() // _MILLION
             for viewer in ready:
                 raw = self._raw(viewer) if viewer.shown else {}
                 if viewer.seen < values.tick or raw:
                     raw_text = f',"raw":{json.dumps(raw)}' if raw else ""
-                    viewer.message = f'{{"now":{now},"revision":{self.revision},{texts[viewer.seen]}{raw_text}}}'
+                    viewer.message = f'{{"now":{now},"revision":{revision},{texts[viewer.seen]}{raw_text}}}'
                     viewer.seen = values.tick
                     viewer.is_sending = True
                     viewer.wake.set()

@@ -16,7 +16,7 @@ const PERIOD = 1000;
 const STATES = { waiting: "connecting", live: "live", down: "not connected" };
 
 let view = "values";
-let revision = -1;
+let revision = null; // of the points that are shown; null while others are being loaded
 
 function state(name, text = STATES[name]) {
   byId("live").dataset.state = name;
@@ -45,10 +45,10 @@ const SHOW = {
 };
 
 function take(message) {
-  if (message.now !== undefined) {
+  if (message.now !== undefined && revision !== null) {
     if (message.revision === revision) table.take(message);
-    else if (message.revision > revision) {
-      revision = message.revision; // the file was read again, and the points are others
+    else {
+      revision = null; // the file was read again, or the program has begun anew: the points may be others
       begin();
     }
   }

@@ -58,6 +58,7 @@ export class WriteDialog {
   /** Another value: what was armed no longer counts. */
   forget() {
     this.armed = null;
+    this.asked = (this.asked ?? 0) + 1;
     clearTimeout(this.expiring);
     setText(byId("write-message"), "");
     setText(byId("write-outcome"), "");
@@ -69,10 +70,12 @@ export class WriteDialog {
 
   async arm() {
     this.forget();
+    const mine = this.asked;
     try {
       const value = typedValue(byId("write-value").value, this.point.kind);
       const { device, point } = this.point;
       const armed = await ask("POST", "/api/commands/arm", { device, point, value });
+      if (mine !== this.asked) return; // another value was typed meanwhile, or another point opened
       this.armed = armed;
       setText(byId("write-sentence"), armed.confirm);
       byId("write-arm").hidden = true;
@@ -80,7 +83,7 @@ export class WriteDialog {
       byId("write-confirm").focus();
       this.expiring = setTimeout(() => this.expire(), Math.min(Math.max(armed.expires * 1000 - Date.now(), 0), 600000));
     } catch (error) {
-      setText(byId("write-message"), error.message);
+      if (mine === this.asked) setText(byId("write-message"), error.message);
     }
   }
 
@@ -94,6 +97,7 @@ export class WriteDialog {
     const armed = this.armed;
     if (!armed) return;
     this.armed = null; // once, however often the button is pressed
+    const mine = this.asked;
     clearTimeout(this.expiring);
     byId("write-question").hidden = true;
     byId("write-value").readOnly = true;
@@ -106,10 +110,11 @@ export class WriteDialog {
     } catch (error) {
       text = error.status ? error.message : `${OUTCOMES.unknown}. ${error.message} Look at the list of commands before you try again.`;
     }
+    this.done();
+    if (mine !== this.asked) return; // the dialog is about another write by now; the list of commands has this one
     setText(byId("write-outcome"), text);
     byId("write-done").hidden = false;
     byId("write-close").focus();
-    this.done();
   }
 }
 

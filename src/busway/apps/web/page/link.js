@@ -89,7 +89,9 @@ export class Stream {
       this.state("live");
       if (Object.keys(this.wish).length) socket.send(JSON.stringify(this.wish));
     });
-    socket.addEventListener("message", (event) => this.told(JSON.parse(event.data)));
+    socket.addEventListener("message", (event) => {
+      if (this.socket === socket) this.told(JSON.parse(event.data));
+    });
     socket.addEventListener("close", () => {
       if (this.socket !== socket) return;
       this.state("down");

@@ -70,6 +70,7 @@ export class ValueTable {
       course: null,
     }));
     this.shown = "";
+    byId("value-rows").replaceChildren(); // the rows have names and buttons of the points before
     this.filter();
   }
 
