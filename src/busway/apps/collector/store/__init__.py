@@ -20,4 +20,9 @@
 `check`              tells what is wrong with a store, while it is written
 `backup`             backs up a store, while it is written, and restores it
 `database`           connections to the SQLite files of a store, and transactions on them
-===================  ================================================================================="""
+===================  ========================================================================================
+
+Where it is decided: when a segment ends: `segment` (`Segment.has_ended`). Which samples are kept: `kept_samples`. What
+is deleted: `retention`. When a commit is made, and what is dropped when the disk is full: `commit_thread`. What a crash
+leaves is put right by `writer`.
+"""
