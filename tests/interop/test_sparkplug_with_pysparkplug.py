@@ -5,6 +5,7 @@ import json
 import subprocess
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from foreign import PEER_PYTHON, PEERS, missing
 from foreign_servers import ForeignServer, mosquitto
 from waiting import until
 
+from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.samples import PointDescription, PointGroup, Reason
 from busway.apps.collector.sinks.delivery import DeliveryOptions
 from busway.apps.collector.store.writer import StoreWriter
@@ -95,6 +97,28 @@ async def test_births_data_and_deaths_are_what_a_foreign_host_understands(tmp_pa
         "on": "BOOLEAN",
         "name": "STRING",
     }
+
+
+async def test_events_of_alarms_are_a_metric_of_the_node_and_what_is_too_large_is_set_aside(tmp_path: Path) -> None:
+    from busway.apps.collector.sinks.sparkplug import ALARM_METRIC, SparkplugSink
+
+    lines = ("allow_anonymous true", "max_packet_size 3000")
+    with mosquitto(tmp_path, *lines) as server, StoreWriter(tmp_path / "store", now=NOON) as writer:
+        raised = AlarmEvent("meter-7", "voltage", "H", AlarmEventKind.RAISED, at(1), 250.0, "", True, "above 240 V")
+        writer.commit([read_of(METER, 1, 250.0, 3, True, "a")], [], at(1), [raised, replace(raised, text="?" * 5000)])
+        writer.commit([read_of(PointGroup("other", ("large", "small")), 2, "z" * 5000, 1)], [], at(2))
+        sink = SparkplugSink("127.0.0.1", server.port, group="plant", edge_node="hall", now=lambda: at(2))
+        delivery = delivery_to(sink, writer, QUICK)
+        async with host(server) as (heard, _):
+            await run_until(delivery, lambda: delivery.status().cursor >= 3)
+            await until(lambda: bool(of_kind(heard, "NDEATH")))
+        assert (delivery.status().sent, delivery.status().set_aside) == (5, 2)
+    assert values(of_kind(heard, "NBIRTH")[0])[ALARM_METRIC] is None
+    (metric,) = of_kind(heard, "NDATA")[0]["metrics"]
+    assert (metric["name"], metric["historical"]) == (ALARM_METRIC, True)
+    assert json.loads(metric["value"])["text"] == "above 240 V"
+    assert {metric["name"]: metric["value"] for metric in of_kind(heard, "DDATA")[-1]["metrics"]} == {"small": 1}
+    assert [message["seq"] for message in heard[1:-1]] == list(range(len(heard) - 2)), "none was lost"
 
 
 async def test_a_host_asks_for_the_births_again_and_gets_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

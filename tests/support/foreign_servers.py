@@ -93,11 +93,13 @@ def mosquitto(folder: Path, *lines: str) -> ForeignServer:
     return ForeignServer([program, "-c", str(config)], port)
 
 
-def nats_server(folder: Path, *, jetstream: bool = True) -> ForeignServer:
-    """A NATS server with JetStream, whose streams survive a restart; or one without."""
+def nats_server(folder: Path, *lines: str, jetstream: bool = True) -> ForeignServer:
+    """A NATS server with JetStream, whose streams survive a restart; or one without. ``lines`` configure it."""
     program, port = needed("nats-server"), free_port()
+    config = folder / "nats.conf"
+    config.write_text("\n".join(lines) + "\n")
     streams = ["-js", "-sd", str(folder / "nats")] if jetstream else []
-    return ForeignServer([program, "-a", "127.0.0.1", "-p", str(port), *streams], port)
+    return ForeignServer([program, "-c", str(config), "-a", "127.0.0.1", "-p", str(port), *streams], port)
 
 
 def influxdb(folder: Path) -> ForeignServer:

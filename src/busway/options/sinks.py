@@ -100,14 +100,16 @@ class PostgresqlOptions:
     table: Annotated[
         str, "name of the table, `schema.table` where it is not in the search path: small letters, digits, `_`."
     ] = "samples"
-    timescale: Annotated[bool, "whether the table is made a hypertable; the database must have the extension."] = False
+    alarm_table: Annotated[str, "name of the table of events of alarms, made with the first of them."] = "alarms"
+    timescale: Annotated[bool, "whether the tables are made hypertables; the database must have the extension."] = False
 
 
 @dataclass(frozen=True, slots=True)
 class InfluxOptions:
     """Options of a sink that posts samples in InfluxDB line protocol."""
 
-    measurement: Annotated[str, "the measurement of all lines."] = "samples"
+    measurement: Annotated[str, "the measurement of samples."] = "samples"
+    alarm_measurement: Annotated[str, "the measurement of events of alarms."] = "alarms"
 
 
 @dataclass(frozen=True, slots=True)

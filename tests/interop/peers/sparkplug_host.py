@@ -57,7 +57,7 @@ def main():
     host = sys.argv[2] if len(sys.argv) > 2 else None
     node = {"group_id": "plant", "edge_node_id": "hall"}
     if host is None:
-        kinds = ("NBIRTH", "NDEATH", "DBIRTH", "DDATA", "DDEATH")
+        kinds = ("NBIRTH", "NDATA", "NDEATH", "DBIRTH", "DDATA", "DDEATH")
         wait = subscribed(client, len(kinds))
         for kind in kinds:
             device = {"device_id": "+"} if kind.startswith("D") else {}

@@ -31,8 +31,11 @@ class AlarmRecordingSink(RecordingSink):
         self.order: list[str] = []
         self.alarms: list[CommittedAlarm] = []
         self.fails_with: list[Exception] = []
+        self.refused: AlarmEvent | None = None
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
+        if self.refused in [each.event for each in alarms]:
+            raise SinkRefused("no stream")
         self.order += [f"{each.event.kind} after {len(self.taken)}" for each in alarms]
         self.alarms += alarms
         if self.fails_with:
@@ -74,14 +77,16 @@ async def test_an_event_comes_again_with_the_same_key_where_the_answer_was_lost(
         assert len(set(keys)) == 3
 
 
-async def test_events_that_are_refused_are_set_aside_and_samples_go_on(tmp_path: Path) -> None:
+async def test_an_event_that_is_refused_is_found_and_set_aside_and_all_others_arrive(tmp_path: Path) -> None:
     with journalled(tmp_path) as writer:
         sink = AlarmRecordingSink()
-        sink.fails_with = [SinkRefused("no stream")]
+        sink.refused = ACKNOWLEDGED
         delivery = delivery_to(sink, writer)
-        await run_until(delivery, lambda: delivery.status().set_aside == 3)
-        lines = [json.loads(line) for line in (tmp_path / ASIDE / "sink.jsonl").read_text().splitlines()]
-        assert [(lines[0]["event"], lines[0]["error"]), len(lines)] == [("raised", "no stream"), 3]
+        await run_until(delivery, lambda: len(sink.alarms) == 2)
+        assert [each.event for each in sink.alarms] == [RAISED, CLEARED]
+        (line,) = map(json.loads, (tmp_path / ASIDE / "sink.jsonl").read_text().splitlines())
+        assert (line["event"], line["error"]) == ("acknowledged", "no stream")
+        assert (delivery.status().set_aside, delivery.status().error) == (1, "no stream")
 
 
 async def test_a_sink_gets_events_of_its_points_only_and_one_that_takes_none_gets_samples(tmp_path: Path) -> None:

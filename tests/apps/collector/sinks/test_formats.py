@@ -1,5 +1,6 @@
 """What sinks write: documents, files, lines for InfluxDB, and last values for Prometheus."""
 
+import asyncio
 import csv
 import json
 import math
@@ -7,6 +8,7 @@ import os
 import threading
 import urllib.request
 from collections.abc import Iterator
+from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import pytest
 from collected import METER, PUMP, at, filled, meter_read, read_of
 from deliveries import commit_reads, delivery_to, run_until
 
+from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.samples import Reason, exception_reason
 from busway.apps.collector.sinks.delivery import DeliveryOptions
 from busway.apps.collector.sinks.documents import documents
@@ -21,7 +24,7 @@ from busway.apps.collector.sinks.files import FileSink
 from busway.apps.collector.sinks.influxdb import InfluxSink, line_of
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.sinks.prometheus import LastValues, PrometheusPage
-from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.collector.store.committed_samples import CommittedAlarm, CommittedSample
 from busway.apps.collector.store.writer import Commit
 from busway.errors import ConfigError
 
@@ -118,6 +121,41 @@ async def test_a_parquet_batch_that_comes_again_replaces_its_file(tmp_path: Path
     table = pq.read_table(tmp_path / "files")
     assert table.num_rows == 12
     assert sorted(set(table["text"].to_pylist()) - {None}) == ["on"]
+
+
+async def test_a_parquet_batch_that_comes_again_with_another_end_replaces_its_file(tmp_path: Path) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    with filled(tmp_path / "store", 4) as writer:
+        for most in (6, 100):
+            delivery = delivery_to(FileSink(tmp_path / "files", "parquet"), writer, DeliveryOptions(age=0, most=most))
+            assert await delivery.step() is (most == 6)
+            writer.manifest.set_cursor("sink", 0, 0)
+    assert pq.read_table(tmp_path / "files").num_rows == 12
+
+
+@pytest.mark.parametrize("name", ["samples-{date}.csv", "samples.jsonl", "samples.parquet"])
+def test_events_of_alarms_have_files_of_their_own(tmp_path: Path, name: str) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    raised = AlarmEvent("pump-1", "speed", "H", AlarmEventKind.RAISED, at(1), 90.5, "", True, 'above "80"')
+    off = replace(raised, kind=AlarmEventKind.ACKNOWLEDGED, value=None, by="anna")
+    sink = FileSink(tmp_path / name)
+    for _ in range(2):  # they come again
+        asyncio.run(sink.send_alarms([CommittedAlarm(7, 0, raised), CommittedAlarm(7, 1, off)]))
+    if name.endswith("parquet"):
+        rows = pq.read_table(tmp_path / name / "alarms").to_pylist()
+        assert [(row["event"], row["value"], row["by"]) for row in rows] == [
+            ("raised", 90.5, ""),
+            ("acknowledged", None, "anna"),
+        ]
+        return
+    (path,) = tmp_path.iterdir()
+    assert path.name == ("samples-2027-01-15-alarms.csv" if "csv" in name else "samples-alarms.jsonl")
+    lines = path.read_text().splitlines()
+    rows = list(csv.DictReader(lines)) if "csv" in name else list(map(json.loads, lines))
+    assert [(row["limit"], row["event"], row["text"], row["by"]) for row in rows] == 2 * [
+        ("H", "raised", 'above "80"', ""),
+        ("H", "acknowledged", 'above "80"', "anna"),
+    ]
 
 
 async def test_a_folder_that_cannot_be_written_is_a_sink_that_is_down(tmp_path: Path) -> None:

@@ -7,26 +7,31 @@ import subprocess
 import time
 from collections import defaultdict
 from collections.abc import AsyncIterator, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from collected import NOON, PUMP, at, filled, read_of
+from collected import METER, NOON, PUMP, at, filled, read_of
 from deliveries import commit_reads, delivery_to, run_until
 from foreign_servers import ForeignServer, PostgresqlServer, influxdb, mosquitto, nats_server, needed, victoria_metrics
+from waiting import until
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.samples import PointDescription, PointGroup, Reason, SampleBatch
-from busway.apps.collector.sinks.delivery import Delivery, DeliveryOptions
+from busway.apps.collector.sinks.delivery import ASIDE, Delivery, DeliveryOptions
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.sinks.mqtt import MqttSink
 from busway.apps.collector.sinks.nats import NatsSink
 from busway.apps.collector.sinks.postgresql import PostgresqlSink
+from busway.apps.collector.store.committed_samples import CommittedAlarm
 from busway.apps.collector.store.writer import StoreWriter
 
 READS = 30
 WANTED = [float(number) for number in range(READS)]
 QUICK = DeliveryOptions(age=0, most=20)
+ALARM = AlarmEvent("pump-1", "speed", "H", AlarmEventKind.RAISED, at(1), 90.0, "", True, "above 80 rpm")
+ACKNOWLEDGED = replace(ALARM, kind=AlarmEventKind.ACKNOWLEDGED, at=at(2), value=None, by="anna")
 RETAINED = "retained"
 """The topic of a message that a subscriber hears as soon as it has subscribed."""
 
@@ -145,6 +150,58 @@ def tls_lines(folder: Path) -> list[str]:
     return lines
 
 
+LONG = SampleBatch(METER, at(5), 5, ("x" * 900, "y" * 900, "z" * 5000))
+"""A read whose third sample is larger than brokers and streams of these tests take, alone too."""
+
+
+@pytest.mark.parametrize("limit", ["max_packet_size 2500", "message_size_limit 2500"])
+async def test_a_broker_gets_what_is_not_too_large_whether_it_has_told_its_limit_or_not(
+    tmp_path: Path, limit: str
+) -> None:
+    pytest.importorskip("aiomqtt")
+    with (
+        mosquitto(tmp_path, "allow_anonymous true", limit) as server,
+        filled(tmp_path / "store", 3) as writer,
+    ):
+        writer.commit([LONG], [], at(5), [ALARM, replace(ALARM, text="?" * 5000), ACKNOWLEDGED])
+        delivery = delivery_to(MqttSink("127.0.0.1", server.port, topic="plant/{device}", timeout=10.0), writer)
+        async with heard(server, tmp_path) as messages:
+            await run_until(delivery, lambda: delivery.status().cursor >= 5)
+            await until(lambda: len(alarm_events(messages)) >= 2)
+        assert (delivery.status().sent, delivery.status().set_aside) == (11, 2)
+    assert alarm_events(messages) == ["raised", "acknowledged"]
+    points = {point for _, message in messages for read in message.get("reads", ()) for point in read["values"]}
+    assert points == {"voltage", "current", "state"}
+    assert "zz" not in str(messages)
+    aside = [json.loads(line) for line in (tmp_path / "store" / ASIDE / "sink.jsonl").read_text().splitlines()]
+    assert [line.get("point") for line in aside] == ["state", "speed"]
+
+
+def alarm_events(messages: list[tuple[str, dict[str, Any]]]) -> list[str]:
+    """What was heard of alarms, repetitions aside."""
+    found = {message["key"]: message["event"] for topic, message in messages if topic.endswith("/alarms")}
+    return list(found.values())
+
+
+async def test_a_broker_that_takes_a_message_and_throws_it_away_is_down_until_it_permits_it(tmp_path: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    rights = tmp_path / "rights"
+    rights.write_text("topic read #\ntopic write retained\n")
+    rights.chmod(0o644)
+    lines = ("allow_anonymous true", f"acl_file {rights}", "user root")
+    with mosquitto(tmp_path, *lines) as server, filled(tmp_path / "store", 3) as writer:
+        delivery = delivery_to(MqttSink("127.0.0.1", server.port, topic="plant/{device}", timeout=10.0), writer)
+        await run_until(delivery, lambda: delivery.status().error is not None)
+        assert "Not authorized" in (delivery.status().error or "")
+        assert (delivery.status().sent, delivery.status().set_aside) == (0, 0)
+        server.stop()
+        rights.write_text("topic readwrite #\n")
+        server.start()
+        async with heard(server, tmp_path) as messages:
+            await run_until(delivery, lambda: len(currents(messages)) == 3)
+        assert delivery.status().sent == 9
+
+
 # paho-mqtt leaves the socket of a handshake that fails to the garbage collector.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning", "ignore:unclosed:ResourceWarning")
 async def test_a_broker_over_tls_with_a_password(tmp_path: Path) -> None:
@@ -175,6 +232,16 @@ def database() -> Iterator[PostgresqlServer]:
     pytest.importorskip("asyncpg")
     with PostgresqlServer() as server:
         yield server
+
+
+async def executed(server: PostgresqlServer, statement: str) -> None:
+    import asyncpg
+
+    connection = await asyncpg.connect(server.url, password=server.PASSWORD)
+    try:
+        await connection.execute(statement)
+    finally:
+        await connection.close()
 
 
 async def rows_of(server: PostgresqlServer, query: str) -> list[Any]:
@@ -228,6 +295,59 @@ async def test_a_database_gets_every_kind_of_value_and_poison_is_set_aside(
     }
 
 
+async def test_a_database_refuses_values_by_type_range_constraint_and_trigger_and_waits_for_a_column(
+    database: PostgresqlServer, tmp_path: Path
+) -> None:
+    group = PointGroup("d", ("ok", "wide", "odd", "forbidden", "null"))
+    made = """
+        CREATE TABLE strict (
+            time timestamptz, device text, point text, value real, text varchar(3), reason smallint, half_width bigint,
+            PRIMARY KEY (device, point, time), CHECK (value <> 13)
+        );
+        CREATE FUNCTION judge() RETURNS trigger LANGUAGE plpgsql AS
+            'BEGIN IF new.text = ''no'' THEN RAISE EXCEPTION ''not that''; END IF; RETURN new; END';
+        CREATE TRIGGER judge BEFORE INSERT ON strict FOR EACH ROW EXECUTE FUNCTION judge();
+    """
+    await executed(database, made)
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([SampleBatch(group, at(1), 5, (1.5, "text", 1e300, "no", None), (0, 0, 0, 0, 16))], [], at(1))
+        writer.commit([SampleBatch(group, at(2), 5, (2.5, "abc", 13.0, "yes", None), (0, 0, 0, 0, 16))], [], at(2))
+        sink = PostgresqlSink(database.url, password=database.PASSWORD, table="strict")
+        delivery = delivery_to(sink, writer)
+        await run_until(delivery, lambda: delivery.status().error is not None)
+        assert 'column "nanoseconds" of relation "strict" does not exist' in (delivery.status().error or "")
+        assert delivery.status().set_aside == 0
+        await executed(database, "ALTER TABLE strict ADD COLUMN nanoseconds smallint")
+        await run_until(delivery, lambda: delivery.status().cursor >= 3)
+        aside = [json.loads(line) for line in (tmp_path / ASIDE / "sink.jsonl").read_text().splitlines()]
+        assert (delivery.status().sent, delivery.status().set_aside) == (6, 4)
+    assert [(line["point"], line["value"]) for line in aside] == [
+        *(("wide", "text"), ("odd", 1e300), ("forbidden", "no"), ("odd", 13.0)),
+    ]
+    found = await rows_of(database, "SELECT point, value, text FROM strict WHERE reason = 0 ORDER BY time, point")
+    assert found == [("ok", 1.5, None), ("forbidden", None, "yes"), ("ok", 2.5, None), ("wide", None, "abc")]
+
+
+async def test_a_database_has_each_event_of_an_alarm_once_in_a_table_of_its_own(
+    database: PostgresqlServer, tmp_path: Path
+) -> None:
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(PUMP, 1, 90.0)], [], at(1), [ALARM, replace(ALARM, limit="HH")])
+        writer.commit([], [], at(2), [ACKNOWLEDGED])
+        for _ in range(2):
+            sink = PostgresqlSink(database.url, password=database.PASSWORD, table="with_alarms", alarm_table="events")
+            delivery = delivery_to(sink, writer)
+            await run_until(delivery, lambda delivery=delivery: delivery.status().cursor >= 3)  # type: ignore[misc]
+            assert (delivery.status().sent, delivery.status().error) == (1, None)
+            writer.manifest.set_cursor("sink", 0, 0)
+    asked = "SELECT kind, event, value, text, by, commit_number, place FROM events ORDER BY commit_number, place"
+    assert await rows_of(database, asked) == [
+        ("H", "raised", 90.0, "above 80 rpm", "", 2, 0),
+        ("HH", "raised", 90.0, "above 80 rpm", "", 2, 1),
+        ("H", "acknowledged", None, "above 80 rpm", "anna", 3, 0),
+    ]
+
+
 async def test_a_wrong_password_is_told_without_the_password(database: PostgresqlServer) -> None:
     sink = PostgresqlSink(database.url, password="falsches-wort")
     with pytest.raises(SinkDown, match="password authentication failed") as refused:
@@ -261,6 +381,30 @@ async def test_a_stream_that_was_down_has_everything_once_and_in_order(tmp_path:
     assert state.messages == READS
 
 
+@pytest.mark.parametrize("limits", [("max_payload: 2500", None), ("max_payload: 1000000", 2500)])
+async def test_a_stream_gets_what_is_not_too_large_for_the_server_or_for_it(
+    tmp_path: Path, limits: tuple[str, int | None]
+) -> None:
+    nats = pytest.importorskip("nats")
+    of_server, of_stream = limits
+    with nats_server(tmp_path, of_server) as server, filled(tmp_path / "store", 3) as writer:
+        url = f"nats://127.0.0.1:{server.port}"
+        client = await nats.connect(url)
+        await client.jetstream().add_stream(name="PLANT", subjects=["plant.*"], max_msg_size=of_stream)
+        writer.commit([LONG], [], at(5), [ALARM, replace(ALARM, text="?" * 5000), ACKNOWLEDGED])
+        delivery = delivery_to(NatsSink(url, subject="plant.{device}", timeout=10.0), writer)
+        await run_until(delivery, lambda: delivery.status().cursor >= 5)
+        assert (delivery.status().sent, delivery.status().set_aside) == (11, 2)
+        subscription = await client.jetstream().pull_subscribe("plant.meter-7", "checker")
+        found: set[int] = set()
+        while len(found) < 11:
+            for message in await subscription.fetch(1, timeout=10):
+                reads = json.loads(message.data)["reads"]
+                found |= {hash((read["time"], point)) for read in reads for point in read["values"]}
+        assert (await client.jetstream().get_last_msg("PLANT", "plant.alarms")).data.count(b"acknowledged") == 1
+        await client.close()
+
+
 async def test_an_influxdb_that_was_down_has_everything_once_with_awkward_names_and_texts(tmp_path: Path) -> None:
     httpx = pytest.importorskip("httpx")
     from busway.apps.collector.sinks.influxdb import InfluxSink
@@ -280,7 +424,7 @@ async def test_an_influxdb_that_was_down_has_everything_once_with_awkward_names_
         server.stop()
         commit_reads(writer, 10, 20)
         writer.commit([read_of(odd, 30, float("nan"), 'a "b" \\\n, c=ä', reasons=(0, 0))], [], at(30))
-        writer.commit([read_of(odd, 31, None, None, reasons=Reason.TIMEOUT)], [], at(31))
+        writer.commit([read_of(odd, 31, None, None, reasons=Reason.TIMEOUT)], [], at(31), [ALARM, ACKNOWLEDGED])
         await run_until(delivery, lambda: delivery.status().error is not None)
         server.start()
         await run_until(delivery, lambda: delivery.status().sent >= 94, 60)
@@ -288,7 +432,12 @@ async def test_an_influxdb_that_was_down_has_everything_once_with_awkward_names_
         again = delivery_to(InfluxSink(f"{url}/write?db=plant", timeout=2.0), writer, QUICK)
         await run_until(again, lambda: again.status().sent == 94)
         currents_there = await asked("SELECT value FROM samples WHERE device = 'meter-7' AND point = 'current'")
+        events = await asked('SELECT event, "limit", value, text, "by", "commit", place FROM alarms')
         odd_there = await asked("SELECT device, point, text, value, reason FROM samples WHERE device = 'm,e=t er'")
+    assert events == [
+        [at(1), "raised", "H", 90, "above 80 rpm", "", 33, 0],
+        [at(2), "acknowledged", "H", None, "above 80 rpm", "anna", 33, 1],
+    ]
     assert [value for _, value in currents_there] == WANTED
     assert [time for time, _ in currents_there] == [at(number) for number in range(READS)]
     assert sorted(odd_there, key=str) == sorted(
@@ -302,6 +451,24 @@ async def test_an_influxdb_that_was_down_has_everything_once_with_awkward_names_
     )
 
 
+async def test_an_influxdb_whose_field_has_another_type_refuses_those_samples_alone(tmp_path: Path) -> None:
+    httpx = pytest.importorskip("httpx")
+    from busway.apps.collector.sinks.influxdb import InfluxSink
+
+    with influxdb(tmp_path) as server, StoreWriter(tmp_path / "store", now=NOON) as writer:
+        url = f"http://127.0.0.1:{server.port}"
+        async with httpx.AsyncClient(trust_env=False, base_url=url) as client:
+            await client.post("/query", params={"q": "CREATE DATABASE plant"})
+            line = f"samples,device=x,point=y text=5i {at(0)}"
+            assert (await client.post("/write", params={"db": "plant"}, content=line)).status_code == 204
+        writer.commit([read_of(METER, 1, 230.0, 1, "on"), read_of(PUMP, 1, 3)], [], at(1))
+        writer.commit([read_of(METER, 2, 231.0, 2, "off"), read_of(PUMP, 2, 4)], [], at(2))
+        delivery = delivery_to(InfluxSink(f"{url}/write?db=plant", timeout=5.0), writer)
+        await run_until(delivery, lambda: delivery.status().cursor >= 3)
+        assert (delivery.status().sent, delivery.status().set_aside) == (6, 2)
+        assert "field type conflict" in (delivery.status().error or "")
+
+
 async def test_victoriametrics_takes_the_same_lines(tmp_path: Path) -> None:
     httpx = pytest.importorskip("httpx")
     from busway.apps.collector.sinks.influxdb import InfluxSink
@@ -312,19 +479,24 @@ async def test_victoriametrics_takes_the_same_lines(tmp_path: Path) -> None:
         url = f"http://127.0.0.1:{server.port}"
         delivery = Delivery("sink", InfluxSink(f"{url}/write", timeout=5.0), writer.folder, writer.manifest, QUICK)
         await run_until(delivery, lambda: delivery.status().sent == 30)
+        event = CommittedAlarm(7, 3, replace(ALARM, at=at(today - 5)))
+        sink = InfluxSink(f"{url}/write", timeout=5.0)
+        await sink.open()
+        await sink.send_alarms([event])
+        await sink.close()
         async with httpx.AsyncClient(trust_env=False, base_url=url) as client:
             await client.get("/internal/force_flush")
+            alarms = {"match[]": 'alarms_commit{device="pump-1",point="speed",limit="H",event="raised"}'}
+            (commits,) = map(json.loads, (await client.get("/api/v1/export", params=alarms)).text.splitlines())
             asked = {"match[]": 'samples_value{device="meter-7",point="current"}'}
             (series,) = map(json.loads, (await client.get("/api/v1/export", params=asked)).text.splitlines())
+    assert (commits["values"], commits["timestamps"]) == ([7], [at(today - 5) // 1_000_000])
     assert series["values"] == [today - 10 + number for number in range(10)]
     assert series["timestamps"] == [at(today - 10 + number) // 1_000_000 for number in range(10)]
 
 
 def test_the_pump_is_another_device() -> None:
     assert read_of(PUMP, 0, 1).device == "pump-1"
-
-
-ALARM = AlarmEvent("pump-1", "speed", "H", AlarmEventKind.RAISED, at(1), 90.0, "", True, "above 80 rpm")
 
 
 async def test_events_of_alarms_go_to_a_topic_of_their_own(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+from types import SimpleNamespace
 
 import pytest
 
@@ -46,6 +47,8 @@ async def test_a_sink_that_no_longer_hears_its_host_is_down_and_the_log_says_why
     caplog.set_level(logging.ERROR)
 
     class Client:
+        _client = SimpleNamespace(on_connect=None, on_publish=None, on_disconnect=None)  # paho's
+
         def __init__(self, **options: object) -> None: ...
         async def __aenter__(self) -> None: ...
         async def __aexit__(self, *exception: object) -> None: ...

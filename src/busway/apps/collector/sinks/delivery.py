@@ -9,8 +9,8 @@ Knows when to send, to wait, to drop and to set aside; knows no receiver.
 4. A sample is handed on where the rule of the sink says so, or where it has none that of the point, measured from the
    sample that this sink got before; in any case where its quality has changed. What it got before is in the manifest
    with the cursor: after a crash the same samples come again, wherever batches are cut then.
-5. Samples that the receiver refuses are found by halving the batch, and set aside in a file, up to `ASIDE_LIMIT` bytes;
-   then they are only counted. All others are sent.
+5. Samples and events of alarms that the receiver refuses are found by halving the batch, and set aside in a file, up to
+   `ASIDE_LIMIT` bytes; then they are only counted. All others are sent.
 6. Samples from before the wall clock was set wait until they are mended, so that the receiver gets them once with their
    right time; after `CLOCK_WAIT` seconds they are handed on as they are, and not again.
 """
@@ -29,7 +29,7 @@ from ....options.sinks import DeliveryOptions
 from ....points.point_rules import ReportRule
 from ..sample_clock import EARLIEST
 from ..samples import NANOSECONDS, reason_text
-from ..store.committed_samples import CommitReader, CommittedAlarm, CommittedSample
+from ..store.committed_samples import CommitRange, CommitReader, CommittedAlarm, CommittedSample
 from ..store.manifest import Manifest, ReportedSample
 from .documents import alarm_document
 from .interface import AlarmSink, Sink, SinkDown, SinkRefused
@@ -152,7 +152,7 @@ class Delivery:
         found = await asyncio.to_thread(self._reader.read, self._cursor, self.options.most)
         if found is None:
             return False
-        if self._waits_for_the_clock(found.samples):
+        if self._waits_for_the_clock(found):
             return False
         wanted, reported = self._wanted(found.samples)
         sink = self._sink
@@ -169,9 +169,11 @@ class Delivery:
         await asyncio.to_thread(self._move, found.last, reported)
         return found.more
 
-    def _waits_for_the_clock(self, samples: Sequence[CommittedSample]) -> bool:
-        """Whether the next samples must wait because their time will still be corrected (rule 6)."""
-        if all(sample.time >= EARLIEST for sample in samples):
+    def _waits_for_the_clock(self, found: CommitRange) -> bool:
+        """Whether the next commits must wait because their times will still be corrected (rule 6)."""
+        if all(sample.time >= EARLIEST for sample in found.samples) and all(
+            alarm.event.at >= EARLIEST for alarm in found.alarms
+        ):
             self._unset_since = None
             return False
         if self._unset_since is None:
@@ -243,16 +245,20 @@ class Delivery:
             await asyncio.to_thread(self._set_aside, samples[0], str(error))
 
     async def _send_alarms(self, sink: AlarmSink, alarms: Sequence[CommittedAlarm]) -> None:
-        """Send alarm events to the sink; those that it refuses are set aside."""
+        """Send alarm events to the sink; those that it refuses are found and set aside."""
         try:
             await sink.send_alarms(alarms)
         except SinkRefused as error:
+            if len(alarms) > 1:
+                middle = len(alarms) // 2
+                await self._send_alarms(sink, alarms[:middle])
+                await self._send_alarms(sink, alarms[middle:])
+                return
             if self._aside == 0:
-                _log.error("sink %s refused events of alarms, which are set aside: %s", self.name, error)
+                _log.error("sink %s refused an event of an alarm, which is set aside: %s", self.name, error)
             self._refusal = str(error)
-            self._aside += len(alarms)
-            for each in alarms:
-                await asyncio.to_thread(self._write_aside, {**alarm_document(each).content, "error": str(error)})
+            self._aside += 1
+            await asyncio.to_thread(self._write_aside, {**alarm_document(alarms[0]).content, "error": str(error)})
 
     def _set_aside(self, sample: CommittedSample, error: str) -> None:
         self._write_aside(

@@ -4,8 +4,10 @@ Knows formats; knows nothing of cursors.
 
 1. Lines are appended and made durable before `send` returns; a line that was cut off by a crash is completed by a line
    break first. A batch that comes again is there twice, with the same commit.
-2. A Parquet file is one batch, and is called by its commits: a batch that comes again replaces its file.
+2. A Parquet file is one batch, and is called by its first commit: a batch that comes again replaces its file, wherever
+   it ends then.
 3. ``{date}`` in the name of a file of lines is the day (UTC) of the first sample of the batch.
+4. Events of alarms go to files of their own: ``-alarms`` before the end of the name; Parquet to the folder ``alarms``.
 """
 
 import asyncio
@@ -13,25 +15,29 @@ import csv
 import io
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, TypeVar
 
 from ....errors import ConfigError
 from ....options.sinks import FileFormat
-from ..samples import NANOSECONDS, reason_text
-from ..store.committed_samples import CommittedSample
+from ..samples import NANOSECONDS, Value, reason_text
+from ..store.committed_samples import CommittedAlarm, CommittedSample
 from ..store.folder import UNFINISHED, make_durably, sync_file, sync_folder
 from ..store.sealing import arrow
-from .documents import sample_document
+from .documents import alarm_document, sample_document
 from .interface import SinkDown
 
 HEADER: Final = ("time", "device", "point", "value", "quality", "reason", "half_width", "commit")
+ALARM_HEADER: Final = ("time", "device", "point", "limit", "event", "value", "text", "by", "commit", "place")
+
+
+Written = TypeVar("Written", CommittedSample, CommittedAlarm)
 
 
 class FileSink:
-    """Sink that writes samples to files."""
+    """Sink that writes samples and alarm events to files."""
 
     def __init__(self, path: str | os.PathLike[str], kind: FileFormat | str | None = None) -> None:
         """Set the path of the files to write; nothing is opened yet.
@@ -49,10 +55,7 @@ class FileSink:
             found = FileFormat(given)
         except ValueError:
             raise ConfigError(f"files are csv, jsonl or parquet, not {given!r}", key="format") from None
-        is_csv = found is FileFormat.CSV
-        self._write = self._write_parquet if found is FileFormat.PARQUET else self._append
-        self._lines: Callable[[Sequence[CommittedSample]], str] = _csv_lines if is_csv else _json_lines
-        self._header = ",".join(HEADER) + "\n" if is_csv else ""
+        self._format = found
 
     async def open(self) -> None:
         """Do nothing: files are opened for each batch."""
@@ -62,78 +65,133 @@ class FileSink:
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Append a batch of samples to the files, durably. Raises `SinkDown`."""
+        await self._write(self._write_samples, samples)
+
+    async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
+        """Append alarm events to files of their own, durably. Raises `SinkDown`."""
+        await self._write(self._write_alarms, alarms)
+
+    async def _write(self, write: Callable[[Sequence[Written]], None], what: Sequence[Written]) -> None:
         try:
-            await asyncio.to_thread(self._write, samples)
+            await asyncio.to_thread(write, what)
         except OSError as error:
             raise SinkDown(f"{self._path} cannot be written: {error.strerror or error}") from error
 
-    def _append(self, samples: Sequence[CommittedSample]) -> None:
-        day = datetime.fromtimestamp(samples[0].time // NANOSECONDS, UTC).date()
-        path = Path(self._path.replace("{date}", day.isoformat()))
+    def _write_samples(self, samples: Sequence[CommittedSample]) -> None:
+        if self._format is FileFormat.PARQUET:
+            _write_parquet(Path(self._path), f"{samples[0].commit:012d}", _columns(samples))
+        else:
+            is_csv = self._format is FileFormat.CSV
+            lines = _csv_lines(map(_row, samples)) if is_csv else _json_lines(map(_document, samples))
+            self._append(self._path, samples[0].time, HEADER, lines)
+
+    def _write_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
+        if self._format is FileFormat.PARQUET:
+            first = f"{alarms[0].commit:012d}-{alarms[0].place:04d}"
+            _write_parquet(Path(self._path) / "alarms", first, _alarm_columns(alarms))
+            return
+        lines = (
+            _csv_lines(map(_alarm_row, alarms))
+            if self._format is FileFormat.CSV
+            else _json_lines(alarm_document(each).content for each in alarms)
+        )
+        name, dot, ending = self._path.rpartition(".")
+        path = f"{name}-alarms.{ending}" if dot and "/" not in ending else f"{self._path}-alarms"
+        self._append(path, alarms[0].event.at, ALARM_HEADER, lines)
+
+    def _append(self, name: str, time: int, header: Sequence[str], lines: str) -> None:
+        day = datetime.fromtimestamp(time // NANOSECONDS, UTC).date()
+        path = Path(name.replace("{date}", day.isoformat()))
         make_durably(path.parent)
         with path.open("a+b") as file:
             size = file.seek(0, os.SEEK_END)
-            begin = self._header if size == 0 else ""
+            begin = ",".join(header) + "\n" if size == 0 and self._format is FileFormat.CSV else ""
             if size:
                 file.seek(size - 1)
                 begin = "" if file.read(1) == b"\n" else "\n"
-            file.write((begin + self._lines(samples)).encode())
+            file.write((begin + lines).encode())
             file.flush()
             os.fsync(file.fileno())
         if size == 0:
             sync_folder(path.parent)
 
-    def _write_parquet(self, samples: Sequence[CommittedSample]) -> None:
-        pa = arrow()
-        folder = Path(self._path)
-        make_durably(folder)
-        whole = [sample.value if type(sample.value) is int and sample.value < 2**63 else None for sample in samples]
-        table = pa.table(
-            {
-                "time": pa.array([sample.time for sample in samples], pa.timestamp("ns", "UTC")),
-                "device": pa.array([sample.device for sample in samples]).dictionary_encode(),
-                "point": pa.array([sample.point for sample in samples]).dictionary_encode(),
-                "value": pa.array([_float(sample) for sample in samples], pa.float64()),
-                "integer": pa.array(whole, pa.int64()),
-                "text": pa.array([sample.value if isinstance(sample.value, str) else None for sample in samples]),
-                "reason": pa.array([sample.reason for sample in samples], pa.int16()),
-                "half_width": pa.array([sample.half_width for sample in samples], pa.int64()),
-                "commit": pa.array([sample.commit for sample in samples], pa.int64()),
-            }
-        )
-        target = folder / f"{samples[0].commit:012d}-{samples[-1].commit:012d}.parquet"
-        unfinished = target.with_name(target.name + UNFINISHED)
-        arrow("parquet").write_table(table, unfinished, compression="zstd")
-        sync_file(unfinished)
-        unfinished.rename(target)
-        sync_folder(folder)
+
+def _write_parquet(folder: Path, name: str, columns: dict[str, Any]) -> None:  # columns of Arrow
+    """Write a Parquet file durably; it is there as a whole or not at all."""
+    make_durably(folder)
+    target = folder / f"{name}.parquet"
+    unfinished = target.with_name(target.name + UNFINISHED)
+    arrow("parquet").write_table(arrow().table(columns), unfinished, compression="zstd")
+    sync_file(unfinished)
+    unfinished.rename(target)
+    sync_folder(folder)
 
 
-def _float(sample: CommittedSample) -> float | None:
-    return None if sample.value is None or isinstance(sample.value, str) else float(sample.value)
+def _columns(samples: Sequence[CommittedSample]) -> dict[str, Any]:  # columns of Arrow
+    pa = arrow()
+    return {
+        "time": pa.array([sample.time for sample in samples], pa.timestamp("ns", "UTC")),
+        "device": pa.array([sample.device for sample in samples]).dictionary_encode(),
+        "point": pa.array([sample.point for sample in samples]).dictionary_encode(),
+        **_value_columns([sample.value for sample in samples]),
+        "reason": pa.array([sample.reason for sample in samples], pa.int16()),
+        "half_width": pa.array([sample.half_width for sample in samples], pa.int64()),
+        "commit": pa.array([sample.commit for sample in samples], pa.int64()),
+    }
 
 
-def _csv_lines(samples: Sequence[CommittedSample]) -> str:
+def _alarm_columns(alarms: Sequence[CommittedAlarm]) -> dict[str, Any]:  # columns of Arrow
+    pa = arrow()
+    events = [alarm.event for alarm in alarms]
+    values = _value_columns([event.value for event in events])
+    return {
+        "time": pa.array([event.at for event in events], pa.timestamp("ns", "UTC")),
+        "device": pa.array([event.device for event in events]),
+        "point": pa.array([event.point for event in events]),
+        "limit": pa.array([event.limit for event in events]),
+        "event": pa.array([event.kind.value for event in events]),
+        "value": values["value"],
+        "integer": values["integer"],
+        "value_text": values["text"],
+        "text": pa.array([event.text for event in events]),
+        "by": pa.array([event.by for event in events]),
+        "commit": pa.array([alarm.commit for alarm in alarms], pa.int64()),
+        "place": pa.array([alarm.place for alarm in alarms], pa.int32()),
+    }
+
+
+def _value_columns(values: Sequence[Value | None]) -> dict[str, Any]:  # columns of Arrow
+    pa = arrow()
+    numbers = [None if each is None or isinstance(each, str) else float(each) for each in values]
+    return {
+        "value": pa.array(numbers, pa.float64()),
+        "integer": pa.array([each if type(each) is int and each < 2**63 else None for each in values], pa.int64()),
+        "text": pa.array([each if isinstance(each, str) else None for each in values], pa.string()),
+    }
+
+
+def _csv_lines(rows: Iterable[Sequence[object]]) -> str:
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(
-        (
-            sample.time,
-            sample.device,
-            sample.point,
-            "" if sample.value is None else sample.value,
-            sample.quality.name.lower(),
-            reason_text(sample.reason),
-            sample.half_width,
-            sample.commit,
-        )
-        for sample in samples
-    )
+    csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
 
 
-def _json_lines(samples: Sequence[CommittedSample]) -> str:
-    return "".join(
-        json.dumps({"device": sample.device, "point": sample.point, **sample_document(sample), "commit": sample.commit})
-        + "\n"
-        for sample in samples
-    )
+def _row(sample: CommittedSample) -> Sequence[object]:
+    quality, reason = sample.quality.name.lower(), reason_text(sample.reason)
+    value = "" if sample.value is None else sample.value
+    return sample.time, sample.device, sample.point, value, quality, reason, sample.half_width, sample.commit
+
+
+def _alarm_row(alarm: CommittedAlarm) -> Sequence[object]:
+    event = alarm.event
+    value = "" if event.value is None else event.value
+    key = (event.at, event.device, event.point, event.limit, event.kind.value)
+    return *key, value, event.text, event.by, alarm.commit, alarm.place
+
+
+def _json_lines(contents: Iterable[dict[str, Any]]) -> str:
+    return "".join(json.dumps(each) + "\n" for each in contents)
+
+
+def _document(sample: CommittedSample) -> dict[str, Any]:
+    return {"device": sample.device, "point": sample.point, **sample_document(sample), "commit": sample.commit}

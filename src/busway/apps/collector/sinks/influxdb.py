@@ -4,20 +4,22 @@ Knows lines and what the answers mean; the protocol is httpx's (``busway[influxd
 
 1. A line is ``measurement,device=…,point=… value=…,reason=…i time``. Tags and time are the key, so a line that comes
    again replaces itself. Texts are in the field ``text``: a field has one type. A bad sample has ``reason`` alone.
-2. 400, 413 and 422 are refusals of these lines; any other error is one of the server, or of the credentials, and is
+2. A line of an event of an alarm is ``alarms,device=…,point=…,limit=H,event=raised commit=…i,place=…i,value=… time``,
+   with the texts ``text`` and ``by``: tags and time are its key likewise.
+3. 400, 413 and 422 are refusals of these lines; any other error is one of the server, or of the credentials, and is
    waited out.
 """
 
 import math
 import ssl
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
 from ....options.sinks import InfluxOptions
-from ..store.committed_samples import CommittedSample
+from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .interface import SinkDown, SinkRefused
 
 _USUAL: Final = InfluxOptions()
@@ -32,6 +34,7 @@ class InfluxSink:
         url: str,
         *,
         measurement: str = _USUAL.measurement,
+        alarm_measurement: str = _USUAL.alarm_measurement,
         token: str | None = None,
         tls: ssl.SSLContext | None = None,
         timeout: float = 10.0,
@@ -41,7 +44,8 @@ class InfluxSink:
         Args:
             url: where lines are posted, with its query: ``http://host:8086/api/v2/write?org=o&bucket=b`` or
                 ``http://host:8428/write``. ``precision=ns`` is added.
-            measurement: the measurement of all lines.
+            measurement: the measurement of samples.
+            alarm_measurement: that of events of alarms.
             token: sent as ``Authorization: Token …``.
             tls: how to encrypt ``https``; None for the system's authorities.
             timeout: seconds for each request.
@@ -54,7 +58,7 @@ class InfluxSink:
         if not url.startswith(("http://", "https://")):
             raise ConfigError(f"lines are posted to http:// or https://, not {url!r}", key="url")
         self._url = url + ("" if "precision=" in url else ("&" if "?" in url else "?") + "precision=ns")
-        self._measurement = _escaped(measurement, ", ")
+        self._measurement, self._alarm_measurement = _escaped(measurement, ", "), _escaped(alarm_measurement, ", ")
         self._headers = {} if token is None else {"Authorization": f"Token {token}"}
         self._tls, self._timeout = tls, timeout
         self._client: Any = None  # httpx is loaded when it is used
@@ -74,10 +78,16 @@ class InfluxSink:
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Post samples to the database. Raises `SinkDown`, `SinkRefused`."""
+        await self._post(line_of(sample, self._measurement) for sample in samples)
+
+    async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
+        """Post alarm events to the database. Raises `SinkDown`, `SinkRefused`."""
+        await self._post(alarm_line_of(alarm, self._alarm_measurement) for alarm in alarms)
+
+    async def _post(self, lines: Iterable[str]) -> None:
         httpx = import_module("httpx")
-        body = "\n".join(line_of(sample, self._measurement) for sample in samples).encode()
         try:
-            answer = await self._client.post(self._url, content=body)
+            answer = await self._client.post(self._url, content="\n".join(lines).encode())
         except httpx.HTTPError as error:
             raise SinkDown(f"the server cannot be reached: {error or type(error).__name__}") from error
         if answer.status_code in _REFUSED:
@@ -88,15 +98,31 @@ class InfluxSink:
 
 def line_of(sample: CommittedSample, measurement: str) -> str:
     """Return a sample in line protocol; ``measurement`` is escaped already."""
-    fields = [f"reason={sample.reason}i"]
-    value = sample.value
-    if isinstance(value, str):
-        quoted = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
-        fields.insert(0, f'text="{quoted}"')
-    elif value is not None and math.isfinite(value):
-        fields.insert(0, f"value={float(value)!r}")
+    value = f"text={_quoted(sample.value)}" if isinstance(sample.value, str) else _number(sample.value)
     device, point = _escaped(sample.device, ",= "), _escaped(sample.point, ",= ")
-    return f"{measurement},device={device},point={point} {','.join(fields)} {sample.time}"
+    fields = f"{value},reason={sample.reason}i" if value else f"reason={sample.reason}i"
+    return f"{measurement},device={device},point={point} {fields} {sample.time}"
+
+
+def alarm_line_of(alarm: CommittedAlarm, measurement: str) -> str:
+    """Return an alarm event in line protocol; ``measurement`` is escaped already."""
+    event = alarm.event
+    named = {"device": event.device, "point": event.point, "limit": event.limit, "event": event.kind.value}
+    tags = ",".join(f"{key}={_escaped(value, ',= ')}" for key, value in named.items())
+    value = f"value_text={_quoted(event.value)}" if isinstance(event.value, str) else _number(event.value)
+    texts = [f"text={_quoted(event.text)}", f"by={_quoted(event.by)}"]
+    fields = [f"commit={alarm.commit}i", f"place={alarm.place}i", *([value] if value else []), *texts]
+    return f"{measurement},{tags} {','.join(fields)} {event.at}"
+
+
+def _number(value: float | None) -> str:
+    """Return the field of a number; empty for none, and for one that line protocol does not have."""
+    return f"value={float(value)!r}" if value is not None and math.isfinite(value) else ""
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+    return f'"{escaped}"'
 
 
 def _escaped(text: str, characters: str) -> str:

@@ -1,6 +1,7 @@
 """The interface of sinks, which send samples to other systems, and their errors."""
 
-from collections.abc import Sequence
+import asyncio
+from collections.abc import Awaitable, Iterable, Sequence
 from typing import Protocol, runtime_checkable
 
 from ....errors import ModbusError
@@ -42,3 +43,11 @@ class AlarmSink(Protocol):
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
         """Send alarm events; when it returns, the receiver has taken them. Raises `SinkDown`, `SinkRefused`."""
+
+
+async def all_taken(sendings: Iterable[Awaitable[object]]) -> None:
+    """Wait until each message was taken or has failed. Raises the first `SinkRefused`, or else the first error."""
+    results = await asyncio.gather(*sendings, return_exceptions=True)
+    errors = [each for each in results if isinstance(each, BaseException)]
+    for error in sorted(errors, key=lambda each: not isinstance(each, SinkRefused)):
+        raise error

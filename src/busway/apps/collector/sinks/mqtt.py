@@ -2,20 +2,20 @@
 
 Knows topics and payloads; the protocol is aiomqtt's (``busway[mqtt]``).
 
-1. QoS 1: `send` returns when the broker has acknowledged every message. A message carries the user property ``key``,
-   which is the same at a repetition.
+1. QoS 1: `send` returns when the broker has taken every message. A message carries the user property ``key``, which is
+   the same at a repetition.
 2. One message for each device and commit (`documents`), or with ``per_point`` one for each sample, in order.
 3. ``{prefix}/status`` is ``online``, retained, and by the last will ``offline``.
 4. Events of alarms go to ``{prefix}/alarms``, one message each.
 5. Discovery needs a topic for each point; a configuration is sent, retained, when a point is first seen.
 """
 
-import asyncio
 import contextlib
 import json
 import re
 import ssl
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final
 
@@ -24,12 +24,30 @@ from ....extras import require
 from ....options.sinks import MqttOptions
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .documents import alarm_document, documents, sample_document, sample_key
-from .interface import SinkDown
-from .mqtt_connection import connect
+from .interface import SinkDown, SinkRefused, all_taken
+from .mqtt_connection import MqttPublisher, connect
 
 _USUAL: Final = MqttOptions()
 IN_FLIGHT: Final = 64
 """Messages that are sent before the first is acknowledged."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Message:
+    """A message to publish."""
+
+    topic: str
+    payload: bytes
+    key: str
+    retain: bool
+
+    def properties(self) -> Any:
+        """Return the properties of the message, which have its key, as paho has them."""
+        found = import_module("paho.mqtt.properties").Properties(
+            import_module("paho.mqtt.packettypes").PacketTypes.PUBLISH
+        )
+        found.UserProperty = ("key", self.key)
+        return found
 
 
 class MqttSink:
@@ -79,7 +97,9 @@ class MqttSink:
         self._address: dict[str, Any] = {"hostname": host, "port": port, "username": user, "password": password}
         self._address |= {"tls_context": tls, "identifier": client_id, "timeout": timeout}
         self._where = f"{host}:{port}"
+        self._timeout = timeout
         self._client: Any = None  # aiomqtt is loaded when it is used
+        self._publisher: MqttPublisher | None = None
         self._announced: set[tuple[str, str]] = set()
 
     async def open(self) -> None:
@@ -87,10 +107,10 @@ class MqttSink:
         mqtt = import_module("aiomqtt")
         will = mqtt.Will(self._status_topic, b"offline", qos=1, retain=True)
         client = mqtt.Client(**self._address, will=will, protocol=mqtt.ProtocolVersion.V5)
-        client.pending_calls_threshold = 10 * IN_FLIGHT
+        publisher = MqttPublisher(client, self._timeout)
         try:
             await connect(client)
-            self._client = client
+            self._client, self._publisher = client, publisher
             await client.publish(self._status_topic, b"online", qos=1, retain=True)
         except (mqtt.MqttError, OSError) as error:
             raise SinkDown(f"the broker {self._where} cannot be reached: {error}") from error
@@ -98,7 +118,7 @@ class MqttSink:
 
     async def close(self) -> None:
         """Publish that this collector is offline, and disconnect, so that the last will is not sent."""
-        client, self._client = self._client, None
+        client, self._client, self._publisher = self._client, None, None
         if client is None:
             return
         gone = (import_module("aiomqtt").MqttError, OSError)  # the broker, or the connection to it
@@ -108,40 +128,49 @@ class MqttSink:
             await client.__aexit__(None, None, None)
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Publish samples, and wait until the broker has acknowledged them. Raises `SinkDown`."""
-        messages = self._messages(samples)
-        if self._discovery is not None:
-            messages = [*self._discoveries(samples), *messages]
-        mqtt = import_module("aiomqtt")
-        try:
-            for begin in range(0, len(messages), IN_FLIGHT):
-                await asyncio.gather(*(self._publish(*each) for each in messages[begin : begin + IN_FLIGHT]))
-        except (mqtt.MqttError, OSError) as error:
-            raise SinkDown(f"the broker {self._where} does not answer: {error}") from error
+        """Publish samples, and wait until the broker has taken them. Raises `SinkDown`, `SinkRefused`."""
+        fresh: dict[tuple[str, str], _Message] = {} if self._discovery is None else self._discoveries(samples)
+        await self._publish([*fresh.values(), *self._messages(samples)])
+        self._announced |= fresh.keys()
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Publish alarm events, and wait until the broker has acknowledged them. Raises `SinkDown`."""
+        """Publish alarm events, and wait until the broker has taken them. Raises `SinkDown`, `SinkRefused`."""
+        await self._publish(
+            [_Message(self._alarm_topic, each.encode(), each.key, False) for each in map(alarm_document, alarms)]
+        )
+
+    async def _publish(self, messages: Sequence[_Message]) -> None:
+        """Publish messages; where one cannot be taken, none may have been."""
         mqtt = import_module("aiomqtt")
         try:
-            for document in map(alarm_document, alarms):
-                await self._publish(self._alarm_topic, document.encode(), document.key, False)
+            publisher = self._connected()
+            for each in messages:
+                publisher.check_size(each.topic, each.payload, each.properties())
+            for begin in range(0, len(messages), IN_FLIGHT):
+                await all_taken(
+                    publisher.publish_taken(each.topic, each.payload, retain=each.retain, properties=each.properties())
+                    for each in messages[begin : begin + IN_FLIGHT]
+                )
+        except SinkRefused:
+            if publisher.has_ended:
+                await self.close()
+                await self.open()
+            raise
         except (mqtt.MqttError, OSError) as error:
             raise SinkDown(f"the broker {self._where} does not answer: {error}") from error
 
-    async def _publish(self, topic: str, payload: bytes, key: str, retain: bool) -> None:
-        if self._client is None:
+    def _connected(self) -> MqttPublisher:
+        if self._publisher is None:
             raise SinkDown(f"the broker {self._where} is not connected")
-        properties = import_module("paho.mqtt.properties").Properties(
-            import_module("paho.mqtt.packettypes").PacketTypes.PUBLISH
-        )
-        properties.UserProperty = ("key", key)
-        await self._client.publish(topic, payload, qos=1, retain=retain, properties=properties)
+        return self._publisher
 
-    def _messages(self, samples: Sequence[CommittedSample]) -> list[tuple[str, bytes, str, bool]]:
+    def _messages(self, samples: Sequence[CommittedSample]) -> list[_Message]:
         if not self._per_point:
-            return [(self._name(each.device), each.encode(), each.key, self._retain) for each in documents(samples)]
+            return [
+                _Message(self._name(each.device), each.encode(), each.key, self._retain) for each in documents(samples)
+            ]
         return [
-            (
+            _Message(
                 self._name(sample.device, sample.point),
                 json.dumps(sample_document(sample), ensure_ascii=False).encode(),
                 sample_key(sample),
@@ -153,16 +182,16 @@ class MqttSink:
     def _name(self, device: str, point: str = "") -> str:
         return self._topic.replace("{device}", topic_level(device)).replace("{point}", topic_level(point))
 
-    def _discoveries(self, samples: Sequence[CommittedSample]) -> list[tuple[str, bytes, str, bool]]:
-        found = []
+    def _discoveries(self, samples: Sequence[CommittedSample]) -> dict[tuple[str, str], _Message]:
+        """Return the configurations of points that Home Assistant was not told of yet."""
+        found = {}
         for sample in samples:
             key = (sample.device, sample.point)
-            if key in self._announced:
+            if key in self._announced or key in found:
                 continue
-            self._announced.add(key)
             component, content = self._entity(sample)
             name = f"{self._discovery}/{component}/{_plain(sample.device)}/{_plain(sample.point)}/config"
-            found.append((name, json.dumps(content, ensure_ascii=False).encode(), name, True))
+            found[key] = _Message(name, json.dumps(content, ensure_ascii=False).encode(), name, True)
         return found
 
     def _entity(self, sample: CommittedSample) -> tuple[str, dict[str, Any]]:

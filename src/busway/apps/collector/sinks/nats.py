@@ -9,7 +9,6 @@ Knows subjects and messages; the protocol is nats-py's (``busway[nats]``).
 4. With ``stream`` it is made where it is not there; else a stream must have the subjects.
 """
 
-import asyncio
 import contextlib
 import re
 import ssl
@@ -22,11 +21,14 @@ from ....extras import require
 from ....options.sinks import NatsOptions
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .documents import alarm_document, documents
-from .interface import SinkDown, SinkRefused
+from .interface import SinkDown, SinkRefused, all_taken
 
 _USUAL: Final = NatsOptions()
 IN_FLIGHT: Final = 64
 """Messages that are sent before the first is acknowledged."""
+REFUSED: Final = frozenset({10054})
+"""Errors of JetStream that are about the message itself: it is larger than the stream takes."""
+_HEADER_BYTES: Final = len("NATS/1.0\r\nNats-Msg-Id: \r\n\r\n")
 
 
 class NatsSink:
@@ -115,36 +117,50 @@ class NatsSink:
                 await client.close()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Publish samples, and wait until the server has acknowledged them. Raises `SinkDown`."""
-        nats = import_module("nats")
-        messages = list(documents(samples))
+        """Publish samples, and wait until the stream has them. Raises `SinkDown`, `SinkRefused`."""
+        messages = [
+            (self._subject.replace("{device}", subject_token(each.device)), each.encode(), each.key)
+            for each in documents(samples)
+        ]
+        await self._publish(messages)
+
+    async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
+        """Publish alarm events, and wait until the stream has them. Raises `SinkDown`, `SinkRefused`."""
+        no_stream = import_module("nats.js.errors").NoStreamResponseError
         try:
+            await self._publish(
+                [(self._alarm_subject, each.encode(), each.key) for each in map(alarm_document, alarms)]
+            )
+        except SinkDown as error:
+            if isinstance(error.__cause__, no_stream):
+                raise SinkRefused(f"no stream has the subject {self._alarm_subject}") from error
+            raise
+
+    async def _publish(self, messages: Sequence[tuple[str, bytes, str]]) -> None:
+        """Publish messages with subject, payload and key; where one cannot be taken, none may have been."""
+        nats = import_module("nats")
+        if self._client is None or self._jetstream is None:
+            raise SinkDown("the server is not connected")
+        try:
+            for _, payload, key in messages:
+                self._check_size(payload, key)
             for begin in range(0, len(messages), IN_FLIGHT):
-                await asyncio.gather(
-                    *(
-                        self._jetstream.publish(
-                            self._subject.replace("{device}", subject_token(each.device)),
-                            each.encode(),
-                            headers={"Nats-Msg-Id": each.key},
-                        )
-                        for each in messages[begin : begin + IN_FLIGHT]
-                    )
+                await all_taken(
+                    self._jetstream.publish(subject, payload, headers={"Nats-Msg-Id": key})
+                    for subject, payload, key in messages[begin : begin + IN_FLIGHT]
                 )
+        except import_module("nats.js.errors").APIError as error:
+            if error.err_code in REFUSED:
+                raise SinkRefused(f"the stream refuses: {error.description}") from error
+            raise SinkDown(f"the stream does not take messages: {error.description}") from error
         except (nats.errors.Error, OSError, TimeoutError) as error:
             raise SinkDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
 
-    async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Publish alarm events, and wait for the acknowledgements. Raises `SinkDown`, `SinkRefused`."""
-        nats = import_module("nats")
-        no_stream = import_module("nats.js.errors").NoStreamResponseError
-        try:
-            for document in map(alarm_document, alarms):
-                headers = {"Nats-Msg-Id": document.key}
-                await self._jetstream.publish(self._alarm_subject, document.encode(), headers=headers)
-        except no_stream as error:
-            raise SinkRefused(f"no stream has the subject {self._alarm_subject}") from error
-        except (nats.errors.Error, OSError, TimeoutError) as error:
-            raise SinkDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
+    def _check_size(self, payload: bytes, key: str) -> None:
+        size = len(payload) + len(key.encode()) + _HEADER_BYTES
+        most = int(self._client.max_payload)
+        if size > most:
+            raise SinkRefused(f"a message has {size} bytes, and the server takes at most {most}")
 
 
 def subject_token(name: str) -> str:

@@ -5,11 +5,16 @@ Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 1. A batch is one transaction. The key is (device, point, time): a batch that comes again changes nothing.
 2. PostgreSQL has microseconds: ``time`` is rounded down, and ``nanoseconds`` has the rest.
 3. The table is made where it is not there; with ``timescale`` it becomes a hypertable.
+4. Events of alarms go to a table of their own, made with the first of them, by an upsert with the number of the event:
+   its commit and its place in that.
+5. What is wrong with values (a type, a range, a constraint, what a trigger raises) is a refusal of them; anything else
+   is waited out.
 """
 
 import re
 import ssl
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from datetime import UTC, datetime, timedelta
 from importlib import import_module
 from typing import Any, Final
@@ -18,7 +23,7 @@ from ....errors import ConfigError
 from ....extras import require
 from ....options.sinks import PostgresqlOptions
 from ..samples import Value
-from ..store.committed_samples import CommittedSample
+from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .interface import SinkDown, SinkRefused
 
 _USUAL: Final = PostgresqlOptions()
@@ -28,6 +33,22 @@ CREATE TABLE IF NOT EXISTS {table} (
     time timestamptz NOT NULL, device text NOT NULL, point text NOT NULL, value double precision, text text,
     reason smallint NOT NULL, half_width bigint NOT NULL, nanoseconds smallint NOT NULL,
     PRIMARY KEY (device, point, time)
+)"""
+_ARRIVING: Final = """
+CREATE TEMPORARY TABLE arriving (
+    time timestamptz, device text, point text, value double precision, text text, reason smallint, half_width bigint,
+    nanoseconds smallint
+)"""
+"""Has types of its own: the server judges what fits the table, in one way for all of its columns."""
+_ALARM_COLUMNS: Final = (
+    "time", "device", "point", "kind", "event", "value", "value_text", "text", "by", "nanoseconds", "commit_number",
+    "place",
+)  # fmt: skip
+_ALARM_TABLE: Final = """
+CREATE TABLE IF NOT EXISTS {table} (
+    time timestamptz NOT NULL, device text NOT NULL, point text NOT NULL, kind text NOT NULL, event text NOT NULL,
+    value double precision, value_text text, text text NOT NULL, by text NOT NULL, nanoseconds smallint NOT NULL,
+    commit_number bigint NOT NULL, place integer NOT NULL, PRIMARY KEY (device, point, time, commit_number, place)
 )"""
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _NAME: Final = re.compile(r"[a-z_][a-z0-9_]{0,62}(\.[a-z_][a-z0-9_]{0,62})?")
@@ -41,6 +62,7 @@ class PostgresqlSink:
         url: str,
         *,
         table: str = _USUAL.table,
+        alarm_table: str = _USUAL.alarm_table,
         password: str | None = None,
         tls: ssl.SSLContext | None = None,
         timescale: bool = _USUAL.timescale,
@@ -51,40 +73,44 @@ class PostgresqlSink:
         Args:
             url: ``postgresql://user@host:5432/database``, without a password.
             table: name of the table, ``schema.table`` where it is not in the search path; small letters, digits, ``_``.
+            alarm_table: name of the table of events of alarms, likewise.
             password: of the user.
             tls: how to encrypt; None for as the server wants.
             timescale: make the table a hypertable; the extension must be in the database.
             timeout: seconds for each command.
 
         Raises:
-            ConfigError: the table has no such name.
+            ConfigError: a table has no such name.
             MissingExtra: asyncpg is not installed.
         """
         require("asyncpg", "a sink to PostgreSQL")
-        if _NAME.fullmatch(table) is None:
-            raise ConfigError(f"a table is called by small letters, digits and _, not {table!r}", key="table")
-        self._url, self._table, self._timescale = url, table, timescale
+        for key, name in (("table", table), ("alarm_table", alarm_table)):
+            if _NAME.fullmatch(name) is None:
+                raise ConfigError(f"a table is called by small letters, digits and _, not {name!r}", key=key)
+        self._url, self._table, self._alarm_table, self._timescale = url, table, alarm_table, timescale
         self._options: dict[str, Any] = {"password": password, "timeout": timeout, "command_timeout": timeout}
         if tls is not None:
             self._options["ssl"] = tls
         self._connection: Any = None  # asyncpg is loaded when it is used
+        self._has_alarm_table = False
 
     async def open(self) -> None:
         """Connect to the database, and create the table if it is missing. Raises `SinkDown`."""
         pg = import_module("asyncpg")
         try:
             self._connection = await pg.connect(self._url, **self._options)
-            await self._connection.execute(_TABLE.format(table=self._table))
-            if self._timescale:
-                await self._connection.execute(
-                    "SELECT create_hypertable($1::regclass, 'time', if_not_exists => true)", self._table
-                )
-            columns = ", ".join(_COLUMNS)
-            await self._connection.execute(
-                f"CREATE TEMPORARY TABLE arriving AS SELECT {columns} FROM {self._table} WITH NO DATA"
-            )
+            self._has_alarm_table = False
+            await self._make_table(_TABLE, self._table)
+            await self._connection.execute(_ARRIVING)
         except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
             raise SinkDown(f"the database cannot be used: {error or type(error).__name__}") from error
+
+    async def _make_table(self, made: str, name: str) -> None:
+        await self._connection.execute(made.format(table=name))
+        if self._timescale:
+            await self._connection.execute(
+                "SELECT create_hypertable($1::regclass, 'time', if_not_exists => true)", name
+            )
 
     async def close(self) -> None:
         """Disconnect from the database."""
@@ -98,32 +124,73 @@ class PostgresqlSink:
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Write samples to the table in one transaction. Raises `SinkDown`, `SinkRefused`."""
-        pg = import_module("asyncpg")
         columns = ", ".join(_COLUMNS)
         changed = ", ".join(f"{name} = excluded.{name}" for name in _COLUMNS[3:])
+        async with self._writing():
+            await self._connection.execute("TRUNCATE arriving")
+            await self._connection.copy_records_to_table(
+                "arriving", records=[_record(sample) for sample in samples], columns=_COLUMNS
+            )
+            await self._connection.execute(
+                f"INSERT INTO {self._table} ({columns})"
+                f" SELECT DISTINCT ON (device, point, time) {columns} FROM arriving"
+                f" ORDER BY device, point, time, nanoseconds DESC"
+                f" ON CONFLICT (device, point, time) DO UPDATE SET {changed}"
+            )
+
+    async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
+        """Write alarm events to their table in one transaction. Raises `SinkDown`, `SinkRefused`."""
+        changed = ", ".join(f"{name} = excluded.{name}" for name in _ALARM_COLUMNS)
+        values = ", ".join(f"${place}" for place in range(1, len(_ALARM_COLUMNS) + 1))
+        async with self._writing():
+            if not self._has_alarm_table:
+                await self._make_table(_ALARM_TABLE, self._alarm_table)
+            await self._connection.executemany(
+                f"INSERT INTO {self._alarm_table} ({', '.join(_ALARM_COLUMNS)}) VALUES ({values})"
+                f" ON CONFLICT (device, point, time, commit_number, place) DO UPDATE SET {changed}",
+                [_alarm_record(alarm) for alarm in alarms],
+            )
+        self._has_alarm_table = True
+
+    @asynccontextmanager
+    async def _writing(self) -> AsyncIterator[None]:
+        """Context manager of a transaction. Raises `SinkRefused` for what is wrong with values, else `SinkDown`."""
+        pg = import_module("asyncpg")
+        if self._connection is None:
+            raise SinkDown("the database is not connected")
+        about_values = (
+            pg.DataError,
+            pg.IntegrityConstraintViolationError,
+            pg.PLPGSQLError,
+            pg.ProgramLimitExceededError,
+        )
         try:
             async with self._connection.transaction():
-                await self._connection.execute("TRUNCATE arriving")
-                await self._connection.copy_records_to_table(
-                    "arriving", records=[_record(sample) for sample in samples], columns=_COLUMNS
-                )
-                await self._connection.execute(
-                    f"INSERT INTO {self._table} ({columns})"
-                    f" SELECT DISTINCT ON (device, point, time) {columns} FROM arriving"
-                    f" ORDER BY device, point, time, nanoseconds DESC"
-                    f" ON CONFLICT (device, point, time) DO UPDATE SET {changed}"
-                )
-        except (pg.DataError, pg.IntegrityConstraintViolationError) as error:
+                yield
+        except (*about_values, UnicodeEncodeError) as error:
             raise SinkRefused(f"the database refuses: {error}") from error
         except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
             raise SinkDown(f"the database does not take samples: {error or type(error).__name__}") from error
 
 
+def _moment(time: int) -> tuple[datetime, int]:
+    """Return a time as microseconds and the nanoseconds that are left."""
+    microseconds, rest = divmod(time, 1000)
+    return _EPOCH + timedelta(microseconds=microseconds), rest
+
+
 def _record(sample: CommittedSample) -> tuple[Any, ...]:  # as asyncpg wants it
-    microseconds, rest = divmod(sample.time, 1000)
-    moment = _EPOCH + timedelta(microseconds=microseconds)
+    moment, rest = _moment(sample.time)
     number, text = number_and_text(sample.value)
     return moment, sample.device, sample.point, number, text, sample.reason, sample.half_width, rest
+
+
+def _alarm_record(alarm: CommittedAlarm) -> tuple[Any, ...]:  # as asyncpg wants it
+    event = alarm.event
+    moment, rest = _moment(event.at)
+    number, text = number_and_text(event.value)
+    key = (moment, event.device, event.point, event.limit, event.kind.value)
+    return *key, number, text, event.text, event.by, rest, alarm.commit, alarm.place
 
 
 def number_and_text(value: Value | None) -> tuple[float | None, str | None]:

@@ -11,7 +11,9 @@ is aiomqtt's (``busway[sparkplug]``).
    broker takes the messages of a connection in order, so it has the data too.
 4. With a primary host, nothing is sent while the host is offline: samples wait in the store.
 5. A host that asks for the births again gets them, once in `REBIRTH_PAUSE` seconds at most.
-6. A device that the collector suspends, or that is in maintenance, dies; its next sample of another kind is a birth.
+6. Events of alarms are values of the metric `ALARM_METRIC` of the edge node, JSON as over MQTT, whether their device is
+   born or not.
+7. A device that the collector suspends, or that is in maintenance, dies; its next sample of another kind is a birth.
 """
 
 import asyncio
@@ -21,7 +23,7 @@ import logging
 import os
 import ssl
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
@@ -30,13 +32,16 @@ from typing import Any, Final
 from ....errors import ConfigError
 from ....extras import require
 from ..samples import Quality, Reason, Value, reason_text
-from ..store.committed_samples import CommittedSample
-from .interface import SinkDown
+from ..store.committed_samples import CommittedAlarm, CommittedSample
+from .documents import alarm_document
+from .interface import SinkDown, SinkRefused
 from .mqtt import topic_level
-from .mqtt_connection import connect
+from .mqtt_connection import MqttPublisher, connect
 from .sparkplug_payload import DataType, Metric, SparkplugQuality, asked_for_rebirth, encode_payload, type_of
 
 REBIRTH_PAUSE: Final = 5.0
+ALARM_METRIC: Final = "Alarms/Event"
+"""The metric of the edge node whose values are events of alarms."""
 MOST_METRICS: Final = 1000
 """Metrics in one message at most."""
 _NUMBERS: Final = 256
@@ -116,6 +121,7 @@ class SparkplugSink:
         self._address |= {"tls_context": tls, "identifier": client_id, "timeout": timeout}
         self._where = f"{host}:{port}"
         self._client: Any = None  # aiomqtt is loaded when it is used
+        self._publisher: MqttPublisher | None = None
         self._listener: asyncio.Task[None] | None = None
         self._sending = asyncio.Lock()
         self._devices: dict[str, _Device] = {}
@@ -125,6 +131,7 @@ class SparkplugSink:
         self._last_birth = 0.0
         self._host_online = asyncio.Event()
         self._host_time = 0
+        self._last_alarm: Metric | None = None
 
     # Life
 
@@ -134,11 +141,12 @@ class SparkplugSink:
         self._number = await asyncio.to_thread(self._next_number)
         will = mqtt.Will(self._topic("NDEATH"), self._death(), qos=1, retain=False)
         client = mqtt.Client(**self._address, will=will, protocol=mqtt.ProtocolVersion.V5, clean_start=True)
+        publisher = MqttPublisher(client, self._timeout)
         self._host_online.clear()
         self._host_time = 0
         try:
             await connect(client)
-            self._client = client
+            self._client, self._publisher = client, publisher
             self._listener = asyncio.create_task(self._listen(client), name="busway sparkplug messages")
             self._listener.add_done_callback(_log_defect)
             await client.subscribe(self._topic("NCMD"), qos=1)
@@ -159,7 +167,7 @@ class SparkplugSink:
         if listener is not None:
             listener.cancel()
             await asyncio.gather(listener, return_exceptions=True)
-        client, self._client = self._client, None
+        client, self._client, self._publisher = self._client, None, None
         if client is None:
             return
         gone = (import_module("aiomqtt").MqttError, OSError)  # the broker, or the connection to it
@@ -173,14 +181,29 @@ class SparkplugSink:
             device.is_born = False
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Publish samples, and wait until the broker has them. Raises `SinkDown`."""
+        """Publish samples, and wait until the broker has them. Raises `SinkDown`, `SinkRefused`."""
+        async with self._delivering():
+            for name, those in groupby(sorted(samples, key=_device_of), _device_of):
+                await self._send_device(name, list(those))
+
+    async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
+        """Publish alarm events, and wait until the broker has them. Raises `SinkDown`, `SinkRefused`."""
+        async with self._delivering():
+            for alarm in alarms:
+                event = _alarm_metric(alarm, is_historical=alarm.event.at < self._born_at)
+                await self._publish("NDATA", [event])
+                self._last_alarm = event
+
+    @contextlib.asynccontextmanager
+    async def _delivering(self) -> AsyncIterator[None]:
+        """Context manager in which messages are published; when it ends, the broker has them. Raises `SinkDown`."""
         mqtt = import_module("aiomqtt")
         if self._listener is None or self._listener.done():
             raise SinkDown(f"messages of the broker {self._where} are no longer received")
         try:
             async with self._sending:
-                for name, those in groupby(sorted(samples, key=_device_of), _device_of):
-                    await self._send_device(name, list(those))
+                self._check_host()
+                yield
             await self._publish_acknowledged()
         except (mqtt.MqttError, OSError) as error:
             raise SinkDown(f"the broker {self._where} does not answer: {error}") from error
@@ -189,12 +212,12 @@ class SparkplugSink:
     async def _publish_acknowledged(self) -> None:
         """Wait until the broker has taken all messages so far: it acknowledges one that came after them."""
         topic = f"busway/sparkplug/{self._group}/{self._node}/delivered"
-        await self._connected().publish(topic, b"", qos=1, timeout=self._timeout)
+        await self._connected().publish(topic, b"")  # any answer, also that this topic is not permitted
 
-    def _connected(self) -> Any:
-        if self._client is None:
+    def _connected(self) -> MqttPublisher:
+        if self._publisher is None:
             raise SinkDown(f"the broker {self._where} is not connected")
-        return self._client
+        return self._publisher
 
     def _check_host(self) -> None:
         if self._primary_host is not None and not self._host_online.is_set():
@@ -210,13 +233,15 @@ class SparkplugSink:
         metrics = [
             Metric("bdSeq", self._born_at, DataType.INT64, self._number),
             Metric("Node Control/Rebirth", self._born_at, DataType.BOOLEAN, False),
+            self._last_alarm or Metric(ALARM_METRIC, self._born_at, DataType.STRING, None),
         ]
         await self._publish("NBIRTH", metrics)
         self._is_born = True
         for name, device in self._devices.items():
             device.is_born = False
             if device.last:
-                await self._birth(name, device)
+                with contextlib.suppress(SinkRefused):  # its next sample is refused for it
+                    await self._birth(name, device)
 
     async def _birth(self, name: str, device: _Device) -> None:
         metrics = [_metric(sample, device.kinds[point], unit=True) for point, sample in device.last.items()]
@@ -236,7 +261,12 @@ class SparkplugSink:
                     device.kinds.setdefault(sample.point, DataType.DOUBLE)
                 continue
             for part in _parts(list(those)):
-                await self._send_part(name, device, part)
+                known = dict(device.last), dict(device.kinds)
+                try:
+                    await self._send_part(name, device, part)
+                except SinkRefused:  # what is too large for a message must not be in every birth
+                    device.last, device.kinds = known
+                    raise
 
     async def _send_part(self, name: str, device: _Device, samples: list[CommittedSample]) -> None:
         needed = [device.learn(sample) for sample in samples]
@@ -251,9 +281,10 @@ class SparkplugSink:
         await self._publish("DDATA", metrics, name)
 
     async def _publish(self, kind: str, metrics: Sequence[Metric], device: str | None = None) -> None:
-        content = encode_payload(metrics, self._now(), self._sequence)
+        topic, content = self._topic(kind, device), encode_payload(metrics, self._now(), self._sequence)
+        self._connected().check_size(topic, content)
         self._sequence = (self._sequence + 1) % _NUMBERS
-        await self._connected().publish(self._topic(kind, device), content, qos=0, timeout=self._timeout)
+        await self._client.publish(topic, content, qos=0, timeout=self._timeout)
 
     def _topic(self, kind: str, device: str | None = None) -> str:
         levels = ["spBv1.0", self._group, kind, self._node]
@@ -329,6 +360,11 @@ class SparkplugSink:
 def _log_defect(task: "asyncio.Task[None]") -> None:
     if not task.cancelled() and task.exception() is not None:
         _log.error("sink for Sparkplug: messages are no longer received", exc_info=task.exception())
+
+
+def _alarm_metric(alarm: CommittedAlarm, *, is_historical: bool) -> Metric:
+    content = alarm_document(alarm).encode().decode()
+    return Metric(ALARM_METRIC, alarm.event.at, DataType.STRING, content, is_historical)
 
 
 def _device_of(sample: CommittedSample) -> str:
