@@ -156,6 +156,30 @@ def test_a_write_goes_before_all_reads() -> None:
     assert (turn.kind, turn.device, turn.write) == (TurnKind.WRITE, "d3", "open the valve")
 
 
+def test_a_flood_of_writes_does_not_stop_polling() -> None:
+    link = link_with({f"d{at}": book({"c": 30}) for at in range(3)}, {"c": 1.0})
+    link.run(20.5)
+    kinds = []
+    for _ in range(90):
+        link.schedule.write("d0", "again")
+        turn = link.schedule.next(link.now)
+        assert isinstance(turn, Turn)
+        kinds.append(turn.kind)
+        link.now += 0.1
+        link.schedule.done(turn, link.now - 0.1, link.now, TurnOutcome.ANSWERED)
+    assert kinds.count(TurnKind.ROUND) == 10
+    assert kinds[:8] == [TurnKind.WRITE] * 8
+    assert TurnKind.QUESTION not in kinds
+
+
+def test_writes_go_on_where_no_read_is_due() -> None:
+    schedule = LinkSchedule(1.0)
+    for at in range(20):
+        schedule.write("d", at)
+    turns = [schedule.next(0.0) for _ in range(20)]
+    assert [turn.write for turn in turns if isinstance(turn, Turn)] == list(range(20))
+
+
 def test_writes_are_bounded_and_refused_beyond() -> None:
     schedule = LinkSchedule(1.0)
     taken = [schedule.write("d", at) for at in range(300)]

@@ -49,17 +49,38 @@ def test_a_token_that_is_removed_from_the_file_is_no_longer_taken(tmp_path: Path
     assert [each.caller.role for each in kept.current()] == [Role.VIEW]
 
 
-def test_a_file_that_becomes_wrong_is_logged_and_changes_nothing(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_file_that_becomes_wrong_is_logged_and_adds_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     kept = KeptTokens(written(tmp_path / "tokens", f"operate {LONG}\n"))
     before = kept.current()
     with caplog.at_level(logging.ERROR, "busway.apps.web"):
-        written(tmp_path / "tokens", "operate short\n")
+        written(tmp_path / "tokens", f"operate short\noperate {LONG}\noperate {LONG}2\n")
         assert kept.current() == kept.current() == before
     assert len(caplog.records) == 1
     assert "line 1" in caplog.text
     assert "short" not in caplog.text
+
+
+@pytest.mark.parametrize("text", ["", "# none\n", f"view {LONG}\n\nview short\n", f"# operate {LONG}\nview\n", None])
+def test_a_token_that_stands_no_longer_in_a_file_that_became_wrong_is_no_longer_taken(
+    tmp_path: Path, text: str | None
+) -> None:
+    path = written(tmp_path / "tokens", f"operate {LONG} anna\nview {LONG}2\n")
+    kept = KeptTokens(path)
+    if text is None:
+        path.unlink()
+    else:
+        written(path, text)
+    assert kept.current() == kept.current() == ()
+    written(path, f"operate {LONG} anna\n")
+    assert [each.caller.name for each in kept.current()] == ["anna"]
+
+
+def test_a_file_of_the_same_size_and_time_is_read_again(tmp_path: Path) -> None:
+    kept = KeptTokens(path := written(tmp_path / "tokens", f"operate {LONG}1\n"))
+    before = path.stat().st_mtime_ns
+    written(tmp_path / "new", f"operate {LONG}2\n").rename(path)
+    os.utime(path, ns=(before, before))
+    assert [each.digest for each in kept.current()] == [AccessToken.of(f"{LONG}2", "", Role.OPERATE).digest]
 
 
 @pytest.mark.parametrize(

@@ -256,6 +256,12 @@ async def test_a_route_that_forgets_its_role_still_needs_that_to_operate() -> No
     assert (await post(routes, "/forgot", "the-token-to-operate")).status_code == 200
 
 
+async def test_a_token_is_wrong_where_all_were_removed_and_is_not_taken_for_none() -> None:
+    routes = guarded_routes(PageAccessRules(tuple, without_token=Role.OPERATE))
+    assert (await post(routes, "/operate", "the-token-to-operate")).status_code == 401
+    assert (await post(routes, "/operate")).status_code == 200
+
+
 async def test_a_route_behind_no_rules_of_access_knows_no_caller_and_refuses() -> None:
     inner = FastAPI()
 

@@ -607,6 +607,8 @@ class Collector:
             self._sinks.set_point_rules(sink_rules(configuration))
         done: list[str] = []
         changed = [name for name, link in self._links.items() if link.key != _key_of(configuration, name)]
+        for name in changed:  # before anything is awaited: no command of a new point goes to a device of before
+            self._links[name].poller.finish()
         await asyncio.gather(*(self._finish_link(name) for name in changed))
         for name in changed:
             await self._stop_link(name)
@@ -710,6 +712,7 @@ class Collector:
         while True:
             await asyncio.sleep(CLOCK_EVERY)
             self._mend(self._clock.adjust(loop.time(), time.time_ns()))
+            await self.commands.record_again()
             if loop.time() >= write_at:
                 write_at = loop.time() + LEARNT_EVERY
                 for running in self._links.values():

@@ -309,6 +309,11 @@ class LinkPoller:
         if self._wake is not None:
             self._wake.set()
 
+    @property
+    def is_finishing(self) -> bool:
+        """Whether its task has ended, or will after the transaction that runs."""
+        return self._is_finishing or self._has_ended
+
     def finish(self) -> None:
         """End polling after the transaction in progress, so that no reply is still on its way."""
         self._is_finishing = True

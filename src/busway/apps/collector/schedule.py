@@ -5,7 +5,8 @@ the turn that it gets, and tells `LinkSchedule.done`.
 
 1. Writes go first, then leased points, which are those on a screen, then rounds of classes, each by the earliest
    deadline. A read that has begun is never interrupted. The reads of a round follow each other, unless a round with an
-   earlier deadline comes up.
+   earlier deadline comes up. After `MOST_WRITES_IN_A_ROW` writes one read that is due goes between: a flood of commands
+   does not stop polling.
 2. A round is one due time of the classes of one device that are due within a small slack; its deadline is its due time
    and the shortest of their periods. Due times stand on a grid, so that nothing drifts; devices follow each other in it
    with the time between them that their reads need.
@@ -36,6 +37,8 @@ LONGEST_BACKOFF: Final = 60.0
 """Seconds between two probes of a silent device, at most, where the share allows."""
 MOST_WRITES: Final = 256
 """Writes that may wait for a link."""
+MOST_WRITES_IN_A_ROW: Final = 8
+"""Writes that go before a read that is due."""
 _SPREAD: Final = 0.618_033_988_75
 """The golden section: multiples of it, modulo 1, are spread evenly however many there are."""
 _PLACED_LOAD: Final = 0.85
@@ -188,6 +191,7 @@ class LinkSchedule:
         self._credit = timeout
         self._credited_at: float | None = None
         self._writes: deque[tuple[str, Any]] = deque()
+        self._writes_in_a_row = 0
         self._releases: list[tuple[float, int, str]] = []
         self._ready: list[tuple[int, float, int, PollRound]] = []
         self._new: deque[str] = deque()
@@ -267,9 +271,21 @@ class LinkSchedule:
         """Return the next request to send now, or the time to ask again; a new write or lease may come earlier."""
         self._credit_until(now)
         self._release_due(now)
-        if self._writes:
-            device, what = self._writes.popleft()
-            return Turn(TurnKind.WRITE, device, write=what)
+        if self._writes and self._writes_in_a_row < MOST_WRITES_IN_A_ROW:
+            return self._write_turn()
+        self._writes_in_a_row = 0
+        due = self._due_read(now)
+        if due is None and self._writes:
+            return self._write_turn()
+        return due or self._question(now) or self._next_event(now)
+
+    def _write_turn(self) -> Turn:
+        self._writes_in_a_row += 1
+        device, what = self._writes.popleft()
+        return Turn(TurnKind.WRITE, device, write=what)
+
+    def _due_read(self, now: float) -> Turn | None:
+        """The next read that is due, or the first contact or probe of a device; None where nothing is."""
         if self._credit >= self.timeout - 1e-9:  # not even overload keeps a device from its first answer for ever
             asked = self._first_contact() or self._probe(now)
             if asked is not None:
@@ -278,7 +294,7 @@ class LinkSchedule:
             turn = self._turn_of_round(now)
             if turn is not None:  # else nothing of it may be read
                 return turn
-        return self._first_contact() or self._probe(now) or self._question(now) or self._next_event(now)
+        return self._first_contact() or self._probe(now)
 
     def _turn_of_round(self, now: float) -> Turn | None:
         chosen = self._ready[0][3]

@@ -111,13 +111,14 @@ class PageAccessRules:
     """Which hosts, origins and callers may use a web page on one address.
 
     Attributes:
-        tokens: gives all that are taken now.
+        tokens: gives all that are taken now, which may be none; None for a page that has no tokens: one that is shown
+            there means nothing.
         subjects: role by the subject of a client certificate, as RFC 4514 writes it: ``CN=anna,O=plant``.
         without_token: role of callers that show neither; None where they are refused.
         is_loopback: whether it can be reached from this host alone.
     """
 
-    tokens: "Callable[[], Sequence[AccessToken]]" = tuple
+    tokens: "Callable[[], Sequence[AccessToken]] | None" = None
     subjects: Mapping[str, Role] = field(default_factory=dict)
     without_token: Role | None = None
     is_loopback: bool = True
@@ -216,9 +217,9 @@ class PageAccess:
 
     def _caller(self, scope: Scope, headers: dict[str, list[str]]) -> Caller:
         """Return the caller of a request by its token, certificate or address (rule 5)."""
-        given, tokens = _token(scope, headers), self._rules.tokens()
-        if given is not None and tokens:
-            return self._holder(given, tokens, scope)
+        given = _token(scope, headers)
+        if given is not None and self._rules.tokens is not None:
+            return self._holder(given, self._rules.tokens(), scope)
         subject = scope.get("state", {}).get(CERTIFICATE_SUBJECT, "")
         role = self._rules.subjects.get(subject) if subject else None
         if role is not None:

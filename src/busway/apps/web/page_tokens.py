@@ -13,7 +13,8 @@ Knows the file and its lines; knows no request.
 1. A new file has one random token for each role. It is never written over: lines are added and removed by hand.
 2. A file that others can read is refused, and so is one with a line that cannot be; the sentence has the line's number
    and never its token.
-3. While a page runs, a file that has become wrong is logged, and the tokens before stay.
+3. While a page runs, a file that has become wrong is logged, and adds no token. A token that no longer stands in it, or
+   whose file is gone, is no longer taken.
 """
 
 import logging
@@ -73,15 +74,26 @@ class KeptTokens:
             try:
                 self._tokens = read_tokens(self.path)
             except ConfigError as error:
-                _log.error("the tokens of the page stay as they were: %s", error)
+                self._tokens = self._left()
+                _log.error("no tokens are added to the %d of the page that are left: %s", len(self._tokens), error)
         return self._tokens
 
-    def _look(self) -> tuple[int, int, int]:
+    def _left(self) -> tuple[AccessToken, ...]:
+        """The tokens that still stand in a file that has become wrong (rule 3)."""
+        try:
+            text = read_safely(self.path, most=_LONGEST_FILE).decode("utf-8", "replace")
+        except ConfigError:
+            return ()
+        lines = (line.split(maxsplit=2) for line in text.splitlines())
+        words = {(words[0], AccessToken.of(words[1], "", Role.VIEW).digest) for words in lines if len(words) > 1}
+        return tuple(each for each in self._tokens if (each.caller.role.label, each.digest) in words)
+
+    def _look(self) -> tuple[int, ...]:
         try:
             found = self.path.stat()
         except OSError:
-            return 0, 0, 0
-        return found.st_mtime_ns, found.st_size, found.st_mode
+            return ()
+        return found.st_ino, found.st_ctime_ns, found.st_mtime_ns, found.st_size, found.st_mode
 
 
 def read_tokens(path: Path) -> tuple[AccessToken, ...]:

@@ -5,7 +5,9 @@ import contextlib
 import json
 import time
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,16 +16,21 @@ from foreign_servers import ForeignServer, mosquitto, nats_server
 from waiting import until
 
 import busway
-from busway.apps.collector.commands.command import CommandState
+from busway.apps.collector.commands.command import CommandResult, CommandState, PointCommand
 from busway.apps.collector.commands.input_options import make_input
-from busway.apps.collector.commands.inputs import InputMessage, InputRights, overlap, parsed
+from busway.apps.collector.commands.inputs import CommandReceiver, InputMessage, InputRights, overlap, parsed
 from busway.apps.collector.commands.journal import CUT_OFF, CommandJournal
 from busway.apps.collector.commands.mqtt import MqttCommands
 from busway.apps.collector.commands.nats import NatsCommands
+from busway.apps.collector.sinks.mqtt import topic_level
+from busway.codes import Table
 from busway.config.files.schema import FileProblems
 from busway.config.files.sinks import sink_section
 from busway.errors import ConfigError, InvalidRequest
+from busway.points import Point, WriteRule
+from busway.values import value_type
 
+EXPIRING = b'{"value": 1, "expires": 1003}'
 MQTT = """
 [[sink]]
 name = "broker"
@@ -377,3 +384,89 @@ def test_topics_overlap_where_a_name_may_stand() -> None:
     assert overlap("a/{device}/{point}", "a/x/{point}", "/")
     assert not overlap("a/{device}/{point}/set", "a/{device}/{point}", "/")
     assert not overlap("a.{device}.set", "a.{device}.get", ".")
+
+
+class NotedRunner:
+    """Notes the commands that it gets, and does none."""
+
+    def __init__(self) -> None:
+        self.got: list[tuple[str, str, float]] = []
+
+    async def write(self, device: str, point: str, value: Any, *, expires: float, **more: Any) -> CommandResult:
+        self.got.append((device, point, expires))
+        command = PointCommand("k", device, point, value, more["by"], more["origin"], expires)
+        return CommandResult(command, CommandState.DONE, 0.0)
+
+
+def receiver_of(names: list[str], permitted: list[str], **clocks: Any) -> tuple[CommandReceiver, NotedRunner]:
+    """A receiver of messages for a device, ``d``, with points of these names at the topics ``plant/d/POINT``."""
+    made = SimpleNamespace(
+        rights=InputRights("plant/{device}/{point}", tuple(permitted), 10.0), kind="mqtt", level=topic_level
+    )
+    points = [Point(each, Table.HOLDING_REGISTERS, n, value_type("uint16")) for n, each in enumerate(names)]
+    points = [replace(each, writing=WriteRule()) if each.name != "shown" else each for each in points]
+    plant = SimpleNamespace(devices={"d": SimpleNamespace(name="d", points=points)})
+    runner = NotedRunner()
+    return CommandReceiver("broker", made, runner, lambda: plant, **clocks), runner  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("names", "permitted", "asked", "written"),
+    [
+        (["a_b", "c"], ["d/a_b"], "a_b", "a_b"),
+        (["a/b", "c"], ["d/a/b"], "a_b", "a/b"),
+        (["a/b", "a_b"], ["d/a_b"], "a_b", None),  # the topic stands for both, and one of them is not permitted
+        (["a/b", "a_b"], ["d/a_b", "d/a/b"], "a_b", None),
+        (["a/b", "a+b"], ["d/*"], "a_b", None),
+        (["x/a", "a"], ["*/a"], "x_a", None),  # a star for the device ends at the slash
+        (["x/a", "a"], ["*/a"], "a", "a"),
+        (["x/a", "a"], ["d*/a"], "x_a", None),
+        (["x/a", "a"], ["d/*/a"], "x_a", "x/a"),
+        (["a"], ["D/a", "d/A"], "a", None),
+        (["shown"], ["d/*"], "shown", None),
+    ],
+)
+async def test_a_topic_writes_the_point_that_the_file_permits_or_none(
+    names: list[str], permitted: list[str], asked: str, written: str | None
+) -> None:
+    receiver, runner = receiver_of(names, permitted)
+    answer = json.loads(await receiver.take(InputMessage(f"plant/d/{asked}", b"1")))
+    assert [point for _, point, _ in runner.got] == ([] if written is None else [written])
+    assert answer["state"] == ("refused" if written is None else "done")
+
+
+@pytest.mark.parametrize(
+    ("left", "payload", "expires"),
+    [(None, b"1", 1010.0), (30.0, b"1", 1010.0), (4.0, b"1", 1004.0), (0.0, b"1", 1000.0), (4.0, EXPIRING, 1003.0)],
+)
+async def test_the_time_of_a_message_counts_from_its_arrival(
+    left: float | None, payload: bytes, expires: float
+) -> None:
+    receiver, runner = receiver_of(["a"], ["d/a"], now=lambda: 1060.0, moment=lambda: 160.0)
+    await receiver.take(InputMessage("plant/d/a", payload, seconds_left=left, arrived=100.0))
+    assert runner.got == [("d", "a", expires)]
+
+
+@pytest.mark.parametrize(
+    ("payload", "sentence"),
+    [
+        (b'{"value": 1, "by": 5}', "by is a text"),
+        (b'{"value": 1, "by": "\\ud800"}', "by has 1"),
+        (b'{"value": 1, "by": "a\\u202eb"}', "by has 1"),
+        (b'{"value": "\\ud800"}', "half of a surrogate pair"),
+        (b'{"value": ["on", "\\ud800"]}', "half of a surrogate pair"),
+    ],
+)
+async def test_texts_that_no_answer_could_hold_are_refused(payload: bytes, sentence: str) -> None:
+    receiver, runner = receiver_of(["a"], ["d/a"])
+    answer = json.loads(await receiver.take(InputMessage("plant/d/a", payload)))
+    assert (answer["state"], runner.got) == ("refused", [])
+    assert sentence in answer["reason"]
+
+
+def test_messages_that_are_too_many_are_counted_and_logged(caplog: pytest.LogCaptureFixture) -> None:
+    receiver, _ = receiver_of(["a"], ["d/a"])
+    for _ in range(3):
+        receiver.drop("plant/d/a")
+    assert (receiver.status().taken, receiver.status().refused) == (3, 3)
+    assert caplog.text.count("too many messages wait") == 1

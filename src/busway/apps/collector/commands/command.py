@@ -4,7 +4,8 @@ Pure: knows no device, no file and no clock.
 
 1. A key names a command for ever. Keys that are made here begin with `MADE`; those of callers must not.
 2. Times are seconds since 1970 UTC.
-3. What a caller gives has limits: lengths of texts, items of a list, how far away the expiry is.
+3. What a caller gives has limits: lengths of texts, items of a list, how far away the expiry is. Texts can be written
+   as UTF-8, or else no journal and no answer could hold them; who gives a command has a name that can be seen.
 """
 
 import json
@@ -91,7 +92,8 @@ class PointCommand:
             raise InvalidRequest(f"a key has 1…100 letters, digits or . _ : @ -, not {shown(self.key)}")
         for name in ("device", "point", "by", "origin"):
             text = getattr(self, name)
-            if not isinstance(text, str) or not _PRINTABLE.fullmatch(text):
+            is_text = isinstance(text, str) and _PRINTABLE.fullmatch(text) and _is_utf_8(text)
+            if not is_text or (name == "by" and not text.isprintable()):
                 raise InvalidRequest(f"{name} has 1…200 printable characters, not {shown(text)}")
         if isinstance(self.expires, bool) or not isinstance(self.expires, int | float):
             raise InvalidRequest(f"expires is seconds since 1970, not {shown(self.expires)}")
@@ -119,6 +121,15 @@ def _check_value(value: object) -> None:
             raise InvalidRequest(f"{shown(each)} has half of a surrogate pair, which is no character")
     if len(items) > LONGEST_VALUE or len(json.dumps(value)) > 6 * LONGEST_VALUE:
         raise InvalidRequest(f"a value has at most {LONGEST_VALUE} characters")
+
+
+def _is_utf_8(text: str) -> bool:
+    """Whether a text has no lone surrogate, which JSON can say and UTF-8 cannot."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def same_value(one: CommandValue, other: CommandValue) -> bool:

@@ -7,7 +7,9 @@ Knows messages and the runner of commands; knows no broker.
 2. A message is JSON: the value alone, or ``{"value": 21.5, "key": "…", "expires": 1800000000, "by": "…"}``. What is no
    JSON is a text: a name of a number. One that does not say until when it may be sent is sent within ``seconds``.
 3. A retained message is refused: a broker would hand it on again at every connection.
-4. A name as one level of a topic stands for one point; where it stands for two, neither is written.
+4. A name as one level of a topic stands for one point; where it stands for two of the plant, neither is written, also
+   where the file names only one of them.
+5. The time of a message counts from its arrival, also while it waits for others.
 """
 
 import json
@@ -49,6 +51,14 @@ class InputRights:
     points: tuple[str, ...]
     seconds: float = 10.0
 
+    def permits(self, device: str, point: str) -> bool:
+        """Whether a point may be written; a ``*`` for the device ends at the slash, which no name of a device has."""
+        for pattern in self.points:
+            devices, _, points = pattern.partition("/")
+            if fnmatchcase(device, devices) and fnmatchcase(point, points):
+                return True
+        return False
+
 
 @dataclass(frozen=True, slots=True)
 class InputMessage:
@@ -60,6 +70,7 @@ class InputMessage:
         by: who has sent it, as it says itself; empty where it does not.
         seconds_left: until it expires; None where it does not.
         is_retained: whether a broker keeps it for later subscribers.
+        arrived: when it came, seconds of the monotonic clock; None for now.
     """
 
     where: str
@@ -67,6 +78,7 @@ class InputMessage:
     by: str = ""
     seconds_left: float | None = None
     is_retained: bool = False
+    arrived: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +141,7 @@ class CommandReceiver:
         runner: takes the commands.
         configuration: gives what the file says now.
         now: seconds since 1970 UTC.
+        moment: seconds of the monotonic clock.
     """
 
     def __init__(
@@ -139,9 +152,10 @@ class CommandReceiver:
         configuration: Callable[[], "DescribedPlant"],
         *,
         now: Callable[[], float] = time.time,
+        moment: Callable[[], float] = time.monotonic,
     ) -> None:
         self._name, self._input, self._runner = name, made, runner
-        self._configuration, self._now = configuration, now
+        self._configuration, self._now, self._moment = configuration, now, moment
         self._places: tuple[DescribedPlant, dict[str, tuple[str, str] | None]] | None = None
         self._taken = self._refused = 0
         self._error: str | None = "not connected yet"
@@ -169,6 +183,11 @@ class CommandReceiver:
         """Whether a topic is one on which commands come, so that no reply may go there."""
         return overlap(self._input.rights.where, where, self._input.separator)
 
+    def drop(self, where: str) -> None:
+        """Note that a message was not read, because too many wait."""
+        self._taken += 1
+        self._refuse(where, "too many messages wait")
+
     async def take(self, message: InputMessage) -> bytes:
         """Execute the command in a message. Returns the reply as JSON. Raises nothing."""
         self._taken += 1
@@ -176,7 +195,7 @@ class CommandReceiver:
             given = parsed(message.payload)
             command = self._command(message, given)
         except InvalidRequest as error:
-            return self._refuse(message, error.message)
+            return self._refuse(message.where, error.message)
         if message.is_retained:
             refused = CommandResult(command, CommandState.OPEN, self._now())
             self._refused += 1
@@ -196,17 +215,20 @@ class CommandReceiver:
                 key=given.get("key"),
             )
         except InvalidRequest as error:
-            return self._refuse(message, error.message)
+            return self._refuse(message.where, error.message)
         return _encoded(result.content())
 
     def _command(self, message: InputMessage, given: dict[str, Any]) -> PointCommand:
         place = self._place(message.where)
         now = self._now()
-        expires = given.get("expires", now + self._input.rights.seconds)
+        arrived = now if message.arrived is None else now - (self._moment() - message.arrived)
+        expires = given.get("expires", arrived + self._input.rights.seconds)
         if message.seconds_left is not None and isinstance(expires, int | float):
-            expires = min(expires, now + message.seconds_left)
+            expires = min(expires, arrived + message.seconds_left)
         said = given.get("by", message.by)
-        name = f"{self._name}: {said[:_LONGEST_NAME]}" if isinstance(said, str) and said else self._name
+        if not isinstance(said, str):
+            raise InvalidRequest(f"by is a text, not {shown(said)}")
+        name = f"{self._name}: {said[:_LONGEST_NAME]}" if said else self._name
         key = given.get("key", new_key(now))
         return PointCommand(key, *place, given["value"], name, self._input.kind, expires)
 
@@ -224,22 +246,20 @@ class CommandReceiver:
     def _places_of(self, configuration: DescribedPlant) -> dict[str, tuple[str, str] | None]:
         rights, level = self._input.rights, self._input.level
         found: dict[str, tuple[str, str] | None] = {}
+        permitted: set[str] = set()
         for device in configuration.devices.values():
             for point in device.points:
-                name = f"{device.name}/{point.name}"
-                if point.writing is None or not any(fnmatchcase(name, pattern) for pattern in rights.points):
-                    continue
                 where = rights.where.replace("{device}", level(device.name)).replace("{point}", level(point.name))
                 found[where] = None if where in found else (device.name, point.name)
-        return found
+                if point.writing is not None and rights.permits(device.name, point.name):
+                    permitted.add(where)
+        return {where: place for where, place in found.items() if where in permitted}
 
-    def _refuse(self, message: InputMessage, reason: str) -> bytes:
+    def _refuse(self, where: str, reason: str) -> bytes:
         self._refused += 1
-        repeated = self._repeats.again(message.where[:_LONGEST_NAME], time.monotonic())
+        repeated = self._repeats.again(where[:_LONGEST_NAME], time.monotonic())
         if repeated is not None:
-            _log.warning(
-                "commands of %s: %s is refused: %s%s", self._name, shown(message.where), reason, so_often(repeated)
-            )
+            _log.warning("commands of %s: %s is refused: %s%s", self._name, shown(where), reason, so_often(repeated))
         return _encoded({"state": CommandState.REFUSED.value, "reason": reason})
 
 

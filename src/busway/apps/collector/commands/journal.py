@@ -101,12 +101,10 @@ class CommandJournal:
         """
         key = result.command.key
         with self._in_use("written"):
-            found = self._found(key)
-            if found is not None:
-                return found
+            known = self._known(result)
+            if known is not None:
+                return known
             is_callers = not key.startswith(MADE)
-            if self._is_used(key):
-                return result.finished(CommandState.REFUSED, "this key was used before, long ago; nothing was sent")
             if is_callers and self._used >= self._most_keys:
                 raise Overloaded(f"{self._most_keys} keys of callers are remembered, the limit: send it without a key")
             counted = self._kept, self._used
@@ -117,6 +115,15 @@ class CommandJournal:
                 self._kept, self._used = counted
                 raise
         return None
+
+    def known(self, result: CommandResult) -> CommandResult | None:
+        """Return what `take` would return for a command, and record nothing.
+
+        Raises:
+            OSError: the file cannot be read.
+        """
+        with self._in_use():
+            return self._known(result)
 
     def finish(self, result: CommandResult) -> None:
         """Record the result of an accepted command, durably. Raises `OSError`."""
@@ -143,6 +150,13 @@ class CommandJournal:
                 raise OSError(f"the journal of commands cannot be {what}: {error}") from error
 
     # SQL; the lock is held.
+
+    def _known(self, result: CommandResult) -> CommandResult | None:
+        key = result.command.key
+        found = self._found(key)
+        if found is None and self._is_used(key):
+            return result.finished(CommandState.REFUSED, "this key was used before, long ago; nothing was sent now")
+        return found
 
     def _found(self, key: str) -> CommandResult | None:
         rows = self._rows("WHERE key = ?", (key,))

@@ -2,9 +2,10 @@
 
 Knows tasks; knows no message and no broker.
 
-1. At most `MOST_AT_ONCE` messages are handled at once; further ones wait at the broker or in its library.
-2. Leaving ends every task and awaits it. Each has begun by then, so that its command has been taken, is done by the
-   runner, recorded and audited; what is lost is the answer.
+1. At most `MOST_AT_ONCE` messages are handled at once, and `MOST_WAITING` wait, in the order of their coming; further
+   ones are dropped. None waits in the library of a broker, where it would have no time of its arrival.
+2. Leaving ends every task and awaits it. Each that did not have to wait has begun by then, so that its command has been
+   taken, is done by the runner, recorded and audited; what is lost is the answer.
 """
 
 import asyncio
@@ -15,6 +16,8 @@ from typing import Final, Self
 
 MOST_AT_ONCE: Final = 32
 """Messages of one connection that are handled at once."""
+MOST_WAITING: Final = 4 * MOST_AT_ONCE
+"""Messages of one connection that wait for that."""
 
 _log = logging.getLogger("busway.collector.commands")
 
@@ -27,19 +30,25 @@ class MessageTasks:
         self._tasks: set[asyncio.Task[None]] = set()
         self._has_ended = False
 
-    async def begin(self, handle: Callable[[], Awaitable[None]]) -> None:
-        """Start a task that handles a message, once there is room for one (rule 1); ignored after the end."""
-        await self._places.acquire()
-        if self._has_ended:  # while it waited
-            self._places.release()  # the next that waits shall see it too
-            return
-        task = asyncio.create_task(_handled(handle))
-        self._tasks.add(task)
-        task.add_done_callback(self._leave)
+    def begin(self, handle: Callable[[], Awaitable[None]]) -> bool:
+        """Handle a message in a task of its own, once there is room; False where too many wait: it is dropped."""
+        if len(self._tasks) >= MOST_AT_ONCE + MOST_WAITING:
+            return False
+        if not self._has_ended:
+            task = asyncio.create_task(self._handled(handle))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+        return True
 
-    def _leave(self, task: "asyncio.Task[None]") -> None:
-        self._tasks.discard(task)
-        self._places.release()
+    async def _handled(self, handle: Callable[[], Awaitable[None]]) -> None:
+        waits = self._places.locked()
+        async with self._places:
+            if waits and self._has_ended:
+                return
+            try:
+                await handle()
+            except Exception:  # a defect, whatever it is: other messages are handled all the same
+                _log.exception("a message could not be handled, by a defect")
 
     async def __aenter__(self) -> Self:
         return self
@@ -55,10 +64,3 @@ class MessageTasks:
             for task in self._tasks:
                 task.cancel()
             await asyncio.wait(self._tasks)
-
-
-async def _handled(handle: Callable[[], Awaitable[None]]) -> None:
-    try:
-        await handle()
-    except Exception:  # a defect, whatever it is: other messages are handled all the same
-        _log.exception("a message could not be handled, by a defect")

@@ -12,6 +12,7 @@ import asyncio
 import contextlib
 import logging
 import ssl
+import time
 from collections.abc import AsyncIterator
 from functools import partial
 from importlib import import_module
@@ -107,9 +108,10 @@ class MqttCommands:
 
     async def _receive(self, client: Any, tasks: MessageTasks, receiver: CommandReceiver) -> None:
         async for message in client.messages:
-            await tasks.begin(partial(self._handle, client, message, receiver))
+            if not tasks.begin(partial(self._handle, client, message, receiver, time.monotonic())):
+                receiver.drop(str(message.topic))
 
-    async def _handle(self, client: Any, message: Any, receiver: CommandReceiver) -> None:
+    async def _handle(self, client: Any, message: Any, receiver: CommandReceiver, arrived: float) -> None:
         properties = message.properties
         where = str(message.topic)
         payload = message.payload if isinstance(message.payload, bytes) else b""
@@ -120,6 +122,7 @@ class MqttCommands:
                 by=dict(getattr(properties, "UserProperty", ())).get("by", ""),
                 seconds_left=getattr(properties, "MessageExpiryInterval", None),
                 is_retained=bool(message.retain),
+                arrived=arrived,
             )
         )
         try:

@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import logging
 import ssl
+import time
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -101,7 +102,8 @@ class NatsCommands:
 
     async def _subscribe(self, client: Any, tasks: MessageTasks, receiver: CommandReceiver) -> None:
         async def came(message: Any) -> None:
-            await tasks.begin(partial(self._handle, message, receiver))
+            if not tasks.begin(partial(self._handle, message, receiver, time.monotonic())):
+                receiver.drop(message.subject)
 
         wildcards = self.rights.where.replace("{device}", "*").replace("{point}", "*")
         await client.subscribe(
@@ -112,9 +114,9 @@ class NatsCommands:
         )
         await client.flush()
 
-    async def _handle(self, message: Any, receiver: CommandReceiver) -> None:
+    async def _handle(self, message: Any, receiver: CommandReceiver, arrived: float) -> None:
         by = (message.headers or {}).get("by", "")
-        answer = await receiver.take(InputMessage(message.subject, message.data, by=by))
+        answer = await receiver.take(InputMessage(message.subject, message.data, by=by, arrived=arrived))
         if not message.reply or receiver.is_for_commands(message.reply):
             return
         try:

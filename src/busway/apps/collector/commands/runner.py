@@ -5,9 +5,11 @@ Knows the journal, the audit log and the pollers of links; decides by `point_wri
 1. A key is sent at most once, ever. The first command with a key takes it; it is recorded before the wire (`journal`).
    The same command again gives the result of the first; another one with its key is refused.
 2. What is against a rule, or too late, is refused before any byte, and recorded as such. What finds too many commands
-   open, or a journal that cannot be written, is refused without a record: it may be asked again.
+   open, a link that is begun anew, or a log or journal that cannot be written, is refused without a record: it may be
+   asked again. Its key is looked up before: a command that was sent is never said to be refused.
 3. One command of a device runs at a time, in the order of their coming. It is sent in a turn of the poller, before
-   reads, and never repeated, whatever the options of the link say.
+   reads, and never repeated, whatever the options of the link say. Its time is over when the wall clock or the
+   monotonic clock says so: a clock that is set makes it shorter, never longer.
 4. The end of a command is in the audit log before it is in the journal, and in the journal before it is told. A
    command goes on when its caller has stopped waiting. It ends with its link at the latest.
 5. `CommandState.DONE` means: answered by the device, and shown by it where the rule asks for that. A device may need
@@ -64,6 +66,10 @@ class NoSuchPoint(InvalidRequest):
     """Error: the collector has no such device, or the device no such point."""
 
 
+class NotPolledNow(InvalidRequest):
+    """Error: the link of the device is not polled now, because another configuration begins; it may be asked again."""
+
+
 class NoSuchCommand(InvalidRequest):
     """Error: no command with this key is armed or recorded."""
 
@@ -105,11 +111,15 @@ class ArmedCommand:
         command: the command; ``expires`` is until when it may be confirmed.
         old: what the point is known to be; None where nothing is known.
         sentence: what to ask the person.
+        until: seconds of the monotonic clock until which it may be confirmed.
+        poller: polls the device. After its link was begun anew, device and point may be others.
     """
 
     command: PointCommand
     old: OldValue | None
     sentence: str
+    until: float
+    poller: LinkPoller
 
 
 class _LinkEnded(Exception):
@@ -118,8 +128,11 @@ class _LinkEnded(Exception):
 
 @dataclass(slots=True)
 class _Running:
+    """A command that runs; ``has_taken``: its key is its own, and was not another's before."""
+
     command: PointCommand
     task: "asyncio.Task[CommandResult]"
+    has_taken: bool = False
 
 
 def _ignore_step(name: str) -> None:
@@ -134,6 +147,7 @@ class CommandRunner:
         journal: where commands are recorded; what it holds open ends as unknown now. Closed by `close`.
         audit: gets a line for each command.
         now: seconds since 1970 UTC.
+        moment: seconds of the monotonic clock, for commands that wait to be confirmed.
         step: is told the name of each step that a command has taken: ``claimed``, ``answered``, ``recorded``.
     """
 
@@ -144,10 +158,11 @@ class CommandRunner:
         audit: AuditLog,
         *,
         now: Callable[[], float] = time.time,
+        moment: Callable[[], float] = time.monotonic,
         step: Callable[[str], None] = _ignore_step,
     ) -> None:
         self._targets, self._journal, self._audit = targets, journal, audit
-        self._now, self._step = now, step
+        self._now, self._moment, self._step = now, moment, step
         self._running: dict[str, _Running] = {}
         self._armed: dict[str, ArmedCommand] = {}
         self._devices: dict[str, tuple[asyncio.Lock, int]] = {}
@@ -167,9 +182,14 @@ class CommandRunner:
         self._closed = True
         self._armed.clear()
         await asyncio.gather(*(each.task for each in self._running.values()), return_exceptions=True)
-        await self._in_thread(self._record_again)
+        await self.record_again()
         self._thread.shutdown()
         self._journal.close()
+
+    async def record_again(self) -> None:
+        """Record the results that could not be recorded when their commands ended. For now and then."""
+        if self._unrecorded:
+            await self._in_thread(self._record_unrecorded)
 
     # What callers use.
 
@@ -212,7 +232,15 @@ class CommandRunner:
             origin,
             now + USUAL_SECONDS if expires is None else expires,
         )
-        self._targets.target(device, point)
+        try:
+            self._targets.target(device, point)
+        except NotPolledNow as error:
+            return await self._refused_now(command, error.message)
+        except NoSuchPoint:  # now; a command with this key may have been sent before
+            known = await self._known(command)
+            if known is None:
+                raise
+            return known
         return await self._submit(command)
 
     def arm(self, device: str, point: str, value: CommandValue, *, by: str, origin: str) -> ArmedCommand:
@@ -223,20 +251,22 @@ class CommandRunner:
             InvalidRequest: it is against a rule, with the sentence.
             Overloaded: too many wait to be confirmed.
         """
-        now = self._now()
+        now, moment = self._now(), self._moment()
         command = PointCommand(new_key(now), device, point, value, by, origin, now + ARMED_SECONDS)
-        unit = self._targets.target(device, point).point.unit_of_measure
+        target = self._targets.target(device, point)
+        unit = target.point.unit_of_measure
         refusal = self._refusal(command)
         if refusal:
             self.refused(self._result(command), refusal)
             raise InvalidRequest(refusal)
-        for key in [key for key, each in self._armed.items() if each.command.expires + ARMED_SECONDS < now]:
+        for key in [key for key, each in self._armed.items() if each.until + ARMED_SECONDS < moment]:
             del self._armed[key]
         if len(self._armed) >= MOST_ARMED:
             raise Overloaded(f"{MOST_ARMED} commands wait to be confirmed; try again in a minute")
         old = self._targets.last(device, point)
         is_now = f", now {_text(old.value, unit)} ({old.quality})" if old is not None else ""
-        armed = ArmedCommand(command, old, f"Write {_text(value, unit)} to {device}/{point}{is_now}?")
+        sentence = f"Write {_text(value, unit)} to {device}/{point}{is_now}?"
+        armed = ArmedCommand(command, old, sentence, moment + ARMED_SECONDS, target.poller)
         self._armed[command.key] = armed
         return armed
 
@@ -245,7 +275,8 @@ class CommandRunner:
 
         Raises:
             NoSuchCommand: nothing is armed or recorded under this key.
-            InvalidRequest: someone else has armed it.
+            InvalidRequest: someone else has armed it, or its link was begun anew since, so that the point may be
+                another.
             OSError: the journal cannot be read; nothing was sent.
         """
         armed = self._armed.get(key)
@@ -253,7 +284,10 @@ class CommandRunner:
             if armed.command.by != by:
                 raise InvalidRequest(f"{armed.command.by} has armed it, and has to confirm it")
             del self._armed[key]
-            return await self._submit(armed.command)
+            command = armed.command
+            if self._targets.target(command.device, command.point).poller is not armed.poller:
+                raise InvalidRequest(f"the link of {command.device} was begun anew since this was armed; arm it anew")
+            return await self._submit(command, armed.until - self._moment())
         running = self._running.get(key)
         if running is not None:
             return await asyncio.shield(running.task)
@@ -269,18 +303,18 @@ class CommandRunner:
 
     # Taking one.
 
-    async def _submit(self, command: PointCommand) -> CommandResult:
-        running = self._running.get(command.key)
-        if running is not None:
-            if not running.command.is_same(command):
-                return self._refused_other(command, running.command)
-            return await asyncio.shield(running.task)
+    async def _submit(self, command: PointCommand, seconds: float = math.inf) -> CommandResult:
+        """Take a command that may be sent for so many seconds, and until it expires; or join the one with its key."""
+        joined = await self._joined(command)
+        if joined is not None:
+            return joined
         lock, waiting = self._devices.get(command.device, (asyncio.Lock(), 0))
         if self._closed or waiting >= MOST_OPEN or len(self._running) >= MOST_OPEN_IN_ALL:
-            why = "the collector ends" if self._closed else f"{waiting} commands of {command.device} are open"
-            return self.refused(self._result(command), f"{why}; nothing was sent")
+            if self._closed:
+                return self.refused(self._result(command), "the collector ends; this command was not taken")
+            return await self._refused_now(command, f"{waiting} commands of {command.device} are open")
         self._devices[command.device] = lock, waiting + 1
-        task = asyncio.create_task(self._take(command, lock), name=f"busway command {command.key}")
+        task = asyncio.create_task(self._take(command, lock, seconds), name=f"busway command {command.key}")
         self._running[command.key] = _Running(command, task)
         task.add_done_callback(lambda _: self._leave(command))
         return await asyncio.shield(task)
@@ -293,24 +327,27 @@ class CommandRunner:
         else:
             del self._devices[command.device]
 
-    async def _take(self, command: PointCommand, lock: asyncio.Lock) -> CommandResult:
+    async def _take(self, command: PointCommand, lock: asyncio.Lock, seconds: float) -> CommandResult:
         """Record a command, send it, and record its result (rules 1 and 2)."""
-        until = asyncio.get_running_loop().time() + command.expires - self._now()
+        until = asyncio.get_running_loop().time() + min(seconds, command.expires - self._now())
         result = self._result(command)
-        refusal = self._refusal(command)
+        try:
+            refusal = self._refusal(command)
+        except NotPolledNow as error:
+            return await self._refused_now(command, error.message)
         if refusal:
             result = result.finished(CommandState.REFUSED, refusal)
-        elif command.expires <= result.at:
+        elif self._left(command, until) <= 0:
             result = result.finished(CommandState.EXPIRED, "its time was over; nothing was sent")
         elif not self._audit.takes_writes:
-            return self.refused(result, "the audit log cannot be written; nothing was sent")
+            return await self._refused_now(command, "the audit log cannot be written")
         try:
             known = await self._in_thread(self._journal.take, result)
         except (OSError, Overloaded) as error:
             return self.refused(result, f"it cannot be recorded; nothing was sent: {error}")
         if known is not None:
-            known = self._unrecorded.get(command.key, known)
-            return known if known.command.is_same(command) else self._refused_other(command, known.command)
+            return self._of_first(command, known)
+        self._running[command.key].has_taken = True
         if result.state is not CommandState.OPEN:
             self._append(result)
             return self._tell(result)
@@ -327,6 +364,52 @@ class CommandRunner:
         self._step("recorded")
         return self._tell(result)
 
+    def _left(self, command: PointCommand, until: float) -> float:
+        """Seconds in which a command may still be sent, by the clock that leaves less (rule 3)."""
+        return min(until - asyncio.get_running_loop().time(), command.expires - self._now())
+
+    async def _refused_now(self, command: PointCommand, why: str) -> CommandResult:
+        """Refuse a command without a record; where its key was used, give what became of the first (rule 2)."""
+        try:
+            known = await self._known(command)
+        except OSError as error:
+            why = f"{why}, and whether its key was used before cannot be read: {error}"
+            return self.refused(self._result(command), why)
+        return known or self.refused(self._result(command), f"{why}; nothing was sent")
+
+    async def _known(self, command: PointCommand) -> CommandResult | None:
+        """What a command with a key of its caller gets where the key was used; None where it was not."""
+        if command.key.startswith(MADE):
+            return None
+        while True:
+            joined = await self._joined(command)
+            if joined is not None:
+                return joined
+            known = await self._in_thread(self._journal.known, self._result(command))
+            if known is not None:
+                return self._of_first(command, known)
+            if self._other_running(command) is None:
+                return None
+
+    async def _joined(self, command: PointCommand) -> CommandResult | None:
+        """What a command gets from the one with its key that runs; None, without a pause, where none does."""
+        while (running := self._other_running(command)) is not None:
+            if running.command.is_same(command):
+                return await asyncio.shield(running.task)
+            if running.has_taken:
+                return self._refused_other(command, running.command)
+            await asyncio.wait([running.task])  # the key may be that of an earlier command, which was this one
+        return None
+
+    def _other_running(self, command: PointCommand) -> _Running | None:
+        running = self._running.get(command.key)
+        return None if running is None or running.task is asyncio.current_task() else running
+
+    def _of_first(self, command: PointCommand, known: CommandResult) -> CommandResult:
+        """What a command gets whose key another has taken: its result, where both are the same."""
+        known = self._unrecorded.get(command.key, known)
+        return known if known.command.is_same(command) else self._refused_other(command, known.command)
+
     def _result(self, command: PointCommand) -> CommandResult:
         return CommandResult(command, CommandState.OPEN, self._now(), self._targets.last(command.device, command.point))
 
@@ -335,10 +418,10 @@ class CommandRunner:
         return self.refused(self._result(command), f"{why}; nothing was sent")
 
     def _finish(self, result: CommandResult) -> None:
-        self._record_again()
+        self._record_unrecorded()
         self._journal.finish(result)
 
-    def _record_again(self) -> None:
+    def _record_unrecorded(self) -> None:
         """Record results of commands that could not be recorded before. In the journal's thread."""
         for key, result in list(self._unrecorded.items()):
             try:
@@ -411,7 +494,7 @@ class CommandRunner:
             write, poller = self._planned(command)  # anew: others went before, and the file may have been read again
         except InvalidRequest as error:
             return result.finished(CommandState.FAILED, error.message)
-        turn = _WriteTurn(write, poller, command.device, until)
+        turn = _WriteTurn(write, poller, command.device, lambda: self._left(command, until))
         try:
             state, reason = await _in_turn(poller, command.device, turn.make)
         except Overloaded as error:
@@ -461,33 +544,30 @@ class CommandRunner:
 class _WriteTurn:
     """The poller's turn in which a command's write is sent, after reading a register that is only partly written."""
 
-    def __init__(self, write: PointWrite, poller: LinkPoller, device: str, until: float) -> None:
-        self._write, self._poller, self._device, self._until = write, poller, device, until
+    def __init__(self, write: PointWrite, poller: LinkPoller, device: str, left: Callable[[], float]) -> None:
+        self._write, self._poller, self._device, self._left = write, poller, device, left
         self.has_begun: bool = False
         self.before: CommandValue | None = None
 
     async def make(self) -> tuple[CommandState, str]:
         """Send the write of a command to its device, and return the result."""
         held = b""
-        if self._left <= 0:
+        if self._left() <= 0:
             return CommandState.EXPIRED, "its time was over before it was its turn; nothing was sent"
         scheduled = self._poller.schedule.devices.get(self._device)
         if scheduled is not None and scheduled.is_paused:
             return CommandState.FAILED, f"{self._device} is in maintenance; nothing was sent"
         if self._write.before is not None:
             try:
-                held = await _read(self._poller, self._device, self._write.before, self._left)
+                held = await _read(self._poller, self._device, self._write.before, self._left())
             except ModbusError as error:
                 return CommandState.FAILED, f"the register could not be read before; nothing was sent: {error}"
             self.before = self._write.held_value(held)
-            if self._left <= 0:
+            await self._poller.wait_for(self._device)  # its pause after each reply may be longer than what is left
+            if self._left() <= 0:
                 return CommandState.EXPIRED, "its time was over while the register was read; nothing was sent"
         self.has_begun = True
-        return judged(await _asked(self._poller, self._device, self._write.request(held), self._left))
-
-    @property
-    def _left(self) -> float:
-        return self._until - asyncio.get_running_loop().time()
+        return judged(await _asked(self._poller, self._device, self._write.request(held), self._left()))
 
 
 class _ReadTurn:

@@ -11,7 +11,7 @@ from ..poller import LinkPoller
 from ..samples import NANOSECONDS, quality_of
 from ..sinks.prometheus import LastValues
 from .command import OldValue
-from .runner import NoSuchPoint, WriteTarget
+from .runner import NoSuchPoint, NotPolledNow, WriteTarget
 
 
 class CollectedTargets:
@@ -32,7 +32,7 @@ class CollectedTargets:
         self._configuration, self._poller_of, self._values = configuration, poller_of, values
 
     def target(self, device: str, point: str) -> WriteTarget:
-        """Return the point to write, and the poller of its link. Raises `NoSuchPoint`."""
+        """Return the point to write, and the poller of its link. Raises `NoSuchPoint` and `NotPolledNow`."""
         configuration = self._configuration()
         found = configuration.devices.get(device)
         if found is None:
@@ -42,8 +42,10 @@ class CollectedTargets:
             raise NoSuchPoint(f"there is no point {point!r} of {device}")
         try:
             poller = self._poller_of(device)
-        except ConfigError as error:
-            raise NoSuchPoint(error.message) from error
+        except ConfigError as error:  # it ended, and is not begun yet
+            raise NotPolledNow(f"the link of {device} is not polled at this moment") from error
+        if poller.is_finishing:  # what it polls is what the configuration before said
+            raise NotPolledNow(f"the link of {device} is not polled at this moment")
         derived = poller.devices[device].derived
         is_absent = bool(named.exists) and derived is not None and named in derived.absent()
         return WriteTarget(
