@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import sqlite3
 import threading
 from pathlib import Path
 
@@ -91,6 +92,27 @@ async def test_what_retention_takes_from_a_sink_is_counted(tmp_path: Path) -> No
         assert len(writer.apply_retention(at(2000))) == 2
         await run_until(delivery, lambda: len(sink.taken) == 24)
         assert delivery.status().lost == 36
+
+
+async def test_a_full_disk_ends_no_delivery_and_nothing_is_sent_twice_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    sink = RecordingSink()
+    with filled(tmp_path, 10) as writer:
+        delivery = delivery_to(sink, writer, DeliveryOptions(age=0, most=6))
+        with monkeypatch.context() as disk:
+            disk.setattr(writer.manifest, "set_cursor", full)
+            await run_until(delivery, lambda: len(sink.taken) >= 6 and delivery.status().error is not None)
+            disk.setattr(delivery._reader, "read", full)
+            await run_until(delivery, lambda: True)
+            assert delivery.status().error == "the store cannot be used now: database or disk is full"
+        await run_until(delivery, lambda: len(sink.taken) >= 30 and delivery.status().error is None)
+        assert writer.manifest.cursors()["sink"][0] == delivery.status().cursor
+    assert_in_order(sink.taken)
+    assert len(sink.taken) == 30
 
 
 async def test_a_refused_sample_is_found_set_aside_and_told_and_all_others_arrive(tmp_path: Path) -> None:

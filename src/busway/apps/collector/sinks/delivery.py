@@ -13,11 +13,14 @@ Knows when to send, to wait, to drop and to set aside; knows no receiver.
    `ASIDE_LIMIT` bytes; then they are only counted. All others are sent.
 6. Samples from before the wall clock was set wait until they are mended, so that the receiver gets them once with their
    right time; after `CLOCK_WAIT` seconds they are handed on as they are, and not again.
+7. A full disk ends no delivery: it goes on with what the store gives, and keeps its cursor when there is room. Until
+   then a crash has the samples since then sent again.
 """
 
 import asyncio
 import json
 import logging
+import sqlite3
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -111,6 +114,8 @@ class Delivery:
         self._sent = self._aside = 0
         self._down_error: str | None = None
         self._refusal: str | None = None
+        self._store_error: str | None = None
+        self._unkept: dict[tuple[str, str], ReportedSample] = {}  # sent, and not in the manifest yet
         self._is_open = False
 
     def note_defect(self, error: Exception) -> None:
@@ -123,9 +128,8 @@ class Delivery:
 
     def status(self) -> SinkStatus:
         """Return the status of the sink. Safe from any thread."""
-        return SinkStatus(
-            self.name, self._cursor, self._sent, self._lost, self._aside, self._down_error or self._refusal
-        )
+        error = self._down_error or self._store_error or self._refusal
+        return SinkStatus(self.name, self._cursor, self._sent, self._lost, self._aside, error)
 
     async def run(self) -> None:
         """Send stored and new samples to the sink until cancelled."""
@@ -148,8 +152,7 @@ class Delivery:
 
     async def step(self) -> bool:
         """Send one batch to the sink. Returns whether there may be more already. Raises `SinkDown`."""
-        await asyncio.to_thread(self._drop_old)
-        found = await asyncio.to_thread(self._reader.read, self._cursor, self.options.most)
+        found = await asyncio.to_thread(self._next)
         if found is None:
             return False
         if self._waits_for_the_clock(found):
@@ -180,12 +183,39 @@ class Delivery:
             self._unset_since = self._monotonic()
         return self._monotonic() - self._unset_since < CLOCK_WAIT
 
+    def _next(self) -> CommitRange | None:
+        """Return the commits after the cursor; None where there are none, or where the store cannot be read now."""
+        try:
+            if self._store_error is not None:
+                self._keep_cursor()
+            self._drop_old()
+            found = self._reader.read(self._cursor, self.options.most)
+        except (sqlite3.Error, OSError) as error:
+            self._note_store_error(error)
+            return None
+        self._store_error = None
+        return found
+
     def _move(self, cursor: int, reported: Mapping[tuple[str, str], ReportedSample]) -> None:
-        # Retention may have counted losses meanwhile.
-        self._lost = max(self._lost, self._manifest.cursors().get(self.name, (0, 0))[1])
-        self._manifest.set_cursor(self.name, cursor, self._lost, reported.values())
+        """Move the cursor. What was sent is not sent again, also while the store cannot keep the cursor (rule 7)."""
         self._cursor = cursor
         self._reported.update(reported)
+        self._unkept.update(reported)
+        try:
+            self._keep_cursor()
+        except sqlite3.Error as error:
+            self._note_store_error(error)
+
+    def _keep_cursor(self) -> None:
+        # Retention may have counted losses meanwhile.
+        self._lost = max(self._lost, self._manifest.cursors().get(self.name, (0, 0))[1])
+        self._manifest.set_cursor(self.name, self._cursor, self._lost, self._unkept.values())
+        self._unkept.clear()
+
+    def _note_store_error(self, error: Exception) -> None:
+        if self._store_error is None:
+            _log.warning("sink %s: the store cannot be used now: %s", self.name, error)
+        self._store_error = f"the store cannot be used now: {error}"
 
     def _drop_old(self) -> None:
         oldest = self._now() - int(self.options.keep * NANOSECONDS)
