@@ -93,6 +93,19 @@ def mosquitto(folder: Path, *lines: str) -> ForeignServer:
     return ForeignServer([program, "-c", str(config)], port)
 
 
+def durable_mosquitto(folder: Path) -> ForeignServer:
+    """An MQTT broker that keeps all messages for subscribers who are away, also over a restart."""
+    program, port = needed("mosquitto"), free_port()
+    place, config = folder / "mosquitto", folder / "mosquitto.conf"
+    place.mkdir()
+    wanted = [f"listener {port} 127.0.0.1", "allow_anonymous true", "max_queued_messages 0", "max_inflight_messages 0"]
+    wanted += ["persistence true", f"persistence_location {place}/", "autosave_on_changes false"]
+    if os.geteuid() == 0:
+        wanted.append("user root")
+    config.write_text("\n".join(wanted) + "\n")
+    return ForeignServer([program, "-c", str(config)], port)
+
+
 def nats_server(folder: Path, *lines: str, jetstream: bool = True) -> ForeignServer:
     """A NATS server with JetStream, whose streams survive a restart; or one without. ``lines`` configure it."""
     program, port = needed("nats-server"), free_port()

@@ -14,12 +14,27 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from lying_devices import Answer
 
 Key = tuple[str, str, int]
 SECOND = 1_000_000_000
+
+
+class Loss(Protocol):
+    """A gap: the nanoseconds where it begins and ends, and how many samples were lost in it."""
+
+    @property
+    def begin(self) -> int: ...
+
+    @property
+    def end(self) -> int: ...
+
+    @property
+    def lost(self) -> int: ...
+
+
 PROMPT = SECOND // 20
 """An answer that took longer came from a machine that was too busy: it may have been too late."""
 
@@ -69,17 +84,17 @@ def of_lines(text: str) -> Delivered:
 
 
 def of_csv(text: str) -> dict[Key, str]:
-    """The good samples of ``busway query --csv``."""
+    """The samples of ``busway query --csv`` that have a value."""
     found = {}
     for row in csv.DictReader(io.StringIO(text)):
-        if row["quality"] == "good":
+        if row["quality"] != "bad":
             device, _, point = row["point"].partition("/")
             found[device, point, nanoseconds(row["time"])] = row["value"]
     return found
 
 
 def of_parquet(file: Path) -> dict[Key, int]:
-    """The good samples of ``busway query --parquet``; the digits of what is no float are texts."""
+    """The samples of ``busway query --parquet`` that have a value; the digits of what is no float are texts."""
     import pyarrow.parquet
 
     table = pyarrow.parquet.read_table(file)
@@ -87,7 +102,7 @@ def of_parquet(file: Path) -> dict[Key, int]:
     return {
         (row["device"], row["point"], row["time"]): int(row["value"] if row["text"] is None else row["text"])
         for row in table.to_pylist()
-        if row["quality"] == "good"
+        if row["quality"] != "bad"
     }
 
 
@@ -97,12 +112,12 @@ def nanoseconds(text: str) -> int:
     return int(datetime.fromisoformat(whole + "+00:00").timestamp()) * SECOND + int(part.ljust(9, "0") or 0)
 
 
-def good_samples(table: Iterable[Any]) -> tuple[dict[Key, object], list[str]]:
-    """The good samples of a store by their names, and which are there twice."""
+def valued_samples(table: Iterable[Any]) -> tuple[dict[Key, object], list[str]]:
+    """The samples of a store that have a value, by their names, and which are there twice."""
     found: dict[Key, object] = {}
     twice = []
     for sample in table:
-        if sample.reason == 0:
+        if sample.value is not None:
             key = (sample.device, sample.point, sample.time)
             if key in found:
                 twice.append(f"{key} is there twice: {found[key]} and {sample.value}")
@@ -110,23 +125,27 @@ def good_samples(table: Iterable[Any]) -> tuple[dict[Key, object], list[str]]:
     return found, twice
 
 
-def bad_samples(table: Iterable[Any]) -> dict[tuple[str, str], list[tuple[int, int]]]:
-    """By point, the transactions of which no value came: their begins and ends."""
+def bad_samples(table: Iterable[Any]) -> dict[tuple[str, str], list[int]]:
+    """By point, the times of the transactions of which no value came."""
     found = defaultdict(list)
     for sample in table:
         if sample.value is None:
-            span = sample.half_width + SECOND // 20
-            found[sample.device, sample.point].append((sample.time - span, sample.time + span))
+            found[sample.device, sample.point].append(sample.time)
     return found
 
 
 def missing_answers(
     kept: Mapping[Key, object],
-    bad: Mapping[tuple[str, str], Sequence[tuple[int, int]]],
+    bad: Mapping[tuple[str, str], Sequence[int]],
+    lost: Sequence[Loss],
     answers: Mapping[str, Sequence[Answer]],
     excused: Sequence[tuple[int, int]],
 ) -> Iterable[str]:
-    """Honest answers whose read is nowhere in the store, with its value or as bad, and those that are there twice."""
+    """Honest answers whose read is nowhere in the store, with its value, as bad or as lost, and those there twice.
+
+    The clock of samples need not be that of answers: an answer without a sample belongs between the samples of the
+    answers before and after it.
+    """
     turns: dict[tuple[str, str, int], list[int]] = defaultdict(list)
     for (device, point, time), value in kept.items():
         if point.startswith("code"):
@@ -135,7 +154,9 @@ def missing_answers(
     for place, times in turns.items():
         if len(times) > 1:
             yield f"the answer {place} is there at {times}"
+    counted = 0
     for device, given in answers.items():
+        spans = _spans(given, {turn: times[0] for (each, _, turn), times in turns.items() if each == device})
         for answer in given:
             if answer.lie != "honest" or answer.function != 3 or answer.start % 4 or answer.count % 4:
                 continue
@@ -143,12 +164,36 @@ def missing_answers(
                 continue
             if answer.answered - answer.received > PROMPT:
                 continue
+            low, high = spans[answer.round]
             for start in range(answer.start, answer.start + answer.count, 4):
                 point = f"code{start}"
                 if point not in WANTED or (device, point, answer.round) in turns:
                     continue
-                if not any(begin <= answer.received <= end for begin, end in bad.get((device, point), ())):
-                    yield f"{device}/{point}: the answer {answer.round} at {answer.received} is not in the store"
+                if any(low <= time <= high for time in bad.get((device, point), ())):
+                    continue
+                if any(loss.begin <= high and low <= loss.end for loss in lost):
+                    counted += 1
+                    continue
+                yield f"{device}/{point}: the answer {answer.round} at {answer.received} is not in the store"
+    said = sum(loss.lost for loss in lost)
+    if counted > said:
+        yield f"{counted} samples are lost, and gaps say {said}"
+
+
+def _spans(given: Sequence[Answer], kept: Mapping[int, int]) -> dict[int, tuple[int, int]]:
+    """For each answer of a device the times between which its sample belongs: those of the answers that are kept."""
+    spans: dict[int, tuple[int, int]] = {}
+    ordered = sorted(each.round for each in given)
+    before: dict[int, int] = {}
+    last = 0
+    for turn in ordered:
+        before[turn] = last = kept.get(turn, last)
+    following = 2**63
+    for turn in reversed(ordered):
+        following = kept.get(turn, following)
+        low, high = sorted((before[turn], following))
+        spans[turn] = low - SECOND // 20, high + SECOND // 20
+    return spans
 
 
 WANTED = frozenset(f"code{start}" for start in (0, 4, 8, 200, 204))
