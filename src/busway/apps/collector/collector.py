@@ -266,7 +266,8 @@ class Collector:
         options = {} if section is None else section.options()
         self._audit = AuditLog(**{**options, "path": path})
         targets = CollectedTargets(lambda: self.configuration, self._poller_of, self.values)
-        journal = CommandJournal(Path(configuration.store))
+        days = configuration.file.collector.keep_days
+        journal = CommandJournal(Path(configuration.store), keep=None if days is None else 86_400 * days)
         try:
             self._commands = CommandRunner(targets, journal, self._audit)
         except OSError as error:

@@ -6,13 +6,15 @@ Knows commands and results; knows no device and no clock.
    and its result before it is told.
 2. What is found open when the journal is opened was cut off by the end of a process: it may have been sent. It ends as
    unknown, and is not sent again.
-3. `MOST_KEPT` results are kept, the newest. Of older ones that had a key of their caller the key alone is remembered,
-   as 16 bytes, `MOST_KEYS` at most; beyond that, commands with keys of callers are refused, and never sent twice.
+3. `MOST_KEPT` results are kept, the newest, and none for longer than samples. Of older ones that had a key of their
+   caller the key alone is remembered, as 16 bytes, `MOST_KEYS` at most; beyond that, commands with keys of callers are
+   refused, and never sent twice. What is no longer kept goes when further commands come, and is told in the log.
 4. The lock of the store makes this process the only one that writes here.
 """
 
 import hashlib
 import json
+import logging
 import sqlite3
 import threading
 from collections.abc import Iterator
@@ -22,13 +24,16 @@ from typing import Any, Final
 
 from ....errors import ConfigError, Overloaded
 from ..store.database import open_database, transaction
-from ..store.folder import sync_folder
+from ..store.folder import COMMANDS, sync_folder
 from .command import MADE, CommandResult, CommandState, OldValue, PointCommand
 
-JOURNAL: Final = "commands.sqlite"
 MOST_KEPT: Final = 100_000
 MOST_KEYS: Final = 10_000_000
 CUT_OFF: Final = "the collector ended before the answer was recorded: it may have been written, and is not sent again"
+
+_AGED_AT_ONCE: Final = 100
+"""Results that are deleted for their age with one further command, at most."""
+_log = logging.getLogger("busway.collector")
 
 _SCHEMA: Final = """
 CREATE TABLE IF NOT EXISTS commands (
@@ -47,14 +52,18 @@ class CommandJournal:
     Args:
         folder: of the store, whose lock this process holds.
         most: results that are kept.
+        most_keys: keys of callers that are remembered beyond them.
+        keep: seconds for which results are kept; None for ever.
 
     Raises:
         ConfigError: the file cannot be opened; names it.
     """
 
-    def __init__(self, folder: Path, *, most: int = MOST_KEPT, most_keys: int = MOST_KEYS) -> None:
-        self.path: Path = folder / JOURNAL
-        self._most, self._most_keys = most, most_keys
+    def __init__(
+        self, folder: Path, *, most: int = MOST_KEPT, most_keys: int = MOST_KEYS, keep: float | None = None
+    ) -> None:
+        self.path: Path = folder / COMMANDS
+        self._most, self._most_keys, self._keep = most, most_keys, keep
         self._lock = threading.Lock()
         try:
             self._database = open_database(self.path, "PRAGMA synchronous=FULL")
@@ -188,16 +197,20 @@ class CommandJournal:
             ),
         )
         self._kept += 1
-        if self._kept > self._most:
-            self._drop_oldest()
+        self._drop_old(result.at)
 
-    def _drop_oldest(self) -> None:
-        """Delete the oldest tenth of the recorded commands; keys that callers gave are remembered (rule 3)."""
-        surplus = self._kept - self._most + self._most // 10
-        rows = self._database.execute(
-            "SELECT number, key FROM commands WHERE state != ? ORDER BY number LIMIT ?",
-            (CommandState.OPEN.value, surplus),
+    def _drop_old(self, now: float) -> None:
+        """Delete commands that are too old, or the oldest tenth of too many; keys of callers are remembered."""
+        surplus = self._kept - self._most + self._most // 10 if self._kept > self._most else 0
+        oldest = now - self._keep if self._keep is not None else 0.0
+        found = self._database.execute(
+            "SELECT number, key, at FROM commands WHERE state != ? ORDER BY number LIMIT ?",
+            (CommandState.OPEN.value, max(surplus, _AGED_AT_ONCE)),
         ).fetchall()
+        rows = [(number, key) for place, (number, key, at) in enumerate(found) if place < surplus or at < oldest]
+        if not rows:
+            return
+        _log.info("%d results of old commands are no longer kept; keys of callers are remembered", len(rows))
         digests = [(_digest(key),) for _, key in rows if not key.startswith(MADE)]
         self._database.executemany("INSERT OR IGNORE INTO used_keys VALUES (?)", digests)
         self._used += len(digests)

@@ -5,7 +5,9 @@ Knows files and what the manifest says of them; changes nothing in the store tha
 1. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. Segments are
    copied first, by SQLite, so the open one has every commit up to a moment; then the points, which are in the manifest
    before their first sample. Sealed parts come last. Where a part has gone meanwhile, all of that is done again.
-2. A backup that is cut short is in a folder with the end ``.unfinished``, and no store.
+2. The journal of commands is copied at the very end: a key that it has is not sent again by who restores it, and a
+   command that it has as open ends as unknown.
+3. A backup that is cut short is in a folder with the end ``.unfinished``, and no store.
 """
 
 import shutil
@@ -16,7 +18,7 @@ from typing import Final
 
 from ....errors import ConfigError
 from .check import check_store_files
-from .folder import LOCK, MANIFEST, SEGMENTS, UNFINISHED, check_store, make_folder, sync_file, sync_folder
+from .folder import COMMANDS, LOCK, MANIFEST, SEGMENTS, UNFINISHED, check_store, make_folder, sync_file, sync_folder
 from .manifest import Manifest, StorePart, copy_points
 from .segment import open_for_reading
 
@@ -70,6 +72,8 @@ def _copied(folder: Path, target: Path) -> int | None:
     with closing(sqlite3.connect(target / MANIFEST)) as written:
         copy_points(folder / MANIFEST, written)
     sync_file(target / MANIFEST)
+    if (folder / COMMANDS).exists():
+        _copy_database(folder / COMMANDS, target / COMMANDS)
     return len(parts)
 
 

@@ -10,7 +10,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Final
 
-from .folder import SEGMENTS, UNFINISHED, holder_of
+from .folder import COMMANDS, SEGMENTS, UNFINISHED, holder_of
 from .manifest import Manifest, StorePart
 from .sealing import arrow, can_seal
 from .segment import facts_of, is_unmade, open_for_reading
@@ -53,11 +53,23 @@ def _problems(folder: Path, manifest: Manifest, *, tolerant: bool = False) -> It
             other = seen.setdefault(part.first_commit, part.file)
             if other != part.file:
                 yield f"{part.file} and {other} have the same commits"
+    if (folder / COMMANDS).exists():
+        yield from _problems_of_commands(folder / COMMANDS)
     listed = {part.file for part in manifest.parts()} | {part.file for part in parts} | set(manifest.files_to_unlink())
     for path in sorted((folder / SEGMENTS).iterdir()):
         name = path.name.removesuffix("-wal").removesuffix("-shm").removesuffix(UNFINISHED)
         if name not in listed and path.exists() and holder_of(folder) is None:
             yield f"{path.name} is in the folder, but not listed"
+
+
+def _problems_of_commands(path: Path) -> Iterator[str]:
+    try:
+        with closing(open_for_reading(path)) as database:
+            for (sentence,) in database.execute("PRAGMA quick_check(5)"):
+                if sentence != "ok":
+                    yield f"{path.name} is damaged: {sentence}"
+    except sqlite3.DatabaseError as error:
+        yield f"{path.name} cannot be read: {error}"
 
 
 def _problems_of_segment(path: Path, part: StorePart, manifest: Manifest) -> Iterator[str]:

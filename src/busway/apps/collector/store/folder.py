@@ -14,6 +14,8 @@ from ....errors import ConfigError
 
 MANIFEST: Final = "manifest.sqlite"
 LOCK: Final = "lock"
+COMMANDS: Final = "commands.sqlite"
+"""The journal of commands, which lies in the folder and is the collector's."""
 SEGMENTS: Final = "segments"
 UNFINISHED: Final = ".unfinished"
 """The end of the name of a file that is being written; such files are removed when the store is opened."""

@@ -10,6 +10,7 @@ Knows the order of steps that keeps a store whole; knows no thread and no clock.
 5. A start that finds commits of an earlier run records the time between as a `Gap`, and ends intervals left open.
 """
 
+import logging
 import sqlite3
 import threading
 import weakref
@@ -34,6 +35,8 @@ from .segment import Segment, alarms_of, counters_of, facts_of, intervals_of, is
 
 EVER: Final = 2**63 - 1
 SEGMENT_SIZE: Final = 256 * 1024 * 1024
+
+_log = logging.getLogger("busway.store")
 
 Durability = Literal["process", "power"]
 
@@ -387,7 +390,9 @@ class StoreWriter:
             age = self.options.retention.age
             if self._journal_grew:
                 self._journal_grew = False
-                forget_old_alarms(self.manifest, 0 if age is None else now - int(age * 1_000_000_000))
+                forgotten = forget_old_alarms(self.manifest, 0 if age is None else now - int(age * 1_000_000_000))
+                if forgotten:
+                    _log.info("%d events of alarms are older than samples, or too many: no longer kept", forgotten)
             if not dropped and age is None:
                 return []
             self.manifest.drop_parts(dropped, before=0 if age is None else now - int(age * 1_000_000_000))
