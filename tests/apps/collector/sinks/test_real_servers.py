@@ -2,7 +2,9 @@
 
 import asyncio
 import contextlib
+import gc
 import json
+import ssl
 import subprocess
 import time
 from collections import defaultdict
@@ -222,6 +224,7 @@ async def test_a_broker_over_tls_with_a_password(tmp_path: Path) -> None:
             await MqttSink(
                 "127.0.0.1", server.port, user="collector", password="geheim", tls=tls_context(), timeout=5.0
             ).open()
+        assert [each for each in gc.get_objects() if isinstance(each, ssl.SSLSocket) and each.fileno() >= 0] == []
         sink = MqttSink("127.0.0.1", server.port, user="collector", password="geheim", tls=tls, timeout=5.0)
         delivery = delivery_to(sink, writer)
         await run_until(delivery, lambda: delivery.status().sent == 9)

@@ -118,6 +118,7 @@ def tls_context(authority: str | None = None, certificate: str | None = None, ke
     """
     try:
         context = ssl.create_default_context(cafile=authority)
+        context.sslsocket_class = _Socket
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         if certificate is not None:
             context.load_cert_chain(certificate, key)
@@ -125,6 +126,18 @@ def tls_context(authority: str | None = None, certificate: str | None = None, ke
         name = authority if certificate is None else certificate
         raise ConfigError(f"cannot be used for TLS: {error}", file=name) from error
     return context
+
+
+class _Socket(ssl.SSLSocket):
+    """A socket that is closed when its handshake fails: the library for MQTT leaves that to the collector of garbage."""
+
+    def do_handshake(self, block: bool = False) -> None:
+        """Perform the handshake. Raises `OSError`, with the socket closed."""
+        try:
+            super().do_handshake(block)
+        except BaseException:
+            self.close()
+            raise
 
 
 def _mqtt(section: SentSection, folder: Path | None) -> Sink:
