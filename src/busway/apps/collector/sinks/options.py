@@ -129,7 +129,7 @@ def tls_context(authority: str | None = None, certificate: str | None = None, ke
 
 
 class _Socket(ssl.SSLSocket):
-    """A socket that is closed when its handshake fails: the library for MQTT leaves that to the collector of garbage."""
+    """A socket that is closed when its handshake fails, which the library for MQTT does not do."""
 
     def do_handshake(self, block: bool = False) -> None:
         """Perform the handshake. Raises `OSError`, with the socket closed."""
