@@ -89,9 +89,7 @@ def test_the_units_of_a_line_are_found_named_and_nothing_is_written(run: Run, li
 
 @pytest.mark.real_time
 def test_json_tells_each_unit_and_a_summary(run: Run, line: PacedLine) -> None:
-    result = run(
-        "scan", url(line), "--units", "3,4", "--timeout", "1s", "--listen", "50ms", "--no-identify", "--json"
-    )
+    result = run("scan", url(line), "--units", "3,4", "--timeout", "1s", "--listen", "50ms", "--no-identify", "--json")
     (unit,) = [json.loads(each) for each in result.out.splitlines()[:-1]]
     assert (unit["unit"], unit["answer"], unit["line"]) == (3, "answers", "38400 8E1")
     assert unit["identification"] == {}
