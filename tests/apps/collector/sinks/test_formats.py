@@ -158,6 +158,21 @@ def test_events_of_alarms_have_files_of_their_own(tmp_path: Path, name: str) -> 
     ]
 
 
+async def test_parquet_batches_of_another_length_leave_no_sample_twice(tmp_path: Path) -> None:
+    """As after a crash that took the cursor: what was sent by five, then five, then five comes again by eight."""
+    pq = pytest.importorskip("pyarrow.parquet")
+    samples = [sample("a", number, commit=number) for number in range(1, 16)]
+    before, after = FileSink(tmp_path, "parquet"), FileSink(tmp_path, "parquet")
+    for start in (0, 5, 10):
+        await before.send(samples[start : start + 5])
+    for start in (0, 8):
+        await after.send(samples[start : start + 8])
+        values = pq.read_table(tmp_path)["value"].to_pylist()
+        assert len(values) == len(set(values))
+    assert sorted(values) == list(range(1, 16))
+    assert sorted(os.listdir(tmp_path)) == ["000000000001.parquet", "000000000009.parquet"]
+
+
 async def test_a_folder_that_cannot_be_written_is_a_sink_that_is_down(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(SinkDown, match="cannot be written"):

@@ -5,7 +5,7 @@ Knows formats; knows nothing of cursors.
 1. Lines are appended and made durable before `send` returns; a line that was cut off by a crash is completed by a line
    break first. A batch that comes again is there twice, with the same commit.
 2. A Parquet file is one batch, and is called by its first commit: a batch that comes again replaces its file, wherever
-   it ends then.
+   it ends then, and the files that an earlier process wrote of the same commits: after a full disk there may be several.
 3. ``{date}`` in the name of a file of lines is the day (UTC) of the first sample of the batch.
 4. Events of alarms go to files of their own: ``-alarms`` before the end of the name; Parquet to the folder ``alarms``.
 """
@@ -56,6 +56,9 @@ class FileSink:
         except ValueError:
             raise ConfigError(f"files are csv, jsonl or parquet, not {given!r}", key="format") from None
         self._format = found
+        self._ahead: set[int] | None = (
+            None  # first commits of files that an earlier process wrote; None: not looked yet
+        )
 
     async def open(self) -> None:
         """Do nothing: files are opened for each batch."""
@@ -79,11 +82,24 @@ class FileSink:
 
     def _write_samples(self, samples: Sequence[CommittedSample]) -> None:
         if self._format is FileFormat.PARQUET:
-            _write_parquet(Path(self._path), f"{samples[0].commit:012d}", _columns(samples))
+            first, last = samples[0].commit, samples[-1].commit
+            _write_parquet(Path(self._path), f"{first:012d}", _columns(samples))
+            self._remove_repeated(first, last)
         else:
             is_csv = self._format is FileFormat.CSV
             lines = _csv_lines(map(_row, samples)) if is_csv else _json_lines(map(_document, samples))
             self._append(self._path, samples[0].time, HEADER, lines)
+
+    def _remove_repeated(self, first: int, last: int) -> None:
+        """Remove files of an earlier process that begin within a batch: it has their samples, or the next one has."""
+        folder = Path(self._path)
+        if self._ahead is None:
+            numbers = [int(path.stem) for path in folder.glob("*.parquet") if path.stem.isdecimal()]
+            self._ahead = {number for number in numbers if number > first}
+        repeated = {number for number in self._ahead if number <= last}
+        for number in repeated:
+            (folder / f"{number:012d}.parquet").unlink(missing_ok=True)
+        self._ahead -= repeated
 
     def _write_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
         if self._format is FileFormat.PARQUET:
