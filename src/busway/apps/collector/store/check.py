@@ -57,7 +57,9 @@ def _problems(folder: Path, manifest: Manifest, *, tolerant: bool = False) -> It
         yield from _problems_of_commands(folder / COMMANDS)
     listed = {part.file for part in manifest.parts()} | {part.file for part in parts} | set(manifest.files_to_unlink())
     for path in sorted((folder / SEGMENTS).iterdir()):
-        name = path.name.removesuffix("-wal").removesuffix("-shm").removesuffix(UNFINISHED)
+        name = path.name.removesuffix("-wal").removesuffix("-shm")
+        if path.name.endswith(UNFINISHED):
+            continue  # what a process was writing that has ended: the next start removes it
         if name not in listed and path.exists() and holder_of(folder) is None:
             yield f"{path.name} is in the folder, but not listed"
 
