@@ -44,6 +44,7 @@ from busway.apps.collector.samples import Reason
 
 SUPPORT = Path(__file__).parent
 LIMIT = 60.0
+AGAIN = "read again"
 
 
 class Collecting:
@@ -132,12 +133,11 @@ class Walk:
 
     # What happens.
 
-    def run(self, seconds: float) -> None:
-        """Start, and do what is drawn for so long."""
+    def run(self, turns: int) -> None:
+        """Start, and do what is drawn so many times."""
         self._begin()
-        end = time.monotonic() + seconds
         deeds: list[Callable[[], None]] = [*(self.kill,) * 3, self.look, *self.deeds()]
-        while time.monotonic() < end:
+        for _ in range(turns):
             self._do(self.chance.choice(deeds))
 
     def run_through(self) -> None:
@@ -171,7 +171,10 @@ class Walk:
         until(self.is_up, self.log)
 
     def _do(self, deed: Callable[[], None]) -> None:
-        time.sleep(self.chance.choice((0.05, 0.3, 1.0)) * self.chance.uniform(0.5, 1.5))
+        if self.is_up():
+            self._world.wait_for_answers(self.chance.choice((5, 50, 150)))
+        else:
+            time.sleep(self.chance.uniform(0, 0.5))  # any moment of its start; nothing tells of each
         print(f"{time.monotonic() - self._began:8.2f} {deed.__name__}", flush=True)
         deed()
         assert self.collecting.process.poll() is None, self.log()
@@ -199,14 +202,15 @@ class Walk:
         now = time.time_ns()
         self.write(self.chance.choice((0.03, 0.05, 0.1)))
         if self.is_up():  # before that a signal ends the process
+            told = self.log().count(AGAIN)
             self.collecting.process.send_signal(signal.SIGHUP)
-            time.sleep(0.3)
-            self.excused.append((now, now + 2 * SECOND))
+            until(lambda: self.log().count(AGAIN) > told, self.log)
+            self.excused.append((now, time.time_ns() + SECOND))
 
     def pause(self) -> None:
-        """The process stands still, as on a machine that sleeps."""
+        """The process stands still, as on a machine that sleeps: for some time nothing happens at all."""
         self.collecting.process.send_signal(signal.SIGSTOP)
-        time.sleep(self.chance.uniform(0.1, 1))
+        time.sleep(self.chance.uniform(0.1, 0.6))
         self.collecting.process.send_signal(signal.SIGCONT)
 
     def look(self) -> None:
@@ -239,19 +243,24 @@ class Walk:
         away = self.out.with_name("away")
         self.out.rename(away)
         self.out.write_text("in the way")
-        time.sleep(self.chance.uniform(0.1, 1))
+        self._until_it_is_missed("lines")
         if self.chance.random() < 0.5:
             self.kill()
         self.out.unlink()
         away.rename(self.out)
 
     def take_server_away(self) -> None:
-        server = self.chance.choice(self.receivers).server
-        server.stop()
-        time.sleep(self.chance.uniform(0.1, 1))
+        receiver = self.chance.choice(self.receivers)
+        receiver.server.stop()
+        self._until_it_is_missed(receiver.name)
         if self.chance.random() < 0.5:
             self.kill()
-        server.start()
+        receiver.server.start()
+
+    def _until_it_is_missed(self, name: str) -> None:
+        """Wait until the page says that a sink cannot deliver; not while the collector starts."""
+        if self.is_up():
+            until(lambda: any(each["error"] for each in self.sinks() if each["name"] == name), self.log)
 
     def step_clock(self) -> None:
         """Somebody sets the system's clock: an hour ahead, an hour back, or right."""
@@ -328,7 +337,8 @@ class Walk:
             device.is_dead = True
         until(self.is_up, self.log)
         self.excused.append((time.time_ns() - SECOND, time.time_ns() + 600 * SECOND))
-        time.sleep(1)
+        # What was read before is committed: the page shows of each point that its device is silent.
+        until(lambda: "good" not in self.ask("values")["quality"], self.log)
         until(
             lambda: not self.not_handed_on(),
             lambda: f"never handed on: {self.not_handed_on()[:5]}\n{self.log()}",
@@ -339,8 +349,12 @@ class Walk:
     def not_handed_on(self) -> list[object]:
         """Samples that are not in the file, and sinks that are behind."""
         kept, _ = valued_samples(busway.Store(self.folder / "data").read())
-        behind = [sink for sink in self.ask("sinks")["sinks"] if sink["behind"] or sink["error"]]
+        behind = [sink for sink in self.sinks() if sink["behind"] or sink["error"]]
         return [*(kept.keys() - self.lines().values.keys()), *behind]
+
+    def sinks(self) -> list[dict[str, Any]]:
+        """How each sink does, as the page says it."""
+        return list(self.ask("sinks")["sinks"])
 
     def is_up(self) -> bool:
         try:
@@ -441,21 +455,21 @@ def until(holds: Callable[[], bool], story: Callable[[], str], seconds: float = 
         time.sleep(0.1)
 
 
-def check_a_walk(folder: Path, seed: int, seconds: float | None, collector: str = "") -> None:
-    """Walk so long, or through the worst deeds once, and fail with what was lost, doubled or changed.
+def check_a_walk(folder: Path, seed: int, turns: int | None, collector: str = "") -> None:
+    """Walk so many turns, or through the worst deeds once, and fail with what was lost, doubled or changed.
 
     Where a small file system of its own can be made for the store, it is a program in a namespace that has one; all
     that it starts ends with it.
     """
     own_system = [shutil.which("unshare") or "", "-Urmpf", "--kill-child", "--mount-proc"]
     if not own_system[0] or subprocess.run([*own_system, "true"], capture_output=True, check=False).returncode:
-        judge_a_walk(folder, seed, seconds, collector)
+        judge_a_walk(folder, seed, turns, collector)
         return
     (folder / "data").mkdir()
     mount = f"mount -t tmpfs -o size=48m tmpfs '{folder / 'data'}'"
-    words = [sys.executable, __file__, str(folder), str(seed), str(seconds or 0), collector]
+    words = [sys.executable, __file__, str(folder), str(seed), str(turns or 0), collector]
     script = f"{mount} && exec {shlex.join(words)}"
-    limit = 300 + (seconds or 0)
+    limit = 300 + 10 * (turns or 0)
     done = subprocess.run([*own_system, "sh", "-c", script], timeout=limit, check=False, env=_with_paths())
     assert done.returncode == 0, "see what the walk printed"
 
@@ -465,14 +479,14 @@ def _with_paths() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
 
 
-def judge_a_walk(folder: Path, seed: int, seconds: float | None, collector: str) -> None:
+def judge_a_walk(folder: Path, seed: int, turns: int | None, collector: str) -> None:
     """Walk in this process."""
-    print(f"seed {seed}, {'the worst deeds once' if seconds is None else f'{seconds:g} seconds'}")
-    with walked(folder, seed, segment=60_000 if seconds else 200_000, collector=collector) as walk:
-        if seconds is None:
+    print(f"seed {seed}, {'the worst deeds once' if turns is None else f'{turns} turns'}")
+    with walked(folder, seed, segment=60_000 if turns else 200_000, collector=collector) as walk:
+        if turns is None:
             walk.run_through()
         else:
-            walk.run(seconds)
+            walk.run(turns)
         walk.settle()
         wrong = walk.problems()
         if wrong and walk.disk_is_small:
@@ -495,4 +509,4 @@ def walked(
 
 
 if __name__ == "__main__":
-    judge_a_walk(Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]) or None, sys.argv[4])
+    judge_a_walk(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]) or None, sys.argv[4])

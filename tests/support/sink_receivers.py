@@ -26,10 +26,12 @@ class Receiver(Protocol):
     """A server that takes samples.
 
     Attributes:
+        name: of the sink that sends to it.
         server: what is stopped and started.
         section: the text of its ``[[sink]]``.
     """
 
+    name: str
     server: ForeignServer
     section: str
 
@@ -41,7 +43,7 @@ class NatsReceiver:
     """A stream: it has each message once."""
 
     def __init__(self, server: ForeignServer) -> None:
-        self.server = server
+        self.name, self.server = "bus", server
         self.section = (
             f'[[sink]]\nname = "bus"\nurl = "nats://127.0.0.1:{server.port}"\nage = 0.1\n'
             'subject = "plant.{device}"\nstream = "PLANT"\n'
@@ -74,7 +76,7 @@ class MqttReceiver:
     END = "the-end"
 
     def __init__(self, server: ForeignServer) -> None:
-        self.server = server
+        self.name, self.server = "broker", server
         self.section = (
             f'[[sink]]\nname = "broker"\nurl = "mqtt://127.0.0.1:{server.port}"\nage = 0.1\n'
             'topic = "plant/{device}"\n'
@@ -108,6 +110,7 @@ class PostgresqlReceiver:
     """A table: it has each sample once."""
 
     def __init__(self, server: PostgresqlServer, folder: Path) -> None:
+        self.name = "database"
         self.server: ForeignServer = server
         self._url, self._password = server.url, server.PASSWORD
         secret = folder / "password"
