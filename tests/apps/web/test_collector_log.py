@@ -53,7 +53,10 @@ def test_a_long_message_is_cut_and_a_name_forges_no_line() -> None:
     assert len(cut.text) == collector_log.LONGEST_LINE
 
 
-def test_a_message_that_cannot_be_formatted_harms_nobody(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_message_that_cannot_be_formatted_harms_nobody(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(logging, "raiseExceptions", True)  # the command line sets it otherwise, for its process
     with CollectorLog() as log:
         log.handle(logging.LogRecord("busway.x", logging.INFO, "x", 1, "%d", ("text",), None))
         LOG.info("after")

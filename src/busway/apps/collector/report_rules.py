@@ -25,8 +25,8 @@ def store_rules(configuration: CollectorConfiguration, device: str | None = None
         configuration: of the collector.
         device: its name; None for all devices.
     """
-    file = configuration.file
-    sections = [section for section in file.device if device in (None, section.name)]
+    wanted = configuration.devices.keys() if device is None else {device} & configuration.devices.keys()
+    sections = [section for section in configuration.file.device if section.name in wanted]
     return {
         key: rule for section in sections for key, rule in _of_device(configuration, section) if rule.when != _EVERY
     }
