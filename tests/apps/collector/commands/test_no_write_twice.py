@@ -16,7 +16,7 @@ from wire_recorder import WireRecorder
 SEED = int(os.environ.get("BUSWAY_WALK_SEED", "20261122"))
 
 
-def walk(folder: Path, seed: int, steps: int) -> None:
+def walk(folder: Path, seed: int, steps: int, ends: int) -> None:
     """Walk, and fail with what was written twice, without right, too late, or not told."""
     print(f"seed {seed}, {steps} steps")
     with WireRecorder() as wire:
@@ -25,7 +25,7 @@ def walk(folder: Path, seed: int, steps: int) -> None:
             plant.start()
             plant.wait_until_up()
             walking = CommandWalk(plant, seed)
-            walking.run(steps)
+            walking.run(steps, ends)
             walking.settle()
             wrong = walking.problems()
         finally:
@@ -33,8 +33,9 @@ def walk(folder: Path, seed: int, steps: int) -> None:
     assert wrong[:20] == []
 
 
+@pytest.mark.timeout(600)  # it starts a program several times
 def test_a_walk_over_a_collector_that_is_killed_writes_no_command_twice(tmp_path: Path) -> None:
-    walk(tmp_path, SEED, 60)
+    walk(tmp_path, SEED, 50, 2)
 
 
 @pytest.mark.soak
@@ -44,5 +45,5 @@ def test_many_walks_write_no_command_twice(tmp_path: Path) -> None:
     while time.monotonic() < end:
         folder = tmp_path / str(seed)
         folder.mkdir()
-        walk(folder, seed, 200)
+        walk(folder, seed, 200, 6)
         seed += 1

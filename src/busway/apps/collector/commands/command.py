@@ -92,7 +92,7 @@ class PointCommand:
             raise InvalidRequest(f"a key has 1…100 letters, digits or . _ : @ -, not {shown(self.key)}")
         for name in ("device", "point", "by", "origin"):
             text = getattr(self, name)
-            is_text = isinstance(text, str) and _PRINTABLE.fullmatch(text) and _is_utf_8(text)
+            is_text = isinstance(text, str) and _PRINTABLE.fullmatch(text)
             if not is_text or (name == "by" and not text.isprintable()):
                 raise InvalidRequest(f"{name} has 1…200 printable characters, not {shown(text)}")
         if isinstance(self.expires, bool) or not isinstance(self.expires, int | float):
@@ -121,15 +121,6 @@ def _check_value(value: object) -> None:
             raise InvalidRequest(f"{shown(each)} has half of a surrogate pair, which is no character")
     if len(items) > LONGEST_VALUE or len(json.dumps(value)) > 6 * LONGEST_VALUE:
         raise InvalidRequest(f"a value has at most {LONGEST_VALUE} characters")
-
-
-def _is_utf_8(text: str) -> bool:
-    """Whether a text has no lone surrogate, which JSON can say and UTF-8 cannot."""
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def same_value(one: CommandValue, other: CommandValue) -> bool:

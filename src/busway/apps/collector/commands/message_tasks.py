@@ -31,7 +31,7 @@ class MessageTasks:
         self._has_ended = False
 
     def begin(self, handle: Callable[[], Awaitable[None]]) -> bool:
-        """Handle a message in a task of its own, once there is room; False where too many wait: it is dropped."""
+        """Start a task that handles a message, once there is room; False if too many wait, and it is dropped."""
         if len(self._tasks) >= MOST_AT_ONCE + MOST_WAITING:
             return False
         if not self._has_ended:
