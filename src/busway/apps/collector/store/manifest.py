@@ -290,9 +290,9 @@ class Manifest:
             )
             database.execute(  # by number, not by time: the clock may have been set back
                 "INSERT OR REPLACE INTO facts SELECT name, value FROM"
-                " (SELECT 'alive' AS name, ?1 AS value UNION ALL SELECT 'alive_commit', ?2)"
-                " WHERE ?2 >= coalesce((SELECT value FROM facts WHERE name = 'alive_commit'), 0)",
-                (part.alive, part.last_commit),
+                " (SELECT 'alive' AS name, :alive AS value UNION ALL SELECT 'alive_commit', :commit)"
+                " WHERE :commit >= coalesce((SELECT value FROM facts WHERE name = 'alive_commit'), 0)",
+                {"alive": part.alive, "commit": part.last_commit},
             )
 
     def replace_part(self, old: StorePart, new: Sequence[StorePart], intervals: Iterable[IntervalRow]) -> None:
