@@ -153,6 +153,27 @@ def test_a_write_is_asked_for_confirmed_and_its_outcome_shown(new_page, plant, s
     expect(row(page, "pump/speed").get_by_role("button", name="Write pump/speed")).to_be_focused()
 
 
+def test_the_focus_goes_back_to_the_points_button_though_the_rows_were_made_anew_meanwhile(new_page, plant, sign_in):
+    page = new_page(plant.page.url)
+    expect(row(page, "pump/speed")).to_contain_text("1.5")
+    held = []
+
+    def hold(route):
+        held.append(route)
+
+    page.route(re.compile("/api/points$"), hold)
+    sign_in(page, "operate")
+    open_write(page)
+    page.evaluate("document.querySelector('#value-rows [role=row]').id = 'before'")
+    for route in held:
+        route.continue_()
+    expect(page.locator("#before")).to_have_count(0)
+    expect(row(page, "pump/speed")).to_contain_text("1.5")
+    page.keyboard.press("Escape")
+    expect(page.locator("#write")).to_be_hidden()
+    expect(row(page, "pump/speed").get_by_role("button", name="Write pump/speed")).to_be_focused()
+
+
 @pytest.mark.parametrize(
     "typed", ["1,5", "1.000,5", "1,000", "1.2.3", "0x10", "12 rpm", "١٢", "NaN", "1e999", "", "9007199254740993"]
 )

@@ -24,11 +24,14 @@ function state(name, text = STATES[name]) {
 }
 
 const stream = new Stream(take, state);
-const past = new History();
-const writing = new WriteDialog(() => view === "commands" && refresh());
+const past = new History((point) => table.focus(point, "c-name"));
+const writing = new WriteDialog(
+  () => view === "commands" && refresh(),
+  (point) => table.focus(point, "c-do"),
+);
 const table = new ValueTable(stream, {
-  history: (point, button) => past.show({ ...point, button }),
-  write: (point, button) => writing.open(point, button),
+  history: (point) => past.show(point),
+  write: (point) => writing.open(point),
 });
 const alarms = new AlarmView();
 const devices = new DeviceView();

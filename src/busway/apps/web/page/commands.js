@@ -27,7 +27,7 @@ export function typedValue(text, kind) {
 }
 
 export class WriteDialog {
-  constructor(done) {
+  constructor(done, closed) {
     this.done = done;
     byId("write-form").addEventListener("submit", (event) => {
       event.preventDefault();
@@ -38,13 +38,12 @@ export class WriteDialog {
     for (const id of ["write-cancel", "write-back", "write-close"]) byId(id).addEventListener("click", () => byId("write").close());
     byId("write").addEventListener("close", () => {
       this.forget();
-      this.opener?.focus();
+      closed(this.point);
     });
   }
 
-  open(point, opener) {
+  open(point) {
     this.point = point;
-    this.opener = opener;
     setText(byId("write-title"), `Write ${point.key}`);
     const measure = point.unit_of_measure ? ` ${point.unit_of_measure}` : "";
     setText(byId("write-now"), `Now: ${valueText(point.value, null)}${point.value === null ? "" : measure}`);

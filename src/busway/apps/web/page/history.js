@@ -8,7 +8,8 @@ const AGAIN = 5000;
 const HEIGHT = 260;
 
 export class History {
-  constructor() {
+  constructor(closed) {
+    this.closed = closed;
     this.point = null;
     this.chart = null;
     byId("span").addEventListener("change", () => this.load());
@@ -30,10 +31,10 @@ export class History {
   }
 
   close() {
-    const row = this.point?.button;
+    const { point } = this;
     this.point = null;
     byId("history").hidden = true;
-    row?.focus();
+    if (point) this.closed(point);
   }
 
   async load() {

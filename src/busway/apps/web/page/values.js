@@ -141,10 +141,16 @@ export class ValueTable {
     this.telling = setTimeout(() => this.stream.want({ shown: places }), 150);
   }
 
+  /** Put the focus on a button of the point's row: its name, or what writes it. The row may have been made anew. */
+  focus({ key }, button) {
+    const place = this.points.findIndex((point) => point.key === key);
+    byId("value-rows").querySelector(`[data-key="${place}"] .${button} button`)?.focus();
+  }
+
   row(point) {
     const cell = (name, ...children) => element("span", { role: "cell", class: name }, ...children);
-    const open = element("button", { type: "button", class: "quiet", onclick: () => this.actions.history(point, open) }, point.key);
-    const write = element("button", { type: "button", class: "quiet", "aria-label": `Write ${point.key}`, onclick: () => this.actions.write(point, write) }, "Write");
+    const open = element("button", { type: "button", class: "quiet", onclick: () => this.actions.history(point) }, point.key);
+    const write = element("button", { type: "button", class: "quiet", "aria-label": `Write ${point.key}`, onclick: () => this.actions.write(point) }, "Write");
     return element(
       "div",
       { role: "row", class: "row" },
