@@ -12,11 +12,13 @@ from urllib.request import urlopen
 
 import pytest
 from program import Busway
-from waiting import wait_until
+from waiting import until, wait_until
 
 import busway
 from busway.apps.collector.collector import write_learnt
+from busway.apps.collector.configuration import load_collector
 from busway.apps.collector.knowledge import DeviceKnowledge, Knowledge, LearntHole
+from busway.cli.collect import _collect
 from busway.cli.collect_demo import collect_demo
 from busway.codes import Table
 
@@ -37,7 +39,11 @@ profile = "meter"
 """
 
 
-def written(folder: Path, url: str = "tcp://127.0.0.1:9") -> str:
+CLOSED = "tcp://127.0.0.1:9"
+"""Where nothing listens."""
+
+
+def written(folder: Path, url: str = CLOSED) -> str:
     file = folder / "plant.toml"
     file.write_text(PLANT.replace("{url}", url))
     return str(file)
@@ -122,6 +128,35 @@ def test_it_collects_until_it_is_stopped_and_reads_its_file_again(tmp_path: Path
             wait_until(lambda: is_stored(tmp_path, "meter-8"))
             out, _ = program.stop()
         assert "1 of 1 devices answer" in out
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no SIGHUP here")
+async def test_a_hangup_while_the_collector_begins_is_a_reload_once_it_has_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    unheard: list[int] = []
+    before = signal.signal(signal.SIGHUP, lambda number, frame: unheard.append(number))
+    begin, told = busway.Collector.__aenter__, ""
+
+    async def begin_slowly(collector: busway.Collector) -> busway.Collector:
+        os.kill(os.getpid(), signal.SIGHUP)
+        await asyncio.sleep(0)
+        return await begin(collector)
+
+    def has_read_again() -> bool:
+        nonlocal told
+        told += capsys.readouterr().err
+        return "read again: nothing changed" in told
+
+    monkeypatch.setattr(busway.Collector, "__aenter__", begin_slowly)
+    try:
+        running = asyncio.create_task(_collect(load_collector(written(tmp_path, CLOSED)), 60.0, as_json=False))
+        await until(has_read_again)
+        os.kill(os.getpid(), signal.SIGTERM)
+        await running
+        assert unheard == []
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_second_collector_on_the_store_is_refused_with_the_pid_of_the_first(run, tmp_path: Path) -> None:

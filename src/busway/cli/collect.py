@@ -107,29 +107,36 @@ def _action_and_file(words: list[str]) -> tuple[str, str]:
 async def _collect(configuration: "CollectorConfiguration", every: float, *, as_json: bool) -> None:
     from ..apps.collector.collector import Collector
 
+    collector, begun = Collector(configuration), asyncio.Event()
+    tasks: set[asyncio.Task[None]] = set()
+
+    def read_again() -> None:
+        task = asyncio.create_task(_read_again(collector, begun))
+        tasks.add(task)
+        task.add_done_callback(tasks.discard)
+
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
-            collector = await stack.enter_async_context(Collector(configuration))
-            tasks: set[asyncio.Task[None]] = set()
-
-            def read_again() -> None:
-                task = asyncio.create_task(_read_again(collector))
-                tasks.add(task)
-                task.add_done_callback(tasks.discard)
-
-            with on_hangup(read_again):  # before anything shows that it runs: a hangup would end it
-                await open_page(stack, collector)
-                _say_what_runs(collector)
-                while not stop.is_set():
-                    try:
-                        async with asyncio.timeout(every):
-                            await stop.wait()
-                    except TimeoutError:
-                        print_status(collector, as_json=as_json)
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+            stack.enter_context(on_hangup(read_again))  # first of all: without it a hangup ends the program
+            stack.push_async_callback(_cancelled, tasks)
+            await stack.enter_async_context(collector)
+            begun.set()
+            await open_page(stack, collector)
+            _say_what_runs(collector)
+            while not stop.is_set():
+                try:
+                    async with asyncio.timeout(every):
+                        await stop.wait()
+                except TimeoutError:
+                    print_status(collector, as_json=as_json)
+            await _cancelled(tasks)
             print_status(collector, as_json=as_json)
+
+
+async def _cancelled(tasks: "set[asyncio.Task[None]]") -> None:
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
 
 
 def _say_what_runs(collector: "Collector") -> None:
@@ -146,7 +153,8 @@ def _say_what_runs(collector: "Collector") -> None:
             say(f"warning: {problem}")
 
 
-async def _read_again(collector: "Collector") -> None:
+async def _read_again(collector: "Collector", begun: asyncio.Event) -> None:
+    await begun.wait()
     try:
         done = await collector.read_again()
     except ModbusError as error:
