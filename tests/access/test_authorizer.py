@@ -391,6 +391,17 @@ def test_rates_of_a_replaced_policy_are_those_of_the_new_one(device):
     assert [isinstance(one, ExceptionResponse) for one in answers] == [False, False, False, True]
 
 
+def test_a_rule_that_stays_goes_on_counting_when_the_policy_is_replaced(device):
+    rates = {}
+    slowly, other = Rule.of(name="slowly", rate=2), Rule.of(name="other", rate=5, units="7")
+    handler = AuthorizedPipeline(DeviceResponder({1: device}), Policy.of(slowly, other), rates=rates, clock=lambda: 0.0)
+    read = ReadHoldingRegisters(0, 1)
+    assert [isinstance(handler.handle(context(3), read), ExceptionResponse) for _ in range(3)] == [False, False, True]
+    handler.replace_policy(Policy.of(Rule.of(name="first", action="deny", units="9"), slowly))
+    assert handler.handle(context(3), read) == ExceptionResponse(3, 6)
+    assert set(rates) == {"slowly"}
+
+
 @pytest.mark.clause("M6", "T24")
 @pytest.mark.parametrize("audited", [False, True])
 @pytest.mark.parametrize(

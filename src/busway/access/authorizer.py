@@ -9,7 +9,8 @@ Knows requests, clients and the policy; answers nothing and stands beside the re
    (`busway.access.rule_evaluation`). They decide on the generic path, and what they permit is bound to the fast path
    (`busway.access.fast_path_rights`).
 3. A policy can be replaced at any time: ``generation`` changes, and sessions ask again before their next request.
-   No connection is dropped.
+   No connection is dropped, and a rule that has the same name and rate goes on counting: to read files again lifts no
+   limit.
 4. While the audit log refuses writes (``on_failure="refuse"``), a write is answered 04 and not executed.
 """
 
@@ -127,7 +128,10 @@ class PolicyAuthorizer:
         """Use another policy from the next request on; connections stay open. May be called from any thread."""
         with self._lock:
             self._in_force = _InForce(policy)
-            self._rates.clear()
+            rates = {rule.name: rule.rate for rule in policy.rules}
+            for name, counted in list(self._rates.items()):
+                if rates.get(name) != counted.rate:
+                    self._rates.pop(name, None)
             self.generation += 1
 
     def rights_of(self, client: ClientIdentity) -> PolicyRights:
