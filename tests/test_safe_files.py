@@ -7,7 +7,14 @@ from pathlib import Path
 import pytest
 
 from busway.errors import ConfigError
-from busway.safe_files import check_replaceable, open_to_append, open_to_replace, past_links, read_safely
+from busway.safe_files import (
+    check_replaceable,
+    open_to_append,
+    open_to_replace,
+    past_links,
+    read_safely,
+    write_whole,
+)
 
 needs_unix = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes and owners of links are of Unix")
 _STRANGER = 12_345
@@ -136,3 +143,52 @@ def test_only_what_is_recognised_is_replaced(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="is there already and is no capture"):
         check_replaceable(other, is_ours=ours, kind="capture")
     assert other.read_bytes() == b"theirs"
+
+
+def test_a_file_is_replaced_whole_or_not_at_all_and_its_owner_alone_can_read_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "a"
+    write_whole(file, "first")
+    assert (file.read_text(), file.stat().st_mode & 0o777) == ("first", 0o600)
+    with pytest.raises(UnicodeEncodeError):
+        write_whole(file, "second \ud800")
+
+    def fail(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", fail)
+    with pytest.raises(OSError, match="No space"):
+        write_whole(file, "third")
+    assert file.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives files away")
+def test_a_file_that_is_replaced_keeps_owner_and_group(tmp_path: Path) -> None:
+    file = tmp_path / "a"
+    file.write_text("old")
+    file.chmod(0o640)
+    os.chown(file, 1234, 2345)
+    write_whole(file, "new", like=file.stat())
+    found = file.stat()
+    assert (file.read_text(), found.st_uid, found.st_gid, found.st_mode & 0o777) == ("new", 1234, 2345, 0o640)
+
+
+@needs_unix
+@pytest.mark.parametrize(("mode", "left"), [(0o640, 0o600), (0o664, 0o644), (0o600, 0o600)])
+def test_a_group_that_cannot_be_given_its_file_leaves_its_rights_to_no_other_group(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mode: int, left: int
+) -> None:
+    file = tmp_path / "a"
+    file.write_text("old")
+    file.chmod(mode)
+    facts = file.stat()
+    other = os.stat_result((facts.st_mode, 0, 0, 1, facts.st_uid, facts.st_gid + 1, 0, 0, 0, 0))
+
+    def refused(handle: int, user: int, group: int) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "fchown", refused)
+    write_whole(file, "new", like=other)
+    assert file.stat().st_mode & 0o777 == left

@@ -13,6 +13,7 @@ Knows names and kinds of files; knows nothing of what stands in them.
 import os
 import stat
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Final
 
@@ -109,6 +110,55 @@ def check_replaceable(path: str | os.PathLike[str], *, is_ours: IsOurs, kind: st
     if head and not is_ours(head):
         raise _no_such_kind(path, kind)
     return found
+
+
+def write_whole(path: str | os.PathLike[str], text: str, *, like: os.stat_result | None = None) -> None:
+    """Replace a file, or make it: after a crash or a power failure it is as before or as after, never between.
+
+    Args:
+        path: the file; a link there is replaced itself.
+        text: the new contents.
+        like: the file gets the owner, group and rights of this one, as far as they can be given; None for the owner's
+            rights alone (0600).
+
+    Raises:
+        OSError: the file is as it was.
+    """
+    target = Path(path)
+    fresh = target.with_name(f"{target.name}.{os.getpid()}.new")
+    fresh.unlink(missing_ok=True)  # of a process of the same number that was killed
+    handle = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _ALWAYS, 0o600)
+    with ExitStack() as unless_replaced:
+        unless_replaced.callback(fresh.unlink, missing_ok=True)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            if like is not None:
+                _give_rights(handle, like)
+            file.write(text)
+            file.flush()
+            os.fsync(handle)
+        fresh.replace(target)
+        unless_replaced.pop_all()
+    if hasattr(os, "O_DIRECTORY"):
+        folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY | _ALWAYS)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def _give_rights(handle: int, like: os.stat_result) -> None:
+    """Give an open file the rights of another one. Another group gets none that all others have not."""
+    mode = stat.S_IMODE(like.st_mode)
+    own = os.fstat(handle)
+    try:
+        if (own.st_uid, own.st_gid) != (like.st_uid, like.st_gid):
+            os.fchown(handle, like.st_uid, like.st_gid)
+    except PermissionError:
+        try:
+            os.fchown(handle, -1, like.st_gid)
+        except PermissionError:
+            mode &= ~stat.S_IRWXG | (mode & stat.S_IRWXO) << 3
+    os.fchmod(handle, mode)
 
 
 def past_links(path: str | os.PathLike[str]) -> str:

@@ -3,19 +3,26 @@
 import asyncio
 import json
 import os
-from collections.abc import Mapping
+import threading
+from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from urllib.request import urlopen
 
 import pytest
+from collected import at
 from waiting import until
 
 import busway
+from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.configuration import CollectorConfiguration, load_collector
+from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.errors import ConfigError
 from busway.server.server import Server
 
+CLOSED = "tcp://127.0.0.1:9"
+"""Where nothing listens."""
+Item = TypeVar("Item")
 PUMP = """\
 [[unit]]
 unit = 1
@@ -45,6 +52,14 @@ def served(items: int = 100) -> Server:
     return busway.serve("tcp://127.0.0.1:0", units={1: device})
 
 
+def read_of(value: float) -> SampleBatch:
+    return SampleBatch(PointGroup("a", ("level",)), at(value), 5, (value,))
+
+
+async def all_of(items: AsyncIterator[Item]) -> list[Item]:
+    return [each async for each in items]
+
+
 async def first_values(collector: busway.Collector, devices: list[str], points: int) -> dict[str, Any]:
     found: dict[str, Any] = {}
     async with asyncio.timeout(20):
@@ -55,6 +70,32 @@ async def first_values(collector: busway.Collector, devices: list[str], points: 
             if len(found) == points:
                 return found
     raise AssertionError("no more samples")
+
+
+async def test_readers_get_all_that_was_stored_until_the_end(tmp_path: Path) -> None:
+    last, raised = read_of(1.0), AlarmEvent("a", "level", "H", AlarmEventKind.RAISED, at(1.0))
+    async with busway.collect(plant(tmp_path, {"x": CLOSED}, {"a": "x"})) as collector:
+        samples, events = collector.samples(), collector.alarms.events()
+        reading = asyncio.create_task(all_of(samples)), asyncio.create_task(all_of(events))
+        await asyncio.sleep(0)
+        assert collector._committer is not None
+        collector._committer.add(last, [raised])
+    batches, told = await asyncio.gather(*reading)
+    assert batches[-1] is last
+    assert told == [raised]
+
+
+async def test_the_event_loop_does_not_wait_for_the_disk_when_what_was_learnt_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: list[threading.Thread] = []
+    monkeypatch.setattr(
+        "busway.apps.collector.collector.write_whole", lambda path, text: threads.append(threading.current_thread())
+    )
+    async with busway.collect(plant(tmp_path, {"x": CLOSED}, {"a": "x"})):
+        pass
+    assert threads
+    assert threading.main_thread() not in threads
 
 
 async def test_samples_are_in_the_store_when_they_are_handed_on(tmp_path: Path) -> None:

@@ -185,6 +185,17 @@ async def test_the_log_says_why_a_device_is_not_read_and_when_it_answers(caplog:
     assert last.endswith("answers again")
 
 
+async def test_a_silent_device_does_not_answer_again_because_its_link_ends(caplog: pytest.LogCaptureFixture) -> None:
+    bench = Bench([number("a", 4)])
+    await bench.until(102)
+    with caplog.at_level("INFO", "busway.collector"):
+        bench.device.error = lambda: NoReply("no reply")
+        await bench.until(150)
+        bench.poller.close()
+    assert [each.end is None for each in bench.intervals] == [True, False]
+    assert "answers again" not in caplog.text
+
+
 async def test_an_error_of_the_whole_call_is_that_of_each_read() -> None:
     bench = Bench([number("a", 4)])
     await bench.until(102)

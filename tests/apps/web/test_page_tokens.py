@@ -34,6 +34,13 @@ def test_a_file_with_a_random_token_for_each_role_is_made_for_its_owner_alone(tm
     assert KeptTokens(tmp_path / "one").current() == one
 
 
+def test_a_new_file_of_tokens_is_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes: list[int] = []
+    monkeypatch.setattr(os, "fsync", lambda file: sizes.append(os.fstat(file).st_size))
+    KeptTokens(tmp_path / "tokens")
+    assert sizes[0] == (tmp_path / "tokens").stat().st_size
+
+
 def test_further_tokens_have_names(tmp_path: Path) -> None:
     kept = KeptTokens(written(tmp_path / "tokens", f"# ours\n\noperate {LONG} anna of shift 2\nview {LONG}2\n"))
     assert [(each.caller.name, each.caller.role) for each in kept.current()] == [

@@ -29,6 +29,7 @@ from ...client.aio import AsyncLink, open_link
 from ...config.reading import read_text
 from ...errors import ConfigError
 from ...points.point import Point
+from ...safe_files import write_whole
 from .alarms.collected import CollectorAlarms
 from .commands.audit import configuration_line, revision_of
 from .commands.command import CommandResult, CommandValue
@@ -169,6 +170,7 @@ class Collector:
         self._reloading = asyncio.Lock()
         self._changes: set[asyncio.Task[list[str]]] = set()
         self._is_ending = False
+        self._hands_on = False
 
     async def __aenter__(self) -> Self:
         """Open the store and begin to poll the devices.
@@ -193,6 +195,7 @@ class Collector:
             self._start_commands()
             for name in self.configuration.links:
                 self._start_link(name, self.configuration)
+            self._hands_on = True
             self._upkeep = asyncio.create_task(self._keep_up(), name="busway collector upkeep")
             self._upkeep.add_done_callback(_log_defect)
             self._receive_commands()
@@ -216,11 +219,10 @@ class Collector:
 
     async def _stop_parts(self) -> None:
         async with AsyncExitStack() as steps:
-            for reader in self._readers:
-                steps.callback(reader.arrived.set)
+            steps.callback(self._end_readers)
             steps.callback(self.alarms.end)
             steps.push_async_callback(self._close_store)
-            steps.callback(self._write_learnt)
+            steps.push_async_callback(self._write_learnt)
             if self._audit is not None:
                 steps.callback(self._audit.close)
             if self._commands is not None:
@@ -321,14 +323,22 @@ class Collector:
         reader = _Reader(wanted)
         self._readers.append(reader)
         try:
-            while self._upkeep is not None and not self._upkeep.done():
+            while True:
                 while reader.waiting:
                     yield reader.waiting.popleft()
+                if not self._hands_on:
+                    return
                 reader.arrived.clear()
                 await reader.arrived.wait()
         finally:
             self._readers.remove(reader)
             self.readers_lost += reader.lost
+
+    def _end_readers(self) -> None:
+        """End all readers, once they have taken what waits."""
+        self._hands_on = False
+        for reader in self._readers:
+            reader.arrived.set()
 
     def maintenance(self, device: str, *, begins: bool, by: str = "program", why: str = "") -> None:
         """Begin or end the maintenance of a device: meanwhile it is not polled, also after a restart.
@@ -718,7 +728,7 @@ class Collector:
                 write_at = loop.time() + LEARNT_EVERY
                 for running in self._links.values():
                     self._learn_from(running.poller)
-                self._write_learnt()
+                await self._write_learnt()
 
     def _mend(self, shift: int) -> None:
         """Correct the times of samples and alarms from before the wall clock was set, by a shift; 0 does nothing."""
@@ -736,11 +746,11 @@ class Collector:
         for name, device in poller.devices.items():
             self.knowledge.set(name, device.book.knowledge)
 
-    def _write_learnt(self) -> None:
+    async def _write_learnt(self) -> None:
         text = self.knowledge.text()
         if text != self._learnt_text and self.configuration.file.collector.learn:
             try:
-                write_learnt(self.configuration.learnt_path, self.knowledge)
+                await asyncio.to_thread(write_whole, self.configuration.learnt_path, text)
                 self._learnt_text = text
             except OSError as error:
                 _log.error("what was learnt cannot be written to %s: %s", self.configuration.learnt_path, error)
@@ -786,12 +796,7 @@ def read_learnt(path: Path) -> Knowledge:
 
 def write_learnt(path: Path, knowledge: Knowledge) -> None:
     """Write what was learnt about devices to a file, which is replaced as a whole. Raises `OSError`."""
-    beside = path.with_suffix(".new")
-    with open(beside, "w", encoding="utf-8") as file:
-        file.write(knowledge.text())
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(beside, path)
+    write_whole(path, knowledge.text())
 
 
 def _key_of(configuration: CollectorConfiguration, link: str) -> object:

@@ -357,7 +357,6 @@ class LinkPoller:
         """End the open intervals of silent devices, because polling stops; maintenance goes on."""
         for device in self.devices.values():
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
-                _log.info("%s answers again", device.name)
                 self._end_interval(device)
 
     async def make(self, turn: Turn) -> None:

@@ -7,14 +7,12 @@ Knows two configurations and a file; knows no link.
 3. A file is replaced whole, with the rights that it had: after a crash it is as before or as after.
 """
 
-import contextlib
 import os
-import stat
-from pathlib import Path
 from typing import Final
 
 from ...config.files.collector import CollectorSection
 from ...errors import ConfigError
+from ...safe_files import write_whole
 from .configuration import CollectorConfiguration
 
 _READ_AT_THE_START: Final = tuple(
@@ -46,25 +44,8 @@ def left_for_the_next_start(started: CollectorConfiguration, new: CollectorConfi
 
 def replace_file(path: str, text: str) -> None:
     """Replace the contents of a file that exists (rule 3). Raises `ConfigError`; then it is as before."""
-    target = Path(os.path.realpath(path))
-    beside = target.with_name(target.name + ".new")
+    target = os.path.realpath(path)
     try:
-        mode = stat.S_IMODE(target.stat().st_mode)
-        with contextlib.suppress(FileNotFoundError):
-            beside.unlink()
-        handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            os.fchmod(handle, mode)
-            file.write(text)
-            file.flush()
-            os.fsync(handle)
-        os.replace(beside, target)
-        folder = os.open(target.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        write_whole(target, text, like=os.stat(target))
     except OSError as error:
-        with contextlib.suppress(OSError):
-            beside.unlink()
         raise ConfigError(f"cannot be replaced: {error.strerror}", file=path) from error

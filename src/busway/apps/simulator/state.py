@@ -8,20 +8,17 @@ Knows the file; knows no device.
 4. It is made for its owner alone (0600): it holds what clients wrote.
 """
 
-import contextlib
 import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 from ...errors import ConfigError
-from ...safe_files import check_replaceable, read_safely
+from ...safe_files import check_replaceable, read_safely, write_whole
 
 _KIND: Final = "busway simulation state"
 _VERSION: Final = 1
-_RIGHTS: Final = 0o600
 _LARGEST: Final = 256 << 20
 """Bytes of a state: a hundred thousand units have 100 MB."""
 ASIDE: Final = ".broken"
@@ -68,18 +65,9 @@ def save_state(path: str, state: KeptState) -> None:
         },
     }
     place = check_state(path)
-    fresh = Path(f"{place}.{os.getpid()}.new")
     try:
-        fresh.unlink(missing_ok=True)  # of a process of the same number that was killed
-        handle = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _RIGHTS)
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            json.dump(document, file, ensure_ascii=False, indent=1)
-            file.flush()
-            os.fsync(file.fileno())
-        fresh.replace(place)
+        write_whole(place, json.dumps(document, ensure_ascii=False, indent=1))
     except OSError as error:
-        with contextlib.suppress(OSError):
-            fresh.unlink()
         raise ConfigError(f"the values cannot be saved: {error.strerror or error}", file=path) from error
 
 

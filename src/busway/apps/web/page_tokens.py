@@ -129,3 +129,5 @@ def _make(path: Path) -> None:
         raise ConfigError(f"cannot be made: {error.strerror}", file=str(path)) from error
     with os.fdopen(handle, "w", encoding="ascii") as file:
         file.write(_HEAD + "".join(f"{role.label:<9} {new_token()}\n" for role in Role))
+        file.flush()
+        os.fsync(handle)  # without its content, after a power failure, it would be refused

@@ -126,9 +126,11 @@ class CollectorAlarms:
         reader = _EventReader()
         self._readers.append(reader)
         try:
-            while not self._ended:
+            while True:
                 while reader.waiting:
                     yield reader.waiting.popleft()
+                if self._ended:
+                    return
                 reader.arrived.clear()
                 await reader.arrived.wait()
         finally:

@@ -20,7 +20,6 @@ import asyncio
 import contextlib
 import json
 import logging
-import os
 import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
@@ -31,6 +30,7 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
+from ....safe_files import write_whole
 from ..samples import Quality, Reason, Value, reason_text
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .documents import alarm_document
@@ -304,13 +304,8 @@ class SparkplugSink:
         except (OSError, ValueError, KeyError, TypeError):  # none yet, or damaged: any number may begin
             last = -1
         number = (last + 1) % _NUMBERS
-        unfinished = file.with_name(f"{file.name}.unfinished")
         try:
-            with unfinished.open("w", encoding="utf-8") as written:
-                json.dump({"bdSeq": number}, written)
-                written.flush()
-                os.fsync(written.fileno())
-            unfinished.replace(file)
+            write_whole(file, json.dumps({"bdSeq": number}))
         except OSError as error:
             raise SinkDown(f"the number of the connection cannot be kept in {file}: {error}") from error
         return number
