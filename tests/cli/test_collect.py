@@ -15,9 +15,9 @@ from program import Busway
 from waiting import until, wait_until
 
 import busway
-from busway.apps.collector.collector import write_learnt
 from busway.apps.collector.configuration import load_collector
 from busway.apps.collector.knowledge import DeviceKnowledge, Knowledge, LearntHole
+from busway.apps.collector.learnt_file import LearntFile
 from busway.cli.collect import _collect
 from busway.cli.collect_demo import collect_demo
 from busway.codes import Table
@@ -101,7 +101,8 @@ def test_what_was_learnt_is_shown_pinned_and_forgotten(run, tmp_path: Path) -> N
     file = written(tmp_path)
     (tmp_path / "data").mkdir()
     hole = LearntHole(Table.INPUT_REGISTERS, 20, 22, 2)
-    write_learnt(tmp_path / "data" / "learnt.json", Knowledge({"meter-7": DeviceKnowledge("meter", "", 0.02, (hole,))}))
+    knowledge = Knowledge({"meter-7": DeviceKnowledge("meter", "", 0.02, (hole,))})
+    LearntFile(tmp_path / "data" / "learnt.json").write(knowledge.text())
     assert "meter-7: input register 20…21: exception 02\n" in run("collect", "learnt", file).out
     assert "(pinned)" in run("collect", "learnt", file, "--pin", "meter-7").out
     assert (

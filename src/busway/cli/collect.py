@@ -167,10 +167,10 @@ async def _read_again(collector: "Collector", begun: asyncio.Event) -> None:
 
 
 def _show_plan(configuration: "CollectorConfiguration", *, as_json: bool) -> int:
-    from ..apps.collector.collector import read_learnt
+    from ..apps.collector.learnt_file import LearntFile
     from ..apps.collector.preview import preview
 
-    shown = preview(configuration, read_learnt(configuration.learnt_path))
+    shown = preview(configuration, LearntFile(configuration.learnt_path).read())
     if as_json:
         for read in shown.reads:
             print_json(
@@ -216,11 +216,11 @@ def _show_plan(configuration: "CollectorConfiguration", *, as_json: bool) -> int
 
 
 def _show_learnt(configuration: "CollectorConfiguration", pin: str | None, forget: str | None, *, as_json: bool) -> int:
-    from ..apps.collector.collector import read_learnt, write_learnt
+    from ..apps.collector.learnt_file import LearntFile
     from ..apps.collector.store.folder import holder_of
 
-    path = configuration.learnt_path
-    knowledge = read_learnt(path)
+    file = LearntFile(configuration.learnt_path)
+    path, knowledge = file.path, file.read()
     if pin or forget:
         pid = holder_of(path.parent)
         if pid is not None:
@@ -228,7 +228,7 @@ def _show_learnt(configuration: "CollectorConfiguration", pin: str | None, forge
         changed = knowledge.pin(pin) if pin else knowledge.forget(str(forget), pinned=True)
         if not changed:
             raise ConfigError(f"nothing was learnt of {pin or forget}", key="--pin" if pin else "--forget")
-        write_learnt(path, knowledge)
+        file.write(knowledge.text())
     for name, known in knowledge:
         for line in known.lines():
             if as_json:

@@ -5,7 +5,7 @@
 `bits`       Conversion between registers and bits: a register as sixteen bits, and single bits or bit fields of it
 `constants`  Value types as constants: with them a type checker knows what a read returns
 `custom`     Conversion of registers by a `struct` format: `custom:>hHl` is three numbers in four registers
-`durations`  Durations as people write them, such as `500ms` or `1h`, in seconds
+`durations`  Durations as people write them: `500ms`, `10s`, `5m`, `1h`
 `names`      Names of value types and orders for type checkers, so that a wrong name is found before the program runs
 `network`    Conversion between registers and network addresses: IPv4, IPv6, EUI-48 (MAC) and EUI-64
 `numbers`    Conversion between registers and integers, floats and binary-coded decimals

@@ -90,7 +90,7 @@ async def test_the_event_loop_does_not_wait_for_the_disk_when_what_was_learnt_is
 ) -> None:
     threads: list[threading.Thread] = []
     monkeypatch.setattr(
-        "busway.apps.collector.collector.write_whole", lambda path, text: threads.append(threading.current_thread())
+        "busway.apps.collector.learnt_file.write_whole", lambda path, text: threads.append(threading.current_thread())
     )
     async with busway.collect(plant(tmp_path, {"x": CLOSED}, {"a": "x"})):
         pass

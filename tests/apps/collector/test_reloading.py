@@ -123,7 +123,7 @@ async def test_a_change_that_has_begun_is_done_although_its_caller_goes(
             await half.change
         half.release.set()
         await until(lambda: half.collector.configuration.periods["all"] == 0.2 and "hall" in half.collector._links)
-        await until(lambda: not half.collector._changes)
+        await until(lambda: not half.collector._reloading.running)
         assert changes(half.collector, tmp_path)[-1]["done"] == ["link hall began anew"]
 
 
@@ -132,7 +132,7 @@ async def test_a_collector_that_ends_during_a_change_leaves_no_link_behind(
 ) -> None:
     async with half_of_a_change(tmp_path, monkeypatch) as half:
         ending = asyncio.create_task(half.stack.aclose())
-        await until(lambda: half.collector._is_ending)
+        await until(lambda: half.collector._reloading.is_ending)
         late = asyncio.create_task(half.collector.read_again())
         half.release.set()
         await ending

@@ -1,30 +1,38 @@
 """The collector: polls devices by a plan and stores their values as samples.
 
-================  ==========================================================================================
-`cost`            what a read costs on the wire
-`plan`            the cheapest reads for the points that are due
-`knowledge`       what was learnt of devices, as values and as text
-`learning`        learning what reads cost, and which a device refuses
-`plan_cache`      the plans of one device, by the classes that are due
-`schedule`        which read of a link is next, and when
-`admission`       whether a link can do what its devices are to be asked
-`poller`          the polling engine of one link
-`permitted_link`  a link each transaction of which must be permitted
-`derived_points`  totals, computed points, members of groups that a count names
-`reply_timeout`   how long to wait for a device
-`sample_clock`    the clock of samples, which never runs back
-`configuration`   a collector file → links, devices, plans
-`collector`       all of it, running: links, store, readers, reading the file again
-`preview`         what a collector would do, told before it does it
-`samples`         a sample, its quality and reason; the samples of one read; intervals without reads
-`store`           the folder that keeps samples: written, sealed, read
-`commands`        values that are written to points, each at most once
-`report_rules`    which report rule holds for a point, in the store and towards sinks
-`reloading`       what another configuration may change while a collector runs
-`renaming`        which points have other names after the configuration was read again
-`sinks`           other systems that get what a store keeps
-`alarms`          alarms of points: limits and states, with delay, hysteresis, acknowledgement and a journal
-`dashboards`      dashboards for Grafana: one for the collector's page for Prometheus
-`maintenance`     devices in maintenance: which, since when, who began it, and why
-================  ==========================================================================================
+================  =====================================================================================================
+`cost`            The cost of reads in seconds: a base for each request, a part for each register or bit
+`plan`            The read plan: the cheapest set of reads that fetches all wanted points of a device
+`knowledge`       What was learnt about devices (refused ranges, largest reads, read costs), as values and as JSON
+`learning`        Learns from the reads of a device what they cost, and which ranges it refuses
+`plan_cache`      Cache of one device's read plans, one for each set of poll classes that are due together
+`schedule`        The schedule of one link: which read request is sent next, and when
+`admission`       Admission test before the start: computes whether each link can keep the poll periods of its devices
+`poller`          Polls the devices of one link: sends the reads that the schedule says, and turns replies into samples
+`permitted_link`  A link that asks for permission before each transaction
+`derived_points`  Totals, computed points, and members of groups of variable size, of one device
+`reply_timeout`   The timeout for replies of one polled device: adaptive on TCP, as configured on serial lines
+`sample_clock`    The clock that gives samples their time: follows the wall clock, never runs backwards
+`configuration`   Reads a collector file into links, devices with their points, and read plans
+`collector`       The collector: polls the devices of its file, stores their samples, and passes them on to sinks
+`preview`         What a collector would do, without traffic: its reads, the load of each link, undeclared registers
+`samples`         Samples: the value of a point at a time, its quality, and the reason if it is not good
+`store`           The store of the collector: the folder in which it keeps samples
+`commands`        Commands: values that people and programs write to points of a running collector, each at most once
+`device_status`   The status of a polled device: whether it answers, and what its reads have brought
+`learnt_file`     The file beside the store in which a collector keeps what it learns about devices, over restarts
+`sample_readers`  The programs that follow the samples of a running collector
+`report_rules`    Which report rule holds for a point, in the store and towards sinks
+`reloading`       Replaces the configuration of a running collector, from its file or from a text that becomes its file
+`renaming`        Decides which points of a device have other names after its configuration was read again
+`sinks`           Sinks: other systems that get the samples of a store
+`alarms`          Alarms of points: limits and states, with delay, hysteresis, acknowledgement and a journal
+`dashboards`      Dashboards for Grafana: one for the collector's page for Prometheus
+`maintenance`     Devices in maintenance, which are not polled: which, since when, who began it, and why
+================  =====================================================================================================
+
+Where it is decided: which registers one read fetches: `plan`. What a device refuses, and how long its reads take:
+`learning`. Which device is asked next, how often a silent one, and which rounds are skipped: `schedule`. Whether a
+link has too much to do: `admission`. The time of a sample: `poller` and `sample_clock`. What a reload changes:
+`reloading`.
 """

@@ -1,5 +1,4 @@
-"""The collector: polls the devices of its file, stores their samples, and passes them on to sinks, alarms and
-readers.
+"""The collector: polls the devices of its file, stores their samples, and passes them on to sinks and alarms.
 
 Knows files, links, the store and asyncio; what is asked next is decided by `schedule`, and asked by `poller`.
 
@@ -16,37 +15,37 @@ import contextlib
 import logging
 import os
 import time
-from collections import deque
-from collections.abc import AsyncIterator, Callable, Container, Coroutine, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Container, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Final, Self
 
 from ...access.audit_log import AuditLog
 from ...client.aio import AsyncLink, open_link
-from ...config.reading import read_text
 from ...errors import ConfigError
 from ...points.point import Point
-from ...safe_files import write_whole
 from .alarms.collected import CollectorAlarms
-from .commands.audit import configuration_line, revision_of
+from .commands.audit import revision_of
 from .commands.command import CommandResult, CommandValue
 from .commands.inputs import CommandReceiver, InputStatus
 from .commands.journal import CommandJournal
 from .commands.runner import CommandRunner
 from .commands.targets import CollectedTargets
-from .configuration import CollectedDevice, CollectorConfiguration, load_collector, parse_collector
+from .configuration import CollectedDevice, CollectorConfiguration, load_collector
 from .derived_points import DerivedPoints
-from .knowledge import Knowledge, read_knowledge
+from .device_status import CollectedDeviceStatus, status_of
+from .knowledge import Knowledge
+from .learnt_file import LearntFile
 from .maintenance import MaintenanceBook
 from .permitted_link import PermittedLink
 from .poller import LinkPoller
-from .reloading import left_for_the_next_start, refuse_what_cannot_change, replace_file
+from .reloading import Reloading
 from .renaming import new_names
 from .report_rules import sink_rules, store_rules
 from .sample_clock import SampleClock
+from .sample_readers import SampleReaders
 from .samples import CounterState, SampleBatch
 from .schedule import LinkSchedule
 from .sinks.delivery import SinkStatus
@@ -58,8 +57,6 @@ from .store.manifest import MaintenanceRow, Manifest
 from .store.retention import Retention
 from .store.writer import Commit, StoreOptions, StoreWriter
 
-MOST_WAITING: Final = 10_000
-"""Batches that wait for a reader of `Collector.samples`, at most."""
 CLOCK_EVERY: Final = 5.0
 """Seconds between two comparisons with the wall clock."""
 AUDIT_LOG: Final = "audit.log"
@@ -72,33 +69,6 @@ LEARNT_EVERY: Final = 30.0
 _log = logging.getLogger("busway.collector")
 
 
-@dataclass(frozen=True, slots=True)
-class CollectedDeviceStatus:
-    """The status of a polled device: whether it answers, and what its reads have brought.
-
-    Attributes:
-        name, link: its name and that of its link.
-        state: ``polled``, ``silent``, ``maintenance`` or ``not asked yet``.
-        reads, failures, rounds, skipped: how many there were since the start.
-        worst_wait: the longest time in seconds that a round waited for others.
-        last_error: what was wrong last; empty where nothing ever was.
-        learnt: what was learnt of it, in sentences.
-        silent_since: since when its rounds have stopped, nanoseconds since 1970 UTC; None while it is polled.
-    """
-
-    name: str
-    link: str
-    state: str
-    reads: int
-    failures: int
-    rounds: int
-    skipped: int
-    worst_wait: float
-    last_error: str
-    learnt: tuple[str, ...]
-    silent_since: int | None = None
-
-
 @dataclass(slots=True)
 class _RunningLink:
     """A link whose devices are being polled: its configuration and its task."""
@@ -109,30 +79,12 @@ class _RunningLink:
     task: "asyncio.Task[None]"
 
 
-@dataclass(slots=True, eq=False)
-class _Reader:
-    """One program that follows samples, with the queue of those it has not read."""
-
-    devices: frozenset[str] | None
-    waiting: deque[SampleBatch] = field(default_factory=lambda: deque(maxlen=MOST_WAITING))
-    arrived: asyncio.Event = field(default_factory=asyncio.Event)
-    lost: int = 0
-
-    def take(self, batches: Iterable[SampleBatch]) -> None:
-        for batch in batches:
-            if self.devices is None or batch.device in self.devices:
-                self.lost += len(self.waiting) == MOST_WAITING
-                self.waiting.append(batch)
-        self.arrived.set()
-
-
 class Collector:
     """A running collector of device values; an asynchronous context manager, made by `collect`.
 
     Attributes:
         configuration: what its file says.
         knowledge: what was learnt of its devices.
-        readers_lost: batches that readers of `samples` were too slow for.
         values: the last committed value of each point.
         alarms: its alarms, once it has begun.
     """
@@ -149,13 +101,11 @@ class Collector:
         """
         self.configuration: CollectorConfiguration = configuration
         self._permit = permit
-        self._started_with = configuration
-        self.readers_lost: int = 0
         self._committer: Committer | None = None
         self.knowledge: Knowledge = Knowledge()
-        self._learnt_text = ""
+        self._learnt = LearntFile(configuration.learnt_path)
         self._links: dict[str, _RunningLink] = {}
-        self._readers: list[_Reader] = []
+        self._readers = SampleReaders()
         self._upkeep: asyncio.Task[None] | None = None
         self._sinks: SinkThread | None = None
         self._pages: list[PrometheusPage] = []
@@ -167,10 +117,7 @@ class Collector:
         self._receivers: list[CommandReceiver] = []
         self._receiving: list[asyncio.Task[None]] = []
         self._maintenance: MaintenanceBook | None = None
-        self._reloading = asyncio.Lock()
-        self._changes: set[asyncio.Task[list[str]]] = set()
-        self._is_ending = False
-        self._hands_on = False
+        self._reloading = Reloading(lambda: self.configuration, lambda: self._audit, self._apply)
 
     async def __aenter__(self) -> Self:
         """Open the store and begin to poll the devices.
@@ -195,7 +142,7 @@ class Collector:
             self._start_commands()
             for name in self.configuration.links:
                 self._start_link(name, self.configuration)
-            self._hands_on = True
+            self._readers.begin()
             self._upkeep = asyncio.create_task(self._keep_up(), name="busway collector upkeep")
             self._upkeep.add_done_callback(_log_defect)
             self._receive_commands()
@@ -210,16 +157,14 @@ class Collector:
 
     async def _stop(self) -> None:
         """End everything that was started, the last first; each step is done even if others fail."""
-        self._is_ending = True
         try:
-            if self._changes:
-                await asyncio.wait(self._changes)  # else a link that a change begins would not be ended
+            await self._reloading.end()  # else a link that a change begins would not be ended
         finally:
             await self._stop_parts()
 
     async def _stop_parts(self) -> None:
         async with AsyncExitStack() as steps:
-            steps.callback(self._end_readers)
+            steps.callback(self._readers.end)
             steps.callback(self.alarms.end)
             steps.push_async_callback(self._close_store)
             steps.push_async_callback(self._write_learnt)
@@ -244,7 +189,7 @@ class Collector:
         )
         with ExitStack() as unless_known:
             unless_known.callback(lambda: writer.close(time.time_ns()))
-            self.knowledge = read_learnt(configuration.learnt_path)
+            self.knowledge = self._learnt.read()
             writer.describe_points(each for device in configuration.devices.values() for each in device.descriptions())
             unless_known.pop_all()
         return writer
@@ -320,25 +265,9 @@ class Collector:
         for name in sorted(wanted or ()):
             if name not in self.configuration.devices:
                 raise ConfigError(f"there is no device {name!r}", file=self.configuration.name, key="device")
-        reader = _Reader(wanted)
-        self._readers.append(reader)
-        try:
-            while True:
-                while reader.waiting:
-                    yield reader.waiting.popleft()
-                if not self._hands_on:
-                    return
-                reader.arrived.clear()
-                await reader.arrived.wait()
-        finally:
-            self._readers.remove(reader)
-            self.readers_lost += reader.lost
-
-    def _end_readers(self) -> None:
-        """End all readers, once they have taken what waits."""
-        self._hands_on = False
-        for reader in self._readers:
-            reader.arrived.set()
+        async with contextlib.aclosing(self._readers.read(wanted)) as batches:
+            async for batch in batches:
+                yield batch
 
     def maintenance(self, device: str, *, begins: bool, by: str = "program", why: str = "") -> None:
         """Begin or end the maintenance of a device: meanwhile it is not polled, also after a restart.
@@ -422,9 +351,7 @@ class Collector:
 
     def status(self) -> list[CollectedDeviceStatus]:
         """Return the status of each polled device."""
-        return [
-            self._status_of(running.poller, name) for running in self._links.values() for name in running.poller.devices
-        ]
+        return [status_of(running.poller, name) for running in self._links.values() for name in running.poller.devices]
 
     def loads(self) -> Mapping[str, tuple[float, float]]:
         """Return by link the part of its time spent on requests since the start, and on probes of silent devices."""
@@ -443,29 +370,6 @@ class Collector:
             if device in running.poller.devices:
                 return running.poller
         raise ConfigError(f"there is no device {device!r}", file=self.configuration.name, key="device")
-
-    @staticmethod
-    def _status_of(poller: LinkPoller, name: str) -> CollectedDeviceStatus:
-        device, scheduled = poller.devices[name], poller.schedule.devices.get(name)
-        if scheduled is None:
-            state = "nothing to read"
-        elif scheduled.is_paused:
-            state = "maintenance"
-        else:
-            state = {None: "not asked yet", True: "polled", False: "silent"}[scheduled.lives]
-        return CollectedDeviceStatus(
-            name,
-            poller.name,
-            state,
-            device.reads,
-            device.failures,
-            0 if scheduled is None else scheduled.rounds,
-            0 if scheduled is None else scheduled.skipped,
-            0.0 if scheduled is None else scheduled.worst_wait,
-            device.last_error,
-            tuple(device.book.knowledge.lines()),
-            None if device.suspended is None else device.suspended.begin,
-        )
 
     async def write(
         self,
@@ -500,6 +404,11 @@ class Collector:
     # Reading the file again.
 
     @property
+    def readers_lost(self) -> int:
+        """Number of batches that readers of `samples` were too slow for, counted when a reader ends."""
+        return self._readers.lost
+
+    @property
     def revision(self) -> str:
         """The revision of the configuration in force: 16 hexadecimal digits that change with its text."""
         return revision_of(self.configuration.text)
@@ -519,20 +428,14 @@ class Collector:
         Raises:
             ConfigError: the store or a sink is another; nothing was changed.
         """
-        return await self._changed(self._reload(configuration, by, origin))
+        return await self._reloading.reload(configuration, by, origin)
 
     async def read_again(self, *, by: str = "this program", origin: str = "signal") -> list[str]:
         """Read the configuration file again and use it; opens the audit log anew, for log rotation.
 
         As `reload`; also raises `FileError` for all that is wrong with the file.
         """
-        return await self._changed(self._read_again(by, origin))
-
-    async def _read_again(self, by: str, origin: str) -> list[str]:
-        if self._audit is not None:
-            self._audit.reopen()
-        text = await asyncio.to_thread(read_text, self.configuration.name)
-        return await self._reload(await self._parsed(text, by, origin), by, origin)
+        return await self._reloading.read_again(by, origin)
 
     async def replace_configuration(
         self, text: str, *, by: str, origin: str = "api", revision: str | None = None
@@ -552,63 +455,7 @@ class Collector:
             ConfigError: the store or a sink is another, the file cannot be replaced, or the revision is not that of
                 the configuration that holds.
         """
-        return await self._changed(self._replace(text, by, origin, revision))
-
-    async def _replace(self, text: str, by: str, origin: str, revision: str | None) -> list[str]:
-        if revision is not None and revision != self.revision:
-            raise ConfigError(
-                f"the configuration is {self.revision} by now, not {revision}: read it again", key="revision"
-            )
-        configuration = await self._parsed(text, by, origin)
-        try:
-            refuse_what_cannot_change(self.configuration, configuration)
-            await asyncio.to_thread(replace_file, configuration.name, text)
-        except ConfigError as error:
-            self._audit_change(text, [str(error)], False, by, origin)
-            raise
-        return await self._reload(configuration, by, origin)
-
-    async def _changed(self, change: Coroutine[Any, Any, list[str]]) -> list[str]:
-        """Make a change of the configuration to its end, one after the other, also if the caller is cancelled."""
-        task = asyncio.create_task(self._in_turn(change), name="busway collector reload")
-        self._changes.add(task)
-        task.add_done_callback(self._changes.discard)
-        return await asyncio.shield(task)
-
-    async def _in_turn(self, change: Coroutine[Any, Any, list[str]]) -> list[str]:
-        async with self._reloading:
-            if self._is_ending:
-                change.close()
-                raise ConfigError("the collector ends; its configuration stays as it is")
-            return await change
-
-    async def _parsed(self, text: str, by: str, origin: str) -> CollectorConfiguration:
-        try:
-            return await asyncio.to_thread(parse_collector, text, self.configuration.name)
-        except ConfigError as error:
-            self._audit_change(text, str(error).splitlines(), False, by, origin)
-            raise
-
-    async def _reload(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
-        old = self.configuration
-        try:
-            refuse_what_cannot_change(old, configuration)
-        except ConfigError as error:
-            self._audit_change(configuration.text, [str(error)], False, by, origin)
-            raise
-        done = [*await self._apply(configuration), *left_for_the_next_start(self._started_with, configuration)]
-        self._audit_change(configuration.text, done, True, by, origin, old.text)
-        return done or ["nothing changed"]
-
-    def _audit_change(
-        self, text: str, done: Sequence[str], is_applied: bool, by: str, origin: str, old: str | None = None
-    ) -> None:
-        if self._audit is not None:
-            before = self.configuration.text if old is None else old
-            time = self._audit.timestamp()
-            self._audit.append(
-                configuration_line(before, text, done, is_applied=is_applied, by=by, origin=origin, time=time)
-            )
+        return await self._reloading.replace(text, by, origin, revision)
 
     async def _apply(self, configuration: CollectorConfiguration) -> list[str]:
         """Use another configuration: end links that change, rename points behind all samples so far, start links."""
@@ -747,13 +594,11 @@ class Collector:
             self.knowledge.set(name, device.book.knowledge)
 
     async def _write_learnt(self) -> None:
-        text = self.knowledge.text()
-        if text != self._learnt_text and self.configuration.file.collector.learn:
+        if self.configuration.file.collector.learn:
             try:
-                await asyncio.to_thread(write_whole, self.configuration.learnt_path, text)
-                self._learnt_text = text
+                await asyncio.to_thread(self._learnt.write, self.knowledge.text())
             except OSError as error:
-                _log.error("what was learnt cannot be written to %s: %s", self.configuration.learnt_path, error)
+                _log.error("what was learnt cannot be written to %s: %s", self._learnt.path, error)
 
     def _take(self, batch: SampleBatch) -> None:
         """Take the samples of a read: queue them for the store, with the alarms and accumulators that follow."""
@@ -772,8 +617,7 @@ class Collector:
 
     def _committed(self, commit: Commit) -> None:
         self.alarms.committed(commit.alarms)
-        for reader in self._readers:
-            reader.take(commit.batches)
+        self._readers.take(commit.batches)
 
 
 def collect(file: str | os.PathLike[str] | CollectorConfiguration) -> Collector:
@@ -787,16 +631,6 @@ def collect(file: str | os.PathLike[str] | CollectorConfiguration) -> Collector:
             file, line and key. Nothing was sent.
     """
     return Collector(file if isinstance(file, CollectorConfiguration) else load_collector(file))
-
-
-def read_learnt(path: Path) -> Knowledge:
-    """Read what earlier runs have learnt about devices; nothing if there is no file. Raises `ConfigError`."""
-    return read_knowledge(read_text(str(path)), str(path)) if path.exists() else Knowledge()
-
-
-def write_learnt(path: Path, knowledge: Knowledge) -> None:
-    """Write what was learnt about devices to a file, which is replaced as a whole. Raises `OSError`."""
-    write_whole(path, knowledge.text())
 
 
 def _key_of(configuration: CollectorConfiguration, link: str) -> object:

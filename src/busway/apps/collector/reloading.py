@@ -1,24 +1,136 @@
-"""Replaces the configuration of a running collector: what may not change, and the replacement of the file.
+"""Replaces the configuration of a running collector, from its file or from a text that becomes its file.
 
-Knows two configurations and a file; knows no link.
+Knows two configurations, a file and the audit log; how another configuration is put into use is the collector's.
 
 1. Store and sinks are those of the start: another one is refused, and nothing is changed.
 2. Other settings that are read at the start alone are named: they hold after the next start.
 3. A file is replaced whole, with the rights that it had: after a crash it is as before or as after.
+4. One change at a time. What has begun is done to its end, whatever comes of the caller.
+5. Each change, and each that was refused, is a line of the audit log.
 """
 
+import asyncio
 import os
-from typing import Final
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from typing import Any, Final
 
+from ...access.audit_log import AuditLog
 from ...config.files.collector import CollectorSection
+from ...config.reading import read_text
 from ...errors import ConfigError
 from ...safe_files import write_whole
-from .configuration import CollectorConfiguration
+from .commands.audit import configuration_line, revision_of
+from .configuration import CollectorConfiguration, parse_collector
 
 _READ_AT_THE_START: Final = tuple(
     key for key in CollectorSection.model_fields if key not in ("store", "learn", "store_report")
 )
 """Keys of ``[collector]``; another store is refused, `learn` and `store_report` hold at once."""
+
+
+class Reloading:
+    """Replaces the configuration of a running collector, one change at a time.
+
+    Args:
+        current: gives the configuration that is in use.
+        audit: gives the audit log; None while there is none.
+        apply: puts another configuration into use. Returns what changed, each as a sentence.
+    """
+
+    def __init__(
+        self,
+        current: Callable[[], CollectorConfiguration],
+        audit: Callable[[], AuditLog | None],
+        apply: Callable[[CollectorConfiguration], Awaitable[list[str]]],
+    ) -> None:
+        self._current, self._audit, self._apply = current, audit, apply
+        self._started_with = current()
+        self._lock = asyncio.Lock()
+        self.running: set[asyncio.Task[list[str]]] = set()
+        self.is_ending: bool = False
+
+    async def reload(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
+        """Use another configuration; as `Collector.reload`."""
+        return await self._to_its_end(self._use(configuration, by, origin))
+
+    async def read_again(self, by: str, origin: str) -> list[str]:
+        """Read the file again and use it; as `Collector.read_again`."""
+        return await self._to_its_end(self._read_again(by, origin))
+
+    async def replace(self, text: str, by: str, origin: str, revision: str | None) -> list[str]:
+        """Replace the text of the file and use it; as `Collector.replace_configuration`."""
+        return await self._to_its_end(self._replace(text, by, origin, revision))
+
+    async def end(self) -> None:
+        """Refuse further changes, and wait until those that have begun are done."""
+        self.is_ending = True
+        if self.running:
+            await asyncio.wait(self.running)
+
+    async def _to_its_end(self, change: Coroutine[Any, Any, list[str]]) -> list[str]:
+        """Make a change to its end, one after the other, also if the caller is cancelled (rule 4)."""
+        task = asyncio.create_task(self._in_turn(change), name="busway collector reload")
+        self.running.add(task)
+        task.add_done_callback(self.running.discard)
+        return await asyncio.shield(task)
+
+    async def _in_turn(self, change: Coroutine[Any, Any, list[str]]) -> list[str]:
+        async with self._lock:
+            if self.is_ending:
+                change.close()
+                raise ConfigError("the collector ends; its configuration stays as it is")
+            return await change
+
+    async def _read_again(self, by: str, origin: str) -> list[str]:
+        audit = self._audit()
+        if audit is not None:
+            audit.reopen()
+        text = await asyncio.to_thread(read_text, self._current().name)
+        return await self._use(await self._parsed(text, by, origin), by, origin)
+
+    async def _replace(self, text: str, by: str, origin: str, revision: str | None) -> list[str]:
+        in_use = revision_of(self._current().text)
+        if revision is not None and revision != in_use:
+            raise ConfigError(f"the configuration is {in_use} by now, not {revision}: read it again", key="revision")
+        configuration = await self._parsed(text, by, origin)
+        try:
+            refuse_what_cannot_change(self._current(), configuration)
+            await asyncio.to_thread(replace_file, configuration.name, text)
+        except ConfigError as error:
+            self._record(text, [str(error)], False, by, origin)
+            raise
+        return await self._use(configuration, by, origin)
+
+    async def _parsed(self, text: str, by: str, origin: str) -> CollectorConfiguration:
+        try:
+            return await asyncio.to_thread(parse_collector, text, self._current().name)
+        except ConfigError as error:
+            self._record(text, str(error).splitlines(), False, by, origin)
+            raise
+
+    async def _use(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
+        old = self._current()
+        try:
+            refuse_what_cannot_change(old, configuration)
+        except ConfigError as error:
+            self._record(configuration.text, [str(error)], False, by, origin)
+            raise
+        done = [*await self._apply(configuration), *left_for_the_next_start(self._started_with, configuration)]
+        self._record(configuration.text, done, True, by, origin, old.text)
+        return done or ["nothing changed"]
+
+    def _record(
+        self, text: str, done: Sequence[str], is_applied: bool, by: str, origin: str, old: str | None = None
+    ) -> None:
+        """Append the audit line of a change that was made or refused (rule 5)."""
+        audit = self._audit()
+        if audit is not None:
+            before = self._current().text if old is None else old
+            audit.append(
+                configuration_line(
+                    before, text, done, is_applied=is_applied, by=by, origin=origin, time=audit.timestamp()
+                )
+            )
 
 
 def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfiguration) -> None:

@@ -6,7 +6,7 @@ over.
 `home_assistant`  Importer for Home Assistant: its `modbus:` configuration
 `imported`        The result of an import: points put together into units, checked, and written as a device file
 `modpoll`         Importer for modpoll: its CSV of lines `device`, `poll` and `ref`
-`plain_yaml`      Reads plain data from YAML by PyYAML, with the line of each key and item
+`plain_yaml`      Reads plain data from YAML by PyYAML (`busway[yaml]`), with the line of each key and item
 `sunspec`         Importer for SunSpec: models in JSON
 `telegraf`        Importer for Telegraf: its `[[inputs.modbus]]` in three styles (register, request, metric)
 ================  ==============================================================================================

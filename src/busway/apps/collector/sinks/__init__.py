@@ -1,19 +1,19 @@
 """Sinks: other systems that get the samples of a store.
 
-===================  ================================================================================
-`interface`          what a sink is: `Sink`, `SinkDown`, `SinkRefused`
-`delivery`           one sink: its cursor, batches, patience, loss, samples set aside
-`running`            all sinks of a store, in a thread of their own
-`options`            a table `[[sink]]` → a sink; secrets from files and the environment
-`documents`          samples as JSON, one document for each device and commit
-`files`              CSV, JSON lines, Parquet
-`mqtt`               MQTT 5, with discovery by Home Assistant
-`mqtt_connection`    connects clients of MQTT, and closes those that cannot connect
-`postgresql`         PostgreSQL and TimescaleDB
-`influxdb`           InfluxDB line protocol over HTTP
-`nats`               NATS JetStream
-`prometheus`         last values for Prometheus to scrape; no sink, because nothing is sent
-`sparkplug`          sparkplug B 3.0 as a sink: the collector is an edge node of a group
-`sparkplug_payload`  payloads of Sparkplug B 3.0: metrics with type, time, quality, as bytes and back
-===================  ================================================================================
+===================  ===================================================================================================
+`interface`          The interface of sinks, which send samples to other systems, and their errors
+`delivery`           Delivery of a store's samples to one sink: reads after the sink's cursor, sends
+`running`            Runs all sinks of a store in a thread with an event loop of its own, so that no sink delays polling
+`options`            Makes a sink, and the options of its delivery, from a table `[[sink]]` of the collector file
+`documents`          Converts samples to JSON: one document for each device and commit, or one for each sample
+`files`              Sink that writes files: CSV, JSON lines, Parquet
+`mqtt`               Sink that publishes samples by MQTT 5, with discovery by Home Assistant
+`mqtt_connection`    Connects MQTT clients (aiomqtt), and closes connections that were opened but cannot be used
+`postgresql`         Sink that writes samples to PostgreSQL or TimescaleDB: COPY into a temporary table, then one upsert
+`influxdb`           Sink for InfluxDB line protocol over HTTP: InfluxDB 1 to 3, VictoriaMetrics, QuestDB
+`nats`               Sink that publishes samples to a stream of NATS JetStream
+`prometheus`         The last values of points for Prometheus to scrape. A scrape never polls a device
+`sparkplug`          Sink for Sparkplug B 3.0: the collector is an edge node of a group
+`sparkplug_payload`  Payloads of Sparkplug B 3.0: metrics with type, time and quality, as protobuf bytes
+===================  ===================================================================================================
 """

@@ -3,7 +3,7 @@
 ===================  ========================================================================================
 `folder`             names of the store's files, the lock of its writer, making changes durable (fsync)
 `manifest`           the list of a store's files, points and sinks, with the cursor of each sink
-`segment`            The SQLite file that samples are written to, and when it ends and the next begins
+`segment`           The SQLite file that samples are written to, and when it ends and the next begins
 `writer`             commits samples one after the other; survives a full disk
 `commit_thread`      the thread that commits for an event loop, every quarter of a second
 `sealing`            turns a segment that has ended into Parquet files
