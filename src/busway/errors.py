@@ -73,7 +73,7 @@ class ModbusError(Exception):
         attempt: int | None = None,
         elapsed: float | None = None,
     ) -> Self:
-        """Fill in the fields that are still unknown, and return the error itself."""
+        """Fill in those fields of the error (endpoint, unit, …) that are still unknown, and return it."""
         self.endpoint = endpoint if self.endpoint is None else self.endpoint
         self.unit = unit if self.unit is None else self.unit
         self.function = function if self.function is None else self.function

@@ -93,7 +93,7 @@ def _print_options(url: str | None) -> None:
 
 
 def _all_options() -> Iterator[tuple[str, list["Option"]]]:
-    """The options of links and servers, and the keys of every section of files; what stands in several, once."""
+    """Return the options of links and servers and the keys of all sections of files, each once."""
     from ..config.files.schema import keys_of, sections_of
     from ..options.offer import LINKS, SERVERS, Offer
 
@@ -117,7 +117,7 @@ def _print_keys(title: str, options: Iterable["Option"]) -> None:
 
 
 def _schemas() -> dict[str, type["Section"]]:
-    """The schemas of files by the option that chooses them; that of configuration files without one."""
+    """Return the schemas of files by the option that chooses them; that of configuration files without one."""
     from ..config.files import collector, device, gateway, simulation, system
 
     return {

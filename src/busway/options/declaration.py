@@ -201,7 +201,7 @@ class Option:
 
     @property
     def is_in_seconds(self) -> bool:
-        """Whether its numbers are seconds."""
+        """Whether the numbers of the option are seconds."""
         return "seconds" in f"{self.help} {self.limits}"
 
     @property

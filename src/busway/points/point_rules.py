@@ -123,7 +123,7 @@ class ReportRule:
     max_silence: float | None = None
 
     def passes(self, last: tuple[object, int], now: tuple[object, int], silence: float) -> bool:
-        """Whether a sample is passed on.
+        """Whether the rule passes a sample on, given the last one that was passed on.
 
         Args:
             last: value and reason of the sample passed on before.

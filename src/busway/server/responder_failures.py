@@ -32,7 +32,7 @@ def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
 def begin_late_answers(
     deferred: Iterable[Deferred], loop: asyncio.AbstractEventLoop, *holders: set[asyncio.Task[None]]
 ) -> None:
-    """Create a task for each deferred reply; each of ``holders`` contains those that have not ended."""
+    """Start a task for each reply that a responder gives later; ``holders`` get those that have not ended."""
     for one in deferred:
         task = loop.create_task(answer_later(one))
         for holder in holders:

@@ -152,7 +152,7 @@ class UnitDoubt:
         return function in self.older and pdu[0] != ReturnQueryData.code
 
     def older_came(self, pdu: bytes) -> None:
-        """Note that a late reply counted in ``older`` has come; the earliest is assumed, so no doubt ends too early."""
+        """Take a late reply off those that are only counted; the earliest is assumed, so no doubt ends too early."""
         function = pdu[0] & ~_EXCEPTION
         self.older[function] -= 1
         if not self.older[function]:

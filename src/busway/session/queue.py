@@ -190,7 +190,7 @@ class RequestQueue:
         self.waiting += call.places
 
     def share(self, room: int) -> int:
-        """Return how many requests a caller may send in its turn, of ``room`` in all: the burst, or more alone."""
+        """Return how many of ``room`` free slots a caller may use in its turn: the burst, or its share if larger."""
         callers = len(self._callers)
         if callers == 1:
             return room

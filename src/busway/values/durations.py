@@ -8,7 +8,7 @@ _SECONDS: Final = {"ms": 0.001, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "
 
 
 def duration(text: str, *, bare: bool = False) -> float | None:
-    """The seconds of a duration; None if the text is none. With ``bare`` a number without a unit is seconds."""
+    """Return the seconds that a text such as ``10s`` means; None if it is none. ``bare``: a number alone is seconds."""
     match = _DURATION.fullmatch(text.strip())
     if match is None or (match[2] is None and not bare):
         return None

@@ -150,7 +150,7 @@ class FleetCollector:
         )
 
     def shard_of(self, link: str) -> str:
-        """The shard of a link; "none" for one that is not in the file."""
+        """Return the name of the shard that a link belongs to; "none" for a link that is not in the file."""
         return self._shard_of.get(link, "none")
 
     async def _end_tasks(self) -> None:

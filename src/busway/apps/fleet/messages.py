@@ -1,4 +1,4 @@
-"""Messages with samples: what one link brought in consecutive commits, as columns, in MessagePack. Pure.
+"""Messages that carry the samples of one link in consecutive commits between collectors and sinks, in MessagePack.
 
 1. A message is named by link, epoch and its commits; the name is the same where it is sent again for want of an answer,
    and never that of others. A sink replaces those with the same device, point and time.
@@ -24,12 +24,12 @@ MOST_ROWS: Final = 2000
 
 
 class UnreadableMessage(ModbusError):
-    """Error: bytes that are no message of this format."""
+    """Error: received bytes are no message with samples."""
 
 
 @dataclass(frozen=True, slots=True)
 class SampleMessage:
-    """The samples of one link in consecutive commits.
+    """A message with the samples of one link in consecutive commits.
 
     Attributes:
         collector: who sends them.
@@ -56,12 +56,12 @@ class SampleMessage:
 
     @property
     def name(self) -> str:
-        """Its name, for a stream that drops what it has already (rule 1)."""
+        """Return the name of the message, by which a stream drops one that it has already (rule 1)."""
         first, last = (self.samples[0].commit, self.samples[-1].commit) if self.samples else (0, self.complete)
         return f"{self.collector}/{self.store}/{self.link}/{self.epoch or 0}/{first}-{last}.{self.part}.{self.round}"
 
     def encode(self) -> bytes:
-        """The message as bytes."""
+        """Return the message with samples as bytes."""
         require("msgpack", "samples of a fleet")
         points = sorted({(each.device, each.point, each.unit_of_measure) for each in self.samples})
         places = {point: place for place, point in enumerate(points)}
@@ -89,7 +89,7 @@ class SampleMessage:
 
 
 def decode_message(data: bytes) -> SampleMessage:
-    """A message from its bytes. Raises `UnreadableMessage`."""
+    """Return the message with samples that bytes hold. Raises `UnreadableMessage`."""
     require("msgpack", "samples of a fleet")
     msgpack = import_module("msgpack")
     try:
@@ -122,7 +122,7 @@ def decode_message(data: bytes) -> SampleMessage:
 
 
 def by_link(samples: Sequence[CommittedSample], link_of: dict[str, str]) -> Iterator[tuple[str, list[CommittedSample]]]:
-    """The samples of each link, in their order; those of devices that no link has come under an empty name."""
+    """Return samples by link, in their order; those of devices without a link under an empty name."""
 
     def link(sample: CommittedSample) -> str:
         return link_of.get(sample.device, "")
@@ -132,7 +132,7 @@ def by_link(samples: Sequence[CommittedSample], link_of: dict[str, str]) -> Iter
 
 
 def _packed(value: Any) -> Any:
-    """A value as MessagePack has it: integers beyond 64 bits as text in a list."""
+    """Return a value as MessagePack can hold it: integers beyond 64 bits as text in a list."""
     if isinstance(value, int) and not -(2**63) <= value < 2**64:
         return [str(value)]
     return value

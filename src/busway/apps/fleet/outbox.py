@@ -1,4 +1,4 @@
-"""The outbox of one collector: its store, sent to a stream until the sinks of the fleet have it.
+"""The outbox of a collector of a fleet: sends the samples of its store to a stream until all sinks have them.
 
 Knows commits and cursors; `streams` knows the engine.
 
@@ -36,22 +36,22 @@ _log = logging.getLogger("busway.fleet")
 
 
 class StreamDown(ModbusError):
-    """Error: the stream did not acknowledge: it is away, full, or refuses the rights. It may have the message."""
+    """Error: the stream has not acknowledged a message: it is away, full, or denies access. It may have it."""
 
 
 class SampleStream(Protocol):
-    """What an outbox needs of a stream."""
+    """Interface of a stream that takes messages with samples, as the outbox needs it."""
 
     async def publish(self, message: SampleMessage) -> None:
-        """Send a message; when it returns, the stream has it. Raises `StreamDown`."""
+        """Send a message with samples; when it returns, the stream has it. Raises `StreamDown`."""
 
     def kept(self, collector: str, store: str) -> int | None:
-        """The commit up to which every sink keeps the samples of a store; None where no sink is known."""
+        """Return the commit up to which all sinks have the samples of a store; None if no sink is known."""
 
 
 @dataclass(frozen=True, slots=True)
 class OutboxStatus:
-    """The status of an outbox.
+    """The status of an outbox: what it has sent, how far behind it is, what is wrong.
 
     Attributes:
         sent: the last commit that the stream has.
@@ -67,7 +67,7 @@ class OutboxStatus:
 
 
 class Outbox:
-    """Sends what a store keeps.
+    """Sends the samples of a collector's store to the stream of its zone.
 
     Args:
         folder, manifest: of the store.
@@ -105,11 +105,11 @@ class Outbox:
         self._error: str | None = None
 
     def status(self) -> OutboxStatus:
-        """The current status."""
+        """Return the current status of the outbox."""
         return OutboxStatus(self._sent, self._kept, self._messages, self._error)
 
     async def run(self) -> None:
-        """Send until cancelled."""
+        """Send samples to the stream until cancelled."""
         wait = PAUSE
         while True:
             try:
@@ -128,7 +128,7 @@ class Outbox:
                 await asyncio.sleep(IDLE)
 
     async def step(self) -> bool:
-        """Send the next batch; gives whether there may be more already. Raises `StreamDown`."""
+        """Send the next batch of samples; returns whether there may be more already. Raises `StreamDown`."""
         await self._take_kept()
         found = await asyncio.to_thread(self._reader.read, self._sent, MOST)
         if found is None:
@@ -142,7 +142,7 @@ class Outbox:
         return len(found.samples) >= MOST
 
     async def _take_kept(self) -> None:
-        """Move the cursor to what all sinks keep (rules 1 and 3)."""
+        """Move the outbox's cursor to the commit up to which all sinks have the samples (rules 1 and 3)."""
         kept = self._stream.kept(self._collector, self._store)
         if kept is not None and kept > self._kept:
             self._moved_at = self._now()
@@ -158,7 +158,7 @@ class Outbox:
             self._round += 1
 
     async def _tell_complete(self) -> None:
-        """Tell sinks that all was sent, so that the cursor comes up to the last commit."""
+        """Tell sinks that all samples were sent, so that their cursors reach the last commit."""
         if self._told < self._sent:
             await self._stream.publish(self._message("", 0, []))
             self._told = self._sent

@@ -1,4 +1,4 @@
-"""The stream of a zone on NATS JetStream: samples go in from collectors, and out to durable sinks.
+"""The stream of a zone on NATS JetStream, into which collectors send samples and from which sinks get them.
 
 Knows streams, subjects and consumers; the protocol is nats-py's (``busway[fleet]``). Works with nats-server 2.9.
 
@@ -36,7 +36,7 @@ _log = logging.getLogger("busway.fleet")
 
 @dataclass(frozen=True, slots=True)
 class StreamOptions:
-    """How the stream of a zone keeps messages.
+    """Options of a zone's stream: how long, and on how many servers, it keeps messages.
 
     Attributes:
         replicas: servers that keep each message, 1…5.
@@ -52,7 +52,7 @@ class StreamOptions:
 
 
 async def make_stream(client: Any, zone: str, options: StreamOptions | None = None) -> str:
-    """Find or make the stream of a zone; gives its name. Raises `ConfigError`, `StreamDown`."""
+    """Find or create the stream of a zone; returns its name. Raises `ConfigError`, `StreamDown`."""
     nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
     options = options or StreamOptions()
     name = f"busway-samples-{zone}"
@@ -86,7 +86,7 @@ async def make_stream(client: Any, zone: str, options: StreamOptions | None = No
 
 
 class NatsStream:
-    """The way of one collector into the stream.
+    """The connection through which one collector sends samples into the stream of its zone.
 
     Args:
         client: of nats-py, connected.
@@ -101,7 +101,7 @@ class NatsStream:
         self._cursors = CursorBook()
 
     async def publish(self, message: SampleMessage) -> None:
-        """Send a message; when it returns, the stream has it. Raises `StreamDown`."""
+        """Send a message with samples; when it returns, the stream has it. Raises `StreamDown`."""
         nats = import_module("nats")
         if not self._client.is_connected:
             raise StreamDown("the connection to the server is lost")
@@ -114,7 +114,7 @@ class NatsStream:
             raise StreamDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
 
     def kept(self, collector: str, store: str) -> int | None:
-        """The commit up to which every sink keeps the samples of a store; None where no sink is known."""
+        """Return the commit up to which all sinks have the samples of a store; None if no sink is known."""
         return self._cursors.kept(collector, store)
 
     async def watch_cursors(self, coordinator: Coordinator) -> None:
@@ -124,7 +124,7 @@ class NatsStream:
 
 @dataclass(frozen=True, slots=True)
 class SinkCursors:
-    """How far one sink is.
+    """How far one sink has the samples of each collector, by commit.
 
     Attributes:
         sequence: of the last message of the stream that it has taken; 0 before the first.
@@ -137,7 +137,7 @@ class SinkCursors:
     proved: frozenset[str] = frozenset()
 
     def encode(self) -> bytes:
-        """The content of its entry."""
+        """Return the cursors of the sink as the bytes of their entry."""
         return json.dumps([self.sequence, self.commits, sorted(self.proved)], separators=(",", ":")).encode()
 
 
@@ -149,7 +149,7 @@ class CursorBook:
         self._revisions: dict[str, int] = {}
 
     def take(self, entry: Entry) -> None:
-        """Take an entry of a watch; others than cursors are left out. An empty value forgets a sink."""
+        """Take an entry from the coordinator's watch; ignores others than cursors. An empty value forgets a sink."""
         if not entry.key.startswith(CURSORS):
             return
         sink = entry.key[len(CURSORS) :]
@@ -167,16 +167,16 @@ class CursorBook:
             self._cursors[sink] = found
 
     def kept(self, collector: str, store: str) -> int | None:
-        """The lowest cursor of all sinks; None where there is none, 0 where one has not begun."""
+        """Return the lowest cursor of all sinks; None without sinks, 0 if one has not begun."""
         place = f"{collector}/{store}"
         return min((each.commits.get(place, 0) for each in self._cursors.values()), default=None)
 
     def of(self, sink: str) -> tuple[SinkCursors | None, int]:
-        """The cursors of one sink, and the revision of its entry, 0 where there never was one."""
+        """Return the cursors of one sink, and the revision of its entry, 0 if it has none."""
         return self._cursors.get(sink), self._revisions.get(sink, 0)
 
     async def watch(self, coordinator: Coordinator, told: Callable[[], None] = lambda: None) -> None:
-        """Follow the table until cancelled; ``told`` is called once all present entries are known."""
+        """Follow the coordinator's table until cancelled; ``told`` is called once all present entries are known."""
         async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
             async for entry in entries:
                 if entry is SNAPSHOT_ENDS:
@@ -185,7 +185,7 @@ class CursorBook:
 
 
 class SinkProgress:
-    """What a sink may say that it keeps, by the messages that it has taken. Pure.
+    """Computes up to which commits a sink has all samples, from the messages that it has taken.
 
     1. Messages that follow each other without a gap in the sequence of the stream prove ``complete`` of a sender.
     2. After a gap (the stream dropped messages, or they come again later) nothing is proved of a sender until it has
@@ -200,7 +200,7 @@ class SinkProgress:
 
     @property
     def cursors(self) -> SinkCursors:
-        """The cursors as they are now."""
+        """Return the cursors of the sink as they are now."""
         return SinkCursors(self._sequence, dict(self._commits), frozenset(self._proved))
 
     def take(self, sequence: int, message: SampleMessage | None) -> None:
@@ -222,7 +222,7 @@ class SinkProgress:
 
 
 class StreamSink:
-    """Hands the samples of a zone to one sink, at least once.
+    """Passes the samples in the stream of a zone on to one sink, each at least once.
 
     Args:
         client: of nats-py, connected.
@@ -257,7 +257,7 @@ class StreamSink:
         self._is_open = False
 
     async def run(self) -> None:
-        """Hand on until cancelled; connects again where something is away."""
+        """Pass samples on to the sink until cancelled; connects again after a failure."""
         nats = import_module("nats")
         known = asyncio.Event()
         watch = asyncio.create_task(self._book.watch(self._coordinator, known.set))
@@ -311,7 +311,7 @@ class StreamSink:
                 await subscription.unsubscribe()
 
     async def _take(self, jetstream: Any, stream: str, found: Iterable[Any]) -> None:
-        """Commit, then write the cursor, then acknowledge: what is cut off comes again, in order."""
+        """Send messages to the sink, write its cursor, then acknowledge; what is interrupted comes again, in order."""
         messages = sorted(found, key=lambda each: int(each.metadata.sequence.stream))
         ready = await self._following(jetstream, stream, messages)
         try:
@@ -329,7 +329,7 @@ class StreamSink:
         await self._client.flush(timeout=5)
 
     async def _following(self, jetstream: Any, stream: str, messages: list[Any]) -> list[Any]:
-        """Those that follow what was taken without a gap; all, where the stream has dropped what is missing."""
+        """Return messages that follow the taken ones without a gap; all, if the stream has dropped what is missing."""
         expected = self._progress.cursors.sequence + 1
         place = 0
         for message in messages:
@@ -343,7 +343,7 @@ class StreamSink:
         return messages if int(info.state.first_seq) > expected else messages[:place]
 
     async def _give_back(self, messages: Iterable[Any]) -> None:
-        """Have messages come again soon, those before them first."""
+        """Have the stream deliver messages again soon, after those before them."""
         errors = import_module("nats.errors")
         with contextlib.suppress(errors.Error, OSError, TimeoutError):
             for message in messages:

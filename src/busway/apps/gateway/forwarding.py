@@ -311,7 +311,7 @@ class Forwarder:
     # What comes back.
 
     def look(self, session: object) -> None:
-        """Answer the requests that have an outcome, also of incomplete batches; called after bytes or a timeout."""
+        """Answer the requests that have an outcome by now, also of incomplete batches."""
         if isinstance(session, TcpClientSession):
             for call in session.in_work():
                 if (

@@ -36,7 +36,7 @@ class YamlDocument:
 
 
 def parse_yaml(text: str, name: str) -> YamlDocument:
-    """Parse a YAML text. Raises `ConfigError` with file and line where it is none, or is more than plain data."""
+    """Parse a YAML text. Raises `ConfigError` with file and line if it is invalid or more than plain data."""
     require("yaml", "a file of YAML")
     yaml = import_module("yaml")
     if len(text) > LONGEST:
@@ -57,14 +57,14 @@ def parse_yaml(text: str, name: str) -> YamlDocument:
 
 
 class _Reader:
-    """Turns nodes of PyYAML into data."""
+    """Turns the nodes of a parsed YAML text into data."""
 
     def __init__(self, name: str, loader: Any) -> None:  # PyYAML has no types
         self.found = YamlDocument(None)
         self._name, self._loader, self._left = name, loader, MOST_NODES
 
     def value(self, node: Any, place: Place) -> Any:  # a node of PyYAML, and what YAML has
-        """The data of a node."""
+        """Return the data of one YAML node."""
         self._left -= 1
         kind = node.tag.removeprefix(_TAG)
         if self._left < 0:

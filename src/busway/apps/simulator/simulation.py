@@ -205,7 +205,7 @@ class Simulation:
 
     @property
     def faults(self) -> "Faults":
-        """The faults of the simulated devices; by their names on ``board``."""
+        """The faults of the simulated devices; ``board`` has them by name."""
         return self.board.faults
 
     # ---- time

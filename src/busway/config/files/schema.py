@@ -69,7 +69,7 @@ class Section(BaseModel):
 
 
 def _limited(option: Option) -> Callable[[object], object]:
-    """A validator that refuses what is out of the range of a key."""
+    """Return a validator that refuses what is out of the range of a key."""
 
     def checked(value: object) -> object:
         try:
@@ -94,9 +94,7 @@ def keys_of(section: type[Section]) -> Mapping[str, Option]:
 
 
 def _option(name: str, field: Any) -> Option:  # as pydantic has it
-    """The option of a field; one that was generated from a declared option has it among its marks. Another one that
-    may be None is left out where it is: a file has no word for it.
-    """
+    """Return the option that a field of a section declares."""
     made = next((mark for mark in field.metadata if isinstance(mark, Option)), None)
     if made is not None:
         return made
@@ -105,7 +103,7 @@ def _option(name: str, field: Any) -> Option:  # as pydantic has it
 
 
 def _written_as(annotation: Any, marks: Sequence[Any]) -> Any:  # types as annotations have them
-    """The type of what stands in the file, where a validator makes another one of it."""
+    """Return the type that a key has in the file, if a validator turns it into another type."""
     for mark in marks:
         if isinstance(mark, BeforeValidator) and mark.json_schema_input_type is not PydanticUndefined:
             return _written_as(mark.json_schema_input_type, ())
@@ -340,7 +338,7 @@ def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
 
 
 def sections_of(schema: type[Section]) -> list[type[Section]]:
-    """A section and all sections in it, each once, in the order of the keys."""
+    """Return a section and all sections in it, each once, in the order of the keys."""
     found = [schema]
     for section in found:
         for field in section.model_fields.values():

@@ -116,7 +116,7 @@ def alarm_line_of(alarm: CommittedAlarm, measurement: str) -> str:
 
 
 def _number(value: float | None) -> str:
-    """Return the field of a number; empty for none, and for one that line protocol does not have."""
+    """Return a number as a field of line protocol; empty for none, and for NaN and infinities."""
     return f"value={float(value)!r}" if value is not None and math.isfinite(value) else ""
 
 

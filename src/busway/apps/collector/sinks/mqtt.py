@@ -34,7 +34,7 @@ IN_FLIGHT: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class _Message:
-    """A message to publish."""
+    """A message to publish over MQTT: topic, payload and key."""
 
     topic: str
     payload: bytes

@@ -132,7 +132,7 @@ class MqttPublisher:
 
 
 def _words(answer: int) -> str:
-    """Return what an answer to a message says."""
+    """Return in words what a broker's answer to a message says."""
     codes = import_module("paho.mqtt.reasoncodes")
     kinds = import_module("paho.mqtt.packettypes").PacketTypes
     try:

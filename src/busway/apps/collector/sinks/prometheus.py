@@ -64,7 +64,7 @@ class LastValues:
         return found
 
     def _reason(self, device: str, reason: int, time: int) -> int:
-        """Return the reason to show for a last value, by rule 3. The lock is held."""
+        """Return the reason code to show for a last value: bad while its device is not read (rule 3). Lock held."""
         interval = self._intervals.get(device)
         if interval is None or (interval.end is not None and time > interval.begin):
             return reason

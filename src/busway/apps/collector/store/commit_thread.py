@@ -159,9 +159,7 @@ class Committer:
             self._changed.notify_all()
 
     def describe(self, descriptions: Iterable[PointDescription], rules: StoreRules | None = None) -> None:
-        """Queue descriptions of points, and which samples are kept, effective after all samples and alarm events added
-        so far; None for the rules as they are.
-        """
+        """Queue descriptions of points and rules of kept samples, which apply after all samples queued so far."""
         with self._changed:
             self._descriptions.append((self._taken + len(self._batches), list(descriptions), rules))
             self._changed.notify_all()
@@ -455,5 +453,5 @@ class Committer:
 
 
 def _key_of(interval: StateInterval | Gap) -> tuple[str, int, int]:
-    """Identify an interval: the row of its begin and that of its end have the same."""
+    """Return what the rows of an interval's begin and of its end have in common, to match them."""
     return "" if isinstance(interval, Gap) else interval.device, interval.begin, interval.reason

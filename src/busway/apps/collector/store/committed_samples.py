@@ -119,7 +119,7 @@ class CommitReader:
         return self._tried(lambda: self._last_before(moment, after))
 
     def _tried(self, ask: Callable[[], Result]) -> Result:
-        """Return what ``ask`` does, repeated if a part was sealed or dropped meanwhile."""
+        """Return the result of ``ask``, repeated if a file was sealed or dropped meanwhile."""
         for _ in range(_TRIES):
             try:
                 return ask()

@@ -1,4 +1,4 @@
-"""Which samples the store keeps, where a rule says that it need not keep all.
+"""Which samples the store keeps of points with a report rule that drops some, such as only changes.
 
 Pure: knows rules and samples; knows no file. Used by the thread that commits.
 
@@ -27,7 +27,7 @@ MOST_PARTS: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """The last committed sample of a point."""
+    """The last sample of a point that is in the store."""
 
     time: int
     value: Value | None
@@ -36,7 +36,7 @@ class _Kept:
 
 @dataclass(slots=True)
 class Choice:
-    """Which samples of a commit are kept.
+    """The samples of a commit that the store keeps, and those that it drops.
 
     Attributes:
         batches: those that are kept.
@@ -55,7 +55,7 @@ class Choice:
 
 
 class KeptSamples:
-    """Chooses the samples that are kept. `choose` changes nothing until `committed`."""
+    """Chooses which samples the store keeps. `choose` changes nothing until `committed`."""
 
     def __init__(self, rules: StoreRules | None = None) -> None:
         self._rules: StoreRules = rules or {}
@@ -79,7 +79,7 @@ class KeptSamples:
         intervals: Sequence[StateInterval | Gap] = (),
         alarms: Sequence[AlarmEvent] = (),
     ) -> Choice:
-        """Choose the samples of the next commit that are kept."""
+        """Return which samples of the next commit are kept."""
         if not self._rules:
             return Choice(list(batches), list(batches))
         choice = Choice(
@@ -97,7 +97,7 @@ class KeptSamples:
         return choice
 
     def committed(self, choice: Choice) -> None:
-        """Measure from the samples of a choice from now on: they are in the store."""
+        """Compare later samples with those of a choice from now on: they are in the store."""
         if choice.has_gap:
             self._last.clear()
         for device in choice.unread:
@@ -106,7 +106,7 @@ class KeptSamples:
             self._last.setdefault(device, {}).update(points)
 
     def _rules_of(self, group: PointGroup) -> tuple[ReportRule | None, ...] | None:
-        """The rules of the points of a group; None if all samples of all of them are kept."""
+        """Return the rules of the points of a group; None if all samples of all of them are kept."""
         if group not in self._by_group:
             found = tuple(self._rules.get((group.device, point)) for point in group.points)
             self._by_group[group] = found if any(found) else None
@@ -153,7 +153,7 @@ class KeptSamples:
                     choice.counters[device, each.point] = each
 
     def _part(self, batch: SampleBatch, places: tuple[int, ...]) -> SampleBatch:
-        """The samples of a read at some places."""
+        """Return the samples of a read at some positions."""
         parts = self._parts.setdefault(batch.group, {})
         group = parts.get(places)
         if group is None:

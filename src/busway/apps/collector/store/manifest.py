@@ -153,7 +153,7 @@ class MaintenanceRow:
 
 @dataclass(frozen=True, slots=True)
 class ReportedSample:
-    """The last sample of a point that a sink got."""
+    """The last sample of a point that was sent to a sink."""
 
     device: str
     point: str

@@ -82,7 +82,7 @@ class Commit:
 
     @property
     def last_values(self) -> Sequence[SampleBatch]:
-        """The reads that show the last values."""
+        """The reads from which last values are shown, also those that the store does not keep."""
         return self.batches if self.shown is None else self.shown
 
 

@@ -47,7 +47,7 @@ class LocalCoordinator:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="busway-fleet")
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add an entry that never existed. Raises as `Coordinator.create`."""
+        """Add a new entry to the zone's table. Raises as `Coordinator.create`."""
         return await self._in_thread(lambda: self._changed(key, value, None))
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:

@@ -153,7 +153,7 @@ class NatsCoordinator:
         self._jetstream = client.jetstream(timeout=answer)
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add an entry that never existed. Raises as `Coordinator.create`."""
+        """Add a new entry to the zone's table. Raises as `Coordinator.create`."""
         return await self._changed(key, value, 0)
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:

@@ -111,7 +111,7 @@ class PostgresqlCoordinator:
                 )
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add an entry that never existed. Raises as `Coordinator.create`."""
+        """Add a new entry to the zone's table. Raises as `Coordinator.create`."""
         return await self._changed(key, value, _CREATE)
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
