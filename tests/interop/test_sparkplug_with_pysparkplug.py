@@ -11,11 +11,13 @@ from typing import Any
 
 import pytest
 from collected import NOON, at, read_of
+from commanded_plant import RecordedDevice, commanded_plant
 from deliveries import delivery_to, run_until
 from foreign import PEER_PYTHON, PEERS, missing
 from foreign_servers import ForeignServer, mosquitto
 from waiting import until
 
+import busway
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.samples import PointDescription, PointGroup, Reason
 from busway.apps.collector.sinks.delivery import DeliveryOptions
@@ -145,6 +147,80 @@ async def test_a_host_asks_for_the_births_again_and_gets_them(tmp_path: Path, mo
     again = of_kind(heard, "NBIRTH")[1]
     assert (again["seq"], values(again)["bdSeq"]) == (0, 1), "the same connection"
     assert len(of_kind(heard, "NBIRTH")) == 2, "five requests at once are one rebirth"
+
+
+COMMANDED = """
+[[sink]]
+name = "scada"
+url = "sparkplug+mqtt://127.0.0.1:{port}"
+group = "plant"
+edge_node = "hall"
+age = 0.05
+{commands}
+"""
+
+
+async def test_a_host_writes_points_that_the_file_names_and_sees_what_the_device_shows(tmp_path: Path) -> None:
+    boiler = RecordedDevice()
+    commands = 'commands = { points = ["boiler/setpoint", "boiler/mode", "boiler/level"], seconds = 30 }'
+    with mosquitto(tmp_path) as server:
+        more = COMMANDED.format(port=server.port, commands=commands)
+        async with (
+            boiler.server() as device,
+            host(server) as (heard, process),
+            busway.collect(commanded_plant(tmp_path, device.endpoints[0], more=more)) as collector,
+        ):
+
+            def write(metric: str, kind: str, value: object, **more: object) -> None:
+                asked = {"device": "boiler", "metric": metric, "type": kind, "value": value, **more}
+                process.stdin.write(json.dumps(asked).encode() + b"\n")
+
+            def shown(metric: str) -> list[object]:
+                data = [values(message) for message in of_kind(heard, "DDATA")]
+                return [each[metric] for each in data if metric in each]
+
+            await until(lambda: bool(shown("setpoint")) and collector.input_statuses()[0].error is None, 30)
+            write("setpoint", "DOUBLE", 21.5)
+            await until(lambda: shown("setpoint")[-1] == 21.5, 30)
+            write("setpoint", "FLOAT", 22.0, bare=True)
+            await until(lambda: shown("setpoint")[-1] == 22.0, 30)
+            write("mode", "STRING", "hand")
+            await until(lambda: len(boiler.writes) == 3, 30)
+            write("mode", "INT64", 1, bare=True)
+            await until(lambda: len(boiler.writes) == 4, 30)
+            for refused in (
+                {"metric": "setpoint", "kind": "DOUBLE", "value": 101.0},
+                {"metric": "setpoint", "kind": "DOUBLE", "value": 1.0, "age": 60},
+                {"metric": "setpoint", "kind": "DOUBLE", "value": 2.0, "retain": True},
+                {"metric": "level", "kind": "INT64", "value": 3},
+                {"metric": "pump", "kind": "BOOLEAN", "value": True},
+                {"metric": "setpoint", "kind": "DOUBLE", "value": 4.0, "device": "other"},
+            ):
+                write(**refused)  # type: ignore[arg-type]
+            write("setpoint", "DOUBLE", 30.0)
+            await until(lambda: shown("setpoint")[-1] == 30.0, 30)
+            assert [items for _, _, items in boiler.writes] == [[215], [220], [2], [1], [300]]
+            recorded = await collector.commands.newest(20)
+            assert {each.command.origin for each in recorded} == {"sparkplug"}
+            assert sorted(each.state.value for each in recorded) == ["done"] * 5 + ["expired", "refused"]
+            (status,) = collector.input_statuses()
+            assert (status.name, status.taken, status.refused) == ("scada", 10, 3)
+
+
+async def test_a_host_writes_nothing_where_the_file_permits_nothing(tmp_path: Path) -> None:
+    boiler = RecordedDevice()
+    with mosquitto(tmp_path) as server:
+        more = COMMANDED.format(port=server.port, commands="")
+        async with (
+            boiler.server() as device,
+            host(server) as (heard, process),
+            busway.collect(commanded_plant(tmp_path, device.endpoints[0], more=more)) as collector,
+        ):
+            await until(lambda: bool(of_kind(heard, "DDATA")), 30)
+            asked = {"device": "boiler", "metric": "setpoint", "type": "DOUBLE", "value": 21.5}
+            process.stdin.write(json.dumps(asked).encode() + b"\nrebirth\n")
+            await until(lambda: len(of_kind(heard, "NBIRTH")) == 2, 30)  # it has come behind the command
+            assert (boiler.writes, await collector.commands.newest(9)) == ([], [])
 
 
 async def test_without_its_primary_host_samples_wait_and_arrive_when_it_is_there(tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
     sparkplug_host.py PORT [HOST ID]
 
 With an id it is that primary host: online while it runs. A line ``rebirth`` on standard input asks the edge node
-``plant/hall`` for its births; the end of standard input ends the program.
+``plant/hall`` for its births, and a line of JSON writes a value to a metric of a device: ``device``, ``metric``,
+``type``, ``value``, and where they are wanted ``age`` in seconds, ``retain``, ``bare`` for no data type. The end of
+standard input ends the program.
 """
 
 import json
@@ -52,6 +54,14 @@ def state(host, online):
     return psp.Message(topic=topic, payload=payload, qos=psp.QoS.AT_LEAST_ONCE, retain=True)
 
 
+def write(client, node, *, device, metric, type, value, age=0.0, retain=False, bare=False):
+    sent = int((time.time() - age) * 1000)
+    payload = psp.DCmd(timestamp=sent, metrics=(psp.Metric(sent, metric, psp.DataType[type], value=value),))
+    topic = psp.Topic(message_type=psp.MessageType.DCMD, **node, device_id=device)
+    message = psp.Message(topic=topic, payload=payload, qos=psp.QoS.AT_LEAST_ONCE, retain=retain)
+    client.publish(message, include_dtypes=not bare)
+
+
 def main():
     client = psp.Client()
     host = sys.argv[2] if len(sys.argv) > 2 else None
@@ -79,6 +89,8 @@ def main():
             topic = psp.Topic(message_type=psp.MessageType.NCMD, **node)
             message = psp.Message(topic=topic, payload=payload, qos=psp.QoS.AT_MOST_ONCE, retain=False)
             client.publish(message, include_dtypes=True)
+        elif line.startswith("{"):
+            write(client, node, **json.loads(line))
     if host is not None:
         client.publish(state(host, False))
         time.sleep(0.2)  # the library has no way to wait until it has left

@@ -202,7 +202,7 @@ def _sinks(
             pages[section.name] = section
         elif isinstance(section, SentSection):
             made = report.make(partial(make_sink, section, folder), place)
-            taken = None if made is None else report.make(partial(make_input, section), place)
+            taken = None if made is None else report.make(partial(make_input, section, made[0]), place)
             sinks |= {} if made is None else {section.name: made}
             inputs |= {} if taken is None else {section.name: taken}
     return sinks, pages, inputs

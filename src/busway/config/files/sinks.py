@@ -111,6 +111,8 @@ class MqttSinkSection(SentSection):
 class SparkplugSinkSection(SentSection):
     """``[[sink]]`` with ``sparkplug+mqtt://`` or ``sparkplug+mqtts://``: a Sparkplug B broker."""
 
+    commands: Annotated[CommandsSection | None, "which points host applications may write."] = None
+
 
 @with_options_of(sinks.PostgresqlOptions, sinks.PasswordOptions, sinks.CertificateOptions)
 class PostgresqlSinkSection(SentSection):

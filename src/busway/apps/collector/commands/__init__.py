@@ -13,5 +13,6 @@
 `message_tasks`  The tasks that handle messages of one broker connection; all of them end before the connection is left
 `mqtt`           Receives commands to write points from an MQTT 5 broker
 `nats`           Receives commands to write points by NATS request and reply
+`sparkplug`      Receives commands from host applications of Sparkplug B, over the connection of the sink
 ===============  =======================================================================================================
 """

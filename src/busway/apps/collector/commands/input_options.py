@@ -6,15 +6,25 @@ Knows sections; connects to nothing.
 2. Commands come on topics of their own: one on which samples are sent, or answers, is refused.
 """
 
-from ....config.files.sinks import MqttSinkSection, NatsSinkSection, SinkSection
+from ....config.files.sinks import (
+    CommandsSection,
+    MqttSinkSection,
+    NatsSinkSection,
+    SinkSection,
+    SparkplugSinkSection,
+)
 from ....errors import ConfigError
 from ....options.sinks import MqttOptions, NatsOptions
 from ..sinks.options import broker, nats_server
 from .inputs import CommandInput, InputRights, overlap
 
 
-def make_input(section: SinkSection) -> CommandInput | None:
+def make_input(section: SinkSection, sink: object = None) -> CommandInput | None:
     """Make the receiver of commands that a sink's table asks for.
+
+    Args:
+        section: of the sink.
+        sink: the sink itself; commands by Sparkplug come over its connection.
 
     Raises:
         ConfigError: values that do not go together; names the key.
@@ -25,6 +35,8 @@ def make_input(section: SinkSection) -> CommandInput | None:
     if isinstance(section, NatsSinkSection) and section.commands is not None:
         samples = section.built(NatsOptions).subject
         return _nats(section, _rights(section, section.commands.subject, ".", samples))
+    if isinstance(section, SparkplugSinkSection) and section.commands is not None:
+        return _sparkplug(section.commands, sink)
     return None
 
 
@@ -57,6 +69,16 @@ def _mqtt(section: MqttSinkSection, rights: InputRights) -> CommandInput:
     client_id = section.built(MqttOptions).client_id
     name = None if client_id is None else f"{client_id}-commands"
     return MqttCommands(**broker(section), rights=rights, client_id=name)
+
+
+def _sparkplug(commands: CommandsSection, sink: object) -> CommandInput:
+    from ..sinks.sparkplug import SparkplugSink
+    from .sparkplug import PLACE, SparkplugCommands
+
+    made = SparkplugCommands(InputRights(PLACE, tuple(commands.points), commands.seconds))
+    if isinstance(sink, SparkplugSink):
+        sink.commands = made
+    return made
 
 
 def _nats(section: NatsSinkSection, rights: InputRights) -> CommandInput:

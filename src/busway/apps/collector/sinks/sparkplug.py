@@ -13,7 +13,9 @@ is aiomqtt's (``busway[sparkplug]``).
 5. A host that asks for the births again gets them, once in `REBIRTH_PAUSE` seconds at most.
 6. Events of alarms are values of the metric `ALARM_METRIC` of the edge node, JSON as over MQTT, whether their device is
    born or not.
-7. A device that the collector suspends, or that is in maintenance, dies; its next sample of another kind is a birth.
+7. Where the file permits it, values that a host writes to metrics of devices (DCMD) are handed to the commands of the
+   collector, as they come, by `SparkplugCommandTaker`. Subscribed to before the births, without retained messages.
+8. A device that the collector suspends, or that is in maintenance, dies; its next sample of another kind is a birth.
 """
 
 import asyncio
@@ -23,10 +25,11 @@ import logging
 import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from ....errors import ConfigError
 from ....extras import require
@@ -37,9 +40,10 @@ from .documents import alarm_document
 from .interface import SinkDown, SinkRefused
 from .mqtt import topic_level
 from .mqtt_connection import MqttPublisher, connect
-from .sparkplug_payload import DataType, Metric, SparkplugQuality, asked_for_rebirth, encode_payload, type_of
+from .sparkplug_payload import DataType, Metric, SparkplugQuality, decode_command, encode_payload, type_of
 
 REBIRTH_PAUSE: Final = 5.0
+REBIRTH_METRIC: Final = "Node Control/Rebirth"
 ALARM_METRIC: Final = "Alarms/Event"
 """The metric of the edge node whose values are events of alarms."""
 MOST_METRICS: Final = 1000
@@ -74,6 +78,34 @@ def _wider(known: DataType | None, new: DataType) -> DataType:
     return known if (known, new) == (DataType.DOUBLE, DataType.INT64) and known is not None else new
 
 
+@dataclass(frozen=True, slots=True)
+class SparkplugCommand:
+    """A value that a host application writes to a metric of a device.
+
+    Attributes:
+        device, point: names.
+        value: None where the message has none.
+        sent: when it was sent by the host's clock, seconds since 1970 UTC; None where that is not said.
+        is_retained: whether a broker keeps it for later subscribers.
+    """
+
+    device: str
+    point: str
+    value: Value | None
+    sent: float | None
+    is_retained: bool
+
+
+class SparkplugCommandTaker(Protocol):
+    """Interface of what takes the commands that come over a Sparkplug sink. Called in its thread; must be quick."""
+
+    def take(self, command: SparkplugCommand) -> None:
+        """Take a command; what becomes of it is not told to the host."""
+
+    def note(self, error: str | None) -> None:
+        """Note why no commands can come; None when they can."""
+
+
 class SparkplugSink:
     """Sink that publishes samples as a Sparkplug B edge node."""
 
@@ -92,6 +124,7 @@ class SparkplugSink:
         client_id: str | None = None,
         timeout: float = 10.0,
         now: Callable[[], int] = time.time_ns,
+        commands: SparkplugCommandTaker | None = None,
     ) -> None:
         """Set the broker and the edge node's names; nothing is sent yet.
 
@@ -105,6 +138,7 @@ class SparkplugSink:
             client_id: names this client to the broker; None for one that the library makes.
             timeout: seconds for connecting, for an acknowledgement, and for the state of the primary host.
             now: nanoseconds since 1970 UTC.
+            commands: takes values that hosts write; None where nothing may be written.
 
         Raises:
             ConfigError: a name is empty or has a character that separates levels of topics.
@@ -132,6 +166,8 @@ class SparkplugSink:
         self._host_online = asyncio.Event()
         self._host_time = 0
         self._last_alarm: Metric | None = None
+        self._rebirth: asyncio.Task[None] | None = None
+        self.commands: SparkplugCommandTaker | None = commands
 
     # Life
 
@@ -150,12 +186,15 @@ class SparkplugSink:
             self._listener = asyncio.create_task(self._listen(client), name="busway sparkplug messages")
             self._listener.add_done_callback(_log_defect)
             await client.subscribe(self._topic("NCMD"), qos=1)
+            if self.commands is not None:
+                await client.subscribe(self._topic("DCMD", "{}").replace("{}", "+"), options=_fresh_alone())
             if self._primary_host is not None:
                 await client.subscribe(f"spBv1.0/STATE/{self._primary_host}", qos=1)
                 async with asyncio.timeout(self._timeout):
                     await self._host_online.wait()
             async with self._sending:
                 await self._births()
+            self._note_commands(None)
         except TimeoutError:
             raise SinkDown(f"the primary host {self._primary_host} is not online at {self._where}") from None
         except (mqtt.MqttError, OSError) as error:
@@ -163,10 +202,12 @@ class SparkplugSink:
 
     async def close(self) -> None:
         """Publish the death of the edge node, and disconnect."""
-        listener, self._listener = self._listener, None
-        if listener is not None:
-            listener.cancel()
-            await asyncio.gather(listener, return_exceptions=True)
+        self._note_commands(f"the broker {self._where} is not connected")
+        tasks = [task for task in (self._listener, self._rebirth) if task is not None]
+        self._listener = self._rebirth = None
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
         client, self._client, self._publisher = self._client, None, None
         if client is None:
             return
@@ -232,7 +273,7 @@ class SparkplugSink:
         self._last_birth = time.monotonic()
         metrics = [
             Metric("bdSeq", self._born_at, DataType.INT64, self._number),
-            Metric("Node Control/Rebirth", self._born_at, DataType.BOOLEAN, False),
+            Metric(REBIRTH_METRIC, self._born_at, DataType.BOOLEAN, False),
             self._last_alarm or Metric(ALARM_METRIC, self._born_at, DataType.STRING, None),
         ]
         await self._publish("NBIRTH", metrics)
@@ -313,14 +354,17 @@ class SparkplugSink:
     # What hosts say
 
     async def _listen(self, client: Any) -> None:
-        """Follow messages about the state of the primary host, and answer requests for a rebirth."""
+        """Follow the state of the primary host, requests for a rebirth, and values that hosts write."""
         mqtt = import_module("aiomqtt")
         with contextlib.suppress(mqtt.MqttError):  # sending finds that out
             async for message in client.messages:
-                if str(message.topic).startswith("spBv1.0/STATE/"):
+                topic = str(message.topic)
+                if topic.startswith("spBv1.0/STATE/"):
                     self._take_state(message.payload)
-                else:
-                    await self._take_command(message.payload)
+                elif topic == self._topic("NCMD"):
+                    self._take_node_command(message.payload)
+                elif self.commands is not None:
+                    self._take_device_command(topic, message.payload, is_retained=bool(message.retain))
 
     def _take_state(self, content: bytes) -> None:
         try:
@@ -337,19 +381,50 @@ class SparkplugSink:
         else:
             self._host_online.clear()
 
-    async def _take_command(self, content: bytes) -> None:
+    def _take_node_command(self, content: bytes) -> None:
         try:
-            wanted = asked_for_rebirth(content)
+            wanted = dict(decode_command(content).values).get(REBIRTH_METRIC) is True
         except ValueError as error:
             _log.warning("sink for Sparkplug: a command that is no payload: %s", error)
             return
+        if wanted and (self._rebirth is None or self._rebirth.done()):
+            self._rebirth = asyncio.create_task(self._births_again(), name="busway sparkplug rebirth")
+
+    async def _births_again(self) -> None:
+        """Publish all births again, not too soon after the last time (rule 5)."""
         asked_at = time.monotonic()
-        if not wanted:
-            return
         await asyncio.sleep(max(0.0, self._last_birth + REBIRTH_PAUSE - asked_at))
-        async with self._sending:
-            if self._is_born and self._last_birth < asked_at:
-                await self._births()
+        with contextlib.suppress(import_module("aiomqtt").MqttError, SinkDown, SinkRefused):  # sending finds that out
+            async with self._sending:
+                if self._is_born and self._last_birth < asked_at:
+                    await self._births()
+
+    def _take_device_command(self, topic: str, content: bytes, *, is_retained: bool) -> None:
+        """Hand the values that a host writes to a device to the collector's commands (rule 7)."""
+        assert self.commands is not None
+        level = topic.rpartition("/")[2]
+        devices = [name for name in self._devices if topic_level(name) == level]
+        try:
+            if len(devices) != 1:
+                raise ValueError(f"{len(devices)} devices are called {level}")
+            command = decode_command(content, self._devices[devices[0]].kinds)
+        except ValueError as error:
+            _log.warning("sink for Sparkplug: a command to a device is refused: %s", error)
+            return
+        sent = None if command.time is None else command.time / 1000
+        for point, value in command.values:
+            self.commands.take(SparkplugCommand(devices[0], point, value, sent, is_retained))
+
+    def _note_commands(self, error: str | None) -> None:
+        if self.commands is not None:
+            self.commands.note(error)
+
+
+def _fresh_alone() -> Any:  # as paho has it
+    """Return options of a subscription without retained messages, and with the retain flag of those that come."""
+    return import_module("paho.mqtt.subscribeoptions").SubscribeOptions(
+        qos=1, noLocal=True, retainAsPublished=True, retainHandling=2
+    )
 
 
 def _log_defect(task: "asyncio.Task[None]") -> None:

@@ -4,7 +4,7 @@ Knows names, field numbers and types of the payload (Sparkplug 3.0 §6.4); knows
 protobuf's (``busway[sparkplug]``).
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
@@ -30,9 +30,15 @@ _VALUES: Final = {
 class DataType(IntEnum):
     """Numbers of the Sparkplug types that samples can have."""
 
+    INT8 = 1
+    INT16 = 2
     INT32 = 3
     INT64 = 4
+    UINT8 = 5
+    UINT16 = 6
+    UINT32 = 7
     UINT64 = 8
+    FLOAT = 9
     DOUBLE = 10
     BOOLEAN = 11
     STRING = 12
@@ -97,14 +103,53 @@ def encode_payload(metrics: Iterable[Metric], time: int, sequence: int | None) -
     return content
 
 
-def asked_for_rebirth(content: bytes) -> bool:
-    """Whether a command to an edge node asks for its birth again. Raises `ValueError` if it is no payload."""
+@dataclass(frozen=True, slots=True)
+class CommandPayload:
+    """What a host application sends to an edge node or a device: values of metrics.
+
+    Attributes:
+        time: when it was sent, milliseconds since 1970 UTC by the host's clock; None where it does not say.
+        values: by metric, in order; None for one without a value, or of a type that no sample has.
+    """
+
+    time: int | None
+    values: tuple[tuple[str, Value | None], ...]
+
+
+def decode_command(content: bytes, kinds: Mapping[str, DataType] | None = None) -> CommandPayload:
+    """Return what a command says.
+
+    Args:
+        content: its payload.
+        kinds: types of metrics as their birth has said them: a command need not repeat them.
+
+    Raises:
+        ValueError: it is no payload.
+    """
     payload = _messages()["Payload"]()
     try:
         payload.ParseFromString(content)
     except import_module("google.protobuf.message").DecodeError as error:
         raise ValueError(str(error)) from error
-    return any(metric.name == "Node Control/Rebirth" and metric.boolean_value for metric in payload.metrics)
+    known = kinds or {}
+    values = tuple((metric.name, _value_in(metric, known.get(metric.name))) for metric in payload.metrics)
+    return CommandPayload(payload.timestamp or None, values)
+
+
+def _value_in(metric: Any, born: DataType | None) -> Value | None:  # a message of protobuf
+    which = metric.WhichOneof("value")
+    if which is None or metric.is_null:
+        return None
+    value: Value = getattr(metric, which)
+    kind = metric.datatype or (int(born) if born is not None else 0)
+    if which == "int_value" and kind in (DataType.INT8, DataType.INT16, DataType.INT32):
+        return _signed(int(value), 32)
+    return _signed(int(value), 64) if which == "long_value" and kind == DataType.INT64 else value
+
+
+def _signed(value: int, bits: int) -> int:
+    """Return a number that was sent as two's complement."""
+    return value - (1 << bits) if value >= 1 << (bits - 1) else value
 
 
 def _fill(message: Any, metric: Metric) -> None:
