@@ -13,7 +13,6 @@ Knows messages of the sink, whose connection they come over: an edge node has on
 import asyncio
 import contextlib
 import json
-import logging
 import time
 from collections.abc import Callable
 from functools import partial
@@ -21,33 +20,29 @@ from typing import Final
 
 from ..sinks.sparkplug import SparkplugCommand
 from .inputs import CommandReceiver, InputMessage, InputRights
-from .message_tasks import MOST_AT_ONCE, MessageTasks
+from .message_tasks import MessageTasks
 
-MOST_WAITING: Final = 4 * MOST_AT_ONCE
-"""Commands that wait to be handled; further ones are refused."""
 PLACE: Final = "{device}/{point}"
-
-_log = logging.getLogger("busway.collector.commands")
 
 
 class _Receiving:
-    """The event loop in which commands are executed, and those that wait there."""
+    """The event loop in which commands are executed, and the tasks that do."""
 
-    def __init__(self, receiver: CommandReceiver, loop: asyncio.AbstractEventLoop) -> None:
-        self.receiver, self._loop = receiver, loop
-        self.waiting: asyncio.Queue[SparkplugCommand] = asyncio.Queue(MOST_WAITING)
+    def __init__(self, receiver: CommandReceiver, tasks: MessageTasks, loop: asyncio.AbstractEventLoop) -> None:
+        self.receiver, self._tasks, self._loop = receiver, tasks, loop
 
     def call(self, called: Callable[[], object]) -> None:
         """Call a function in the event loop, from any thread."""
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(called)
 
-    def queue(self, command: SparkplugCommand) -> None:
-        """Queue a command, unless too many wait."""
-        try:
-            self.waiting.put_nowait(command)
-        except asyncio.QueueFull:
-            _log.warning("a command for %s/%s is refused: %d wait", command.device, command.point, MOST_WAITING)
+    def begin(self, message: InputMessage) -> None:
+        """Execute a command, unless too many wait."""
+        if not self._tasks.begin(partial(self._handle, message)):
+            self.receiver.drop(message.where)
+
+    async def _handle(self, message: InputMessage) -> None:
+        await self.receiver.take(message)
 
 
 class SparkplugCommands:
@@ -77,7 +72,7 @@ class SparkplugCommands:
         """Queue a command for the event loop of the collector."""
         receiving = self._receiving
         if receiving is not None:
-            receiving.call(partial(receiving.queue, command))
+            receiving.call(partial(receiving.begin, self._message(command)))
 
     def note(self, error: str | None) -> None:
         """Note why no commands can come; None when they can."""
@@ -90,15 +85,13 @@ class SparkplugCommands:
 
     async def run(self, receiver: CommandReceiver) -> None:
         """Execute commands until cancelled."""
-        receiving = self._receiving = _Receiving(receiver, asyncio.get_running_loop())
-        self._tell(receiver)
-        try:
-            async with MessageTasks() as tasks:
-                while True:
-                    command = await receiving.waiting.get()
-                    await tasks.begin(partial(self._handle, command, receiver))
-        finally:
-            self._receiving = None
+        async with MessageTasks() as tasks:
+            self._receiving = _Receiving(receiver, tasks, asyncio.get_running_loop())
+            self._tell(receiver)
+            try:
+                await asyncio.Future()
+            finally:
+                self._receiving = None
 
     def _tell(self, receiver: CommandReceiver) -> None:
         """Set the status of the receiver to that of the sink's connection."""
@@ -108,12 +101,12 @@ class SparkplugCommands:
         else:
             receiver.down(error)
 
-    async def _handle(self, command: SparkplugCommand, receiver: CommandReceiver) -> None:
-        left = None if command.sent is None else command.sent + self.rights.seconds - self._now()
-        message = InputMessage(
+    def _message(self, command: SparkplugCommand) -> InputMessage:
+        """Return a command that has just arrived in the form of all protocols (rules 1 and 2)."""
+        return InputMessage(
             PLACE.replace("{device}", command.device).replace("{point}", command.point),
             json.dumps({"value": command.value}).encode(),
-            seconds_left=left,
+            seconds_left=None if command.sent is None else command.sent + self.rights.seconds - self._now(),
             is_retained=command.is_retained,
+            arrived=time.monotonic(),
         )
-        await receiver.take(message)
