@@ -27,7 +27,28 @@ PEER_PACKAGES := pymodbus==3.16.1 pyModbusTCP==0.3.1 minimalmodbus==2.1.1 pyspar
 # Every second unit test waits for something, so there is room for one more than there are processors.
 JOBS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 SIDE_BY_SIDE := --numprocesses=$(JOBS) --maxprocesses=4 --dist=worksteal
-UNIT_TESTS := -m "not (real_time or interop or packaging or soak)" $(SIDE_BY_SIDE)
+# Folders without unit tests: collecting them takes time in every process.
+OTHER_TESTS := tests/browser tests/interop tests/load tests/network tests/packaging tests/soak
+UNIT_TESTS := -m "not (real_time or interop or packaging or soak)" $(SIDE_BY_SIDE) $(OTHER_TESTS:%=--ignore=%)
+
+# Tests in real time wait most of the time. Two at once, a file in one process, leave the machine mostly idle.
+TWO_AT_ONCE := --numprocesses=2 --dist=loadfile
+REAL_TIME_FILES = tests/browser tests/network $$(grep -rl --include='test_*.py' 'mark\.real_time' tests)
+ALONE_FILES = tests/load $$(grep -rl --include='test_*.py' 'mark\.alone' tests)
+
+# Runs on one Python: documentation and tools; models without IO; walks by chance; kills; commands as processes, but for
+# those that read, write, serve and collect.
+ONE_PYTHON := $(addprefix tests/, \
+	bench docs fuzz speed_guard typing testing/test_plugin.py \
+	$(addprefix test_, coroutine_tests.py gate.py imports.py makefile.py no_circles.py room_maps.py words.py) \
+	access/test_policy_fuzz.py apps/gateway/test_no_way_round.py server/test_no_way_round.py \
+	$(addprefix session/test_, client_stateful.py late_replies_model.py multidrop.py unit_breaker.py) \
+	$(addprefix apps/collector/test_, learning.py plan.py right_values.py schedule.py) \
+	apps/collector/alarms/test_collected.py apps/collector/commands/test_crashes.py \
+	apps/collector/sinks/test_kills.py apps/collector/store/test_crashes.py \
+	apps/collector/store/test_power_failure.py apps/fleet/test_member.py \
+	$(addprefix cli/test_, demo.py gateway.py serve_access.py simulate.py simulate_api.py simulate_faults.py \
+	simulate_sources.py status.py))
 PYTEST_FLAGS ?=
 
 # Tests start hundreds of programs: where the environment forbids bytecode, half of their time goes into compiling.
@@ -53,7 +74,8 @@ check: $(VENV)/.installed-dev ## format, lint, types, the way imports point, and
 	@echo "== format, lint, types, imports"
 	@$(RUN)/ruff format --check --quiet . || { echo "error: run '$(RUN)/ruff format .'" >&2; exit 1; }
 	@$(RUN)/ruff check --quiet .
-	@$(RUN)/mypy --no-error-summary
+	@$(RUN)/python -m pytest --collect-only -qq >/dev/null & \
+	$(RUN)/mypy --no-error-summary || exit 1; wait # pytest prepares its asserts: else each process of the unit tests does
 	@$(RUN)/lint-imports --no-cache >/dev/null || { $(RUN)/lint-imports --no-cache; exit 1; }
 	@$(RUN)/python -m pytest --quiet --no-summary tests/test_imports.py >/dev/null || \
 		{ $(RUN)/python -m pytest --quiet tests/test_imports.py; exit 1; }
@@ -64,14 +86,17 @@ test-unit: $(VENV)/.installed-dev ## unit tests, side by side
 	@$(RUN)/python -m pytest $(UNIT_TESTS) $(PYTEST_FLAGS)
 
 .PHONY: test-real-time
-test-real-time: $(VENV)/.installed-dev ## unit tests about time, load and the system, one after the other
+test-real-time: $(VENV)/.installed-dev ## unit tests about time, load and the system, two at once, some alone
 	@echo "== tests in real time"
-	@$(RUN)/python -m pytest -m "real_time and not (interop or soak)" $(PYTEST_FLAGS)
+	@$(RUN)/python -m pytest -m "real_time and not (alone or interop or soak)" $(TWO_AT_ONCE) $(PYTEST_FLAGS) \
+		$(REAL_TIME_FILES)
+	@echo "== tests in real time that measure delays"
+	@$(RUN)/python -m pytest -m "alone and not (interop or soak)" $(PYTEST_FLAGS) $(ALONE_FILES)
 
 .PHONY: test-interop
 test-interop: $(VENV)/.installed-dev peers ## tests against programs that are not ours
 	@echo "== interop tests"
-	@$(RUN)/python -m pytest -m "interop and not soak" tests/interop $(PYTEST_FLAGS)
+	@$(RUN)/python -m pytest -m "interop and not soak" $(TWO_AT_ONCE) tests/interop $(PYTEST_FLAGS)
 
 .PHONY: test-packaging
 test-packaging: $(VENV)/.installed-dev ## wheel and sdist, built, installed and used
@@ -92,10 +117,10 @@ $(OTHER_PYTHONS:%=test-python-%): test-python-%:
 		echo "== Python $* is not here: its unit tests are left out"; \
 	fi
 
-# What is about the system and not about Python has been tried once already, and so has the documentation.
+# What is about the system and not about Python has been tried once already.
 .PHONY: test-unit-quietly
 test-unit-quietly: $(VENV)/.installed-dev
-	@$(RUN)/python -m pytest --quiet $(UNIT_TESTS) --ignore=tests/docs $(PYTEST_FLAGS)
+	@$(RUN)/python -m pytest --quiet $(UNIT_TESTS) $(ONE_PYTHON:%=--ignore=%) $(PYTEST_FLAGS)
 
 .PHONY: soak
 soak: $(VENV)/.installed-dev ## tests that take minutes

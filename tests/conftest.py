@@ -5,8 +5,8 @@
 2. It has `LIMIT` seconds; a test that hangs fails where it hangs, instead of stopping the run.
 3. It must leave no task behind: a task that outlives its test is a leak of the code under test.
 4. Any other test has the seconds of ``timeout`` in pyproject.toml, and a hang shows the stack of each thread.
-5. A test that depends on the clock or the load of the machine is marked ``real_time``, by itself or by its folder.
-   It runs while nothing else does. No test is repeated.
+5. A test that depends on the clock or the load of the machine is marked ``real_time``, by itself or by its folder: one
+   other runs beside it, in another process. One that measures delays is marked ``alone``. No test is repeated.
 6. No example of a property has a time limit: what a machine that pauses takes longer is not wrong.
 """
 
@@ -33,8 +33,10 @@ TURNS_TO_END = 3
 """Turns of the loop that a cancelled or finishing task gets: its last step, its callbacks, and one to spare."""
 
 TESTS = Path(__file__).parent
-REAL_TIME_FOLDERS = tuple(f"{TESTS / name}{os.sep}" for name in ("browser", "interop/serial", "load", "network"))
+REAL_TIME_FOLDERS = tuple(f"{TESTS / name}{os.sep}" for name in ("browser", "interop/serial", "network"))
 """Where every test is about time, load or the system."""
+ALONE_FOLDERS = (f"{TESTS / 'load'}{os.sep}",)
+"""Where every test loads the machine itself."""
 
 settings.register_profile("no deadline", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("no deadline")
@@ -43,7 +45,10 @@ settings.load_profile("no deadline")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark the tests of the folders in real time, and let soak tests take minutes."""
     for item in items:
-        if str(item.path).startswith(REAL_TIME_FOLDERS):
+        path = str(item.path)
+        if path.startswith(ALONE_FOLDERS):
+            item.add_marker(pytest.mark.alone)
+        if path.startswith(REAL_TIME_FOLDERS) or item.get_closest_marker("alone"):
             item.add_marker(pytest.mark.real_time)
         if item.get_closest_marker("soak"):
             item.add_marker(pytest.mark.timeout(0))

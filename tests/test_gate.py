@@ -2,7 +2,7 @@
 
 1. A test that fails fails the run: none is repeated, in real time or not.
 2. A test that hangs fails by name.
-3. A file that makes a line in real time has the mark ``real_time``.
+3. A file that makes a line in real time has the mark ``real_time`` or ``alone``.
 """
 
 import os
@@ -80,4 +80,6 @@ def test_every_file_that_makes_a_line_in_real_time_has_the_mark_or_is_in_a_folde
         text = file.read_text(encoding="utf-8")
         if "import PacedLine" in text:
             relative = file.relative_to(TESTS).as_posix()
-            assert "pytest.mark.real_time" in text or relative.startswith("interop/serial/"), relative
+            assert (
+                "pytest.mark.real_time" in text or "pytest.mark.alone" in text or relative.startswith("interop/serial/")
+            ), relative

@@ -25,6 +25,14 @@ def commands_of(target: str, environment: Path) -> str:
     return done.stdout
 
 
+def test_what_runs_on_one_python_is_there_and_the_others_leave_nothing_else_out(tmp_path: Path) -> None:
+    *_, others = commands_of("test-unit-quietly", tmp_path / "venv").splitlines()
+    left_out = re.findall(r"--ignore=(\S+)", others)
+    assert len(left_out) > 30
+    assert [path for path in left_out if not (ROOT / path).exists()] == []
+    assert "tests/client" not in left_out
+
+
 def test_the_demo_has_what_its_page_and_its_store_need_also_where_something_was_installed_before(
     tmp_path: Path,
 ) -> None:

@@ -425,6 +425,7 @@ def test_a_page_comes_back_after_the_program_was_away(page, plant, complaints):
     complaints[:] = [one for one in complaints if "WebSocket" not in one and "ERR_CONNECTION" not in one]
 
 
+@pytest.mark.alone
 def test_two_thousand_points_at_four_hertz_stay_smooth(new_page, keep):
     with watched(MANY_POINTS) as plant:
         page = new_page(plant.page.url)

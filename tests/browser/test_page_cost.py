@@ -1,6 +1,6 @@
 """What a page with 5000 points costs the collector and the browser while each of them changes every second.
 
-The figures are printed: ``pytest -s -m real_time tests/browser/test_page_cost.py``.
+The figures are printed: ``pytest -s tests/browser/test_page_cost.py``.
 """
 
 import json
@@ -16,7 +16,7 @@ from program import Busway
 import busway
 
 POINTS = 5000
-SECONDS = 10.0
+SECONDS = 5.0
 MOST = 0.10
 """Part of a core that the page may cost."""
 PLANT = """\
@@ -57,7 +57,7 @@ def keep_changing(device: busway.Device, ended: threading.Event) -> None:
         device.holding_registers[0:POINTS] = [(place * 7 + turn * 13) % 60_000 for place in range(POINTS)]
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="the processor time of a process is read from /proc")
 def test_a_page_with_5000_points_costs_at_most_a_tenth_of_a_core(tmp_path: Path, new_page: Any) -> None:
     device = busway.Device(holding_registers=POINTS)

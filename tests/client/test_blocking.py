@@ -74,7 +74,7 @@ def test_first_requests_of_many_threads_make_one_connection() -> None:
         assert server.accepted == 1
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_thread_that_waits_long_does_not_keep_others_from_their_replies_or_timeouts() -> None:
     gate = HeldReplies()
     with (
@@ -116,7 +116,7 @@ def test_when_the_leader_is_done_another_thread_takes_over() -> None:
         assert isinstance(leader.join()[0], busway.NoReply)
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_call_beyond_the_bound_of_the_queue_is_refused() -> None:
     with (
         faulty_server(known_device(), "wedged") as server,
@@ -137,7 +137,7 @@ def _queued(link: busway.BlockingLink) -> int:
     return link._link.session.queued
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_deadline_counts_the_time_in_the_queue() -> None:
     with (
         faulty_server(known_device(), "wedged") as server,

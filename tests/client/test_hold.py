@@ -213,7 +213,7 @@ async def test_a_connection_in_use_is_not_closed_however_long_the_device_takes()
         await until(lambda: not link.is_connected)
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_each_use_begins_the_time_anew() -> None:
     loop = asyncio.get_running_loop()
     async with FaultyServer(known_device()) as server, busway.open(server.endpoint, hold=0.2, timeout=AMPLE) as link:

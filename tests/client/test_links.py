@@ -125,7 +125,7 @@ def test_connection_that_is_lost_costs_a_read_a_repetition_and_a_write_its_certa
 
 
 @pytest.mark.clause("T26")
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_timeout_and_retries_of_the_call_go_before_those_of_the_link(via: ClientKind) -> None:
     with faulty_server(known_device(), "wedged") as server, via.link(server.endpoint, timeout=AMPLE) as link:
         begin = time.monotonic()
@@ -140,7 +140,7 @@ def test_timeout_and_retries_of_the_call_go_before_those_of_the_link(via: Client
 
 
 @pytest.mark.clause("T26")
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_deadline_ends_a_call_whatever_its_retries(via: ClientKind) -> None:
     with faulty_server(known_device(), "wedged") as server, via.link(server.endpoint, retries=50) as link:
         begin = time.monotonic()

@@ -93,7 +93,7 @@ def _failures(link: object) -> int:
     return int(real.reconnect.failures)
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_a_flapping_peer_is_told_once_and_tried_with_longer_and_longer_pauses(via: ClientKind, told: list[str]) -> None:
     with (
         faulty_server(known_device()) as server,
@@ -169,7 +169,7 @@ async def test_what_waits_fails_with_the_attempt_to_connect_and_what_comes_later
         assert link.state == "backing off"
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_of_a_flapping_peer_nobody_waits_but_who_is_about_to_be_repeated() -> None:
     with faulty_server(known_device(), "close-if-silent", seconds=0.0) as server:
         async with busway.open(server.endpoint, timeout=30, retries=2, reconnect_first=0.2) as link:

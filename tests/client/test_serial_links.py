@@ -37,7 +37,7 @@ def device() -> busway.Device:
 @pytest.mark.clause("S7")
 @pytest.mark.clause("S12")
 @pytest.mark.parametrize("framing", ["rtu", "ascii"])
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_blocking_link_and_server_talk_over_real_ports(framing: str) -> None:
     with PacedLine(ports=2, baud=BAUD, data_bits=8 if framing == "rtu" else 7) as line:
         at = f"{framing}://{line.paths[1]}?baud={BAUD}"
@@ -55,7 +55,7 @@ def test_blocking_link_and_server_talk_over_real_ports(framing: str) -> None:
 
 @pytest.mark.clause("S7")
 @pytest.mark.parametrize("options", ["", "&precise_timing=on", "&strict_timing=off&gap_limit=0.02", "&echo=automatic"])
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_asynchronous_link_and_server_talk_over_real_ports(line: PacedLine, options: str) -> None:
     async with (
         busway.serve(url(line, 1, options.replace("&strict_timing=off&gap_limit=0.02", "")), units={1: device()}),
@@ -67,7 +67,7 @@ async def test_asynchronous_link_and_server_talk_over_real_ports(line: PacedLine
 
 @pytest.mark.clause("S15")
 @pytest.mark.parametrize("echo", ["on", "automatic"])
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_line_that_echoes(echo: str) -> None:
     with PacedLine(ports=2, baud=BAUD, echo=True) as line:
         async with (
@@ -82,7 +82,7 @@ async def test_line_that_echoes(echo: str) -> None:
 
 
 @pytest.mark.clause("S8")
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_frames_on_a_real_line_keep_t3_5(line: PacedLine) -> None:
     """Above 19 200 bit/s it is 1.75 ms. What the tap sees is late by what the pty takes, never early."""
     async with (
@@ -98,7 +98,7 @@ async def test_frames_on_a_real_line_keep_t3_5(line: PacedLine) -> None:
 
 
 @pytest.mark.clause("S2")
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_broadcast_over_a_real_line(line: PacedLine) -> None:
     one, other = device(), device()
     async with (
@@ -115,7 +115,7 @@ async def test_broadcast_over_a_real_line(line: PacedLine) -> None:
         assert link.counters.requests == 1
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_many_threads_share_a_line(line: PacedLine) -> None:
     results: list[list[int]] = []
     with busway.serve_in_thread(url(line, 1), units={1: device(), 2: device()}):
@@ -134,7 +134,7 @@ def test_many_threads_share_a_line(line: PacedLine) -> None:
     assert line.collisions == 0
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_what_came_while_nobody_waited_is_not_taken_for_an_answer(line: PacedLine) -> None:
     """A blocking link reads only while somebody waits; what lies in the port's buffer is late, or somebody else's."""
     with (
@@ -152,7 +152,7 @@ def test_what_came_while_nobody_waited_is_not_taken_for_an_answer(line: PacedLin
 
 
 @pytest.mark.clause("S15")
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_hot_unplug_ends_requests_at_once_and_the_port_is_found_again(line: PacedLine) -> None:
     handles = open_handles()
     for _ in range(3):
@@ -186,7 +186,7 @@ async def answered(link: busway.AsyncLink) -> list[int]:
 
 
 @pytest.mark.clause("S15")
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_port_that_is_not_there_yet_is_waited_for(line: PacedLine) -> None:
     line.unplug(0)
     back = threading.Timer(0.1, lambda: line.replug(0))
@@ -222,7 +222,7 @@ def test_what_is_no_serial_port_is_one_clear_error() -> None:
 
 
 @pytest.mark.clause("S15")
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_one_port_has_one_user_in_a_process_and_links_of_one_loop_share_it(line: PacedLine) -> None:
     async with (
         busway.serve(url(line, 1), units={1: device()}),
@@ -243,7 +243,7 @@ async def test_one_port_has_one_user_in_a_process_and_links_of_one_loop_share_it
         pass
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_two_loops_cannot_share_a_port(line: PacedLine) -> None:
     async def other() -> None:
         async with busway.open(url(line)):

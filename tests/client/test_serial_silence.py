@@ -8,7 +8,7 @@ import pytest
 import busway
 from busway.testing.line import PacedLine
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.alone
 
 READS = 10
 INACCURACY = 0.0003

@@ -299,7 +299,9 @@ async def test_device_that_also_answers_as_0_and_255_has_one_set_of_counters() -
         assert await link.unit(7).diagnostics(0x0E) == b"\x00\x05"
 
 
-@pytest.mark.parametrize("endpoint", [ANY_PORT, "udp://127.0.0.1:0", "rtu"])
+@pytest.mark.parametrize(
+    "endpoint", [ANY_PORT, "udp://127.0.0.1:0", pytest.param("rtu", marks=pytest.mark.real_time)]
+)
 async def test_responders_that_are_cancelled_by_the_end_of_the_server_have_ended_with_it(endpoint: str) -> None:
     answering, ended = asyncio.Event(), asyncio.Event()
 

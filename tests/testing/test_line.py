@@ -13,7 +13,7 @@ from busway.options.ports import SerialSettings
 from busway.testing.line import NOISE, PacedLine
 from busway.transport.serial import BlockingSerialPort, SerialConnection
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.alone
 
 REQUEST = bytes.fromhex("01 03 00 00 00 0A C5 CD")  # read 10 holding registers of unit 1
 REPLY = bytes([1, 3, 20]) + bytes(22)

@@ -188,7 +188,7 @@ async def test_where_nothing_is_said_a_request_is_answered_within_two_and_a_half
     assert worst_case(line, Route(upstream="line")).seconds < listener.deadline < adaptive_timeout == 3.0
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 @pytest.mark.parametrize("scheme", ["rtu", "ascii", "tcp"])
 async def test_a_client_on_defaults_hears_0b_of_a_dead_unit_and_no_timeout_of_its_own(scheme: str) -> None:
     """From end to end, over sockets and a line, every option as it is where nothing is said."""
@@ -219,7 +219,7 @@ async def test_what_waits_for_a_connection_is_0a_at_the_deadline() -> None:
         assert made.open_requests == 0
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_the_deadline_holds_whatever_the_timeouts_of_the_line_add_up_to() -> None:
     async with (
         ScriptedPeer(lambda peer, frame: None) as peer,

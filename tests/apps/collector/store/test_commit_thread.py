@@ -44,7 +44,7 @@ def test_a_subscriber_is_told_what_is_in_the_store_by_then(tmp_path: Path) -> No
     assert committer.status().samples == 3
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_a_sample_is_committed_within_a_quarter_of_a_second(tmp_path: Path) -> None:
     import time
 
