@@ -15,7 +15,7 @@ CONFTEST = Path(__file__).with_name("conftest.py").read_text(encoding="utf-8")
 
 def outcome_of(folder: Path, source: str, limit: float = 60.0) -> str:
     """What pytest prints about a test file."""
-    folder.joinpath("conftest.py").write_text(CONFTEST.replace("LIMIT = 60.0", f"LIMIT = {limit}"), encoding="utf-8")
+    folder.joinpath("conftest.py").write_text(CONFTEST.replace("LIMIT = 100.0", f"LIMIT = {limit}"), encoding="utf-8")
     folder.joinpath("test_it.py").write_text(source, encoding="utf-8")
     finished = subprocess.run(
         [

@@ -179,7 +179,7 @@ def test_the_page_is_served_and_its_address_is_said(tmp_path: Path) -> None:
         file.write_text(file.read_text().replace('"off"', '"127.0.0.1:0"'))
         with Busway("collect", str(file)) as program:
             url = program.wait_for("page on").split("page on ")[1].split()[0]
-            with urlopen(url + "api/points", timeout=20) as answer:
+            with urlopen(url + "api/points", timeout=60) as answer:
                 assert len(json.load(answer)["points"]) == 26
             program.stop()
 
@@ -204,7 +204,7 @@ def page_of(program: Busway) -> str:
 
 
 def answer_of(url: str) -> Any:
-    with urlopen(url, timeout=20) as answer:
+    with urlopen(url, timeout=60) as answer:
         return json.load(answer)
 
 
@@ -242,7 +242,7 @@ async def test_the_demo_takes_a_free_port_for_its_page_where_the_wanted_one_is_t
         port = taken.getsockname()[1]
         running = asyncio.create_task(collect_demo(60.0, f"127.0.0.1:{port}"))
         said = ""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while "page on " not in said:
                 await asyncio.sleep(0.01)
                 said += capsys.readouterr().err

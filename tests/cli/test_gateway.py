@@ -382,7 +382,7 @@ def test_metrics_tell_of_listeners_and_lines_and_count_the_requests_of_all_liste
         assert place is not None
         for url in urls:
             assert write(url) == "done"
-        with urllib.request.urlopen(place[0], timeout=10) as answer:
+        with urllib.request.urlopen(place[0], timeout=60) as answer:
             text = answer.read().decode()
         assert 'busway_upstream_forwarded_total{upstream="line"} 4.0' in text
         assert 'busway_upstream_answered_total{upstream="line"} 4.0' in text

@@ -205,7 +205,7 @@ def test_watching_reads_again_with_the_time_and_ends_quietly_with_an_interrupt(u
     with process:
         first, second = (json.loads(process.stdout.readline()) for _ in range(2))
         process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=10)
+        _, said = process.communicate(timeout=60)
         assert (process.returncode, said) == (0, "")
     assert first["value"] == second["value"] == 3.1
     assert first["time"] < second["time"]

@@ -85,7 +85,7 @@ async def test_the_manager_hears_that_the_event_loop_turns_twice_in_its_time() -
         loop = asyncio.get_running_loop()
         async with watched(manager):
             for _ in range(3):
-                assert await asyncio.wait_for(loop.sock_recv(receiver, 100), 10) == b"WATCHDOG=1"
+                assert await asyncio.wait_for(loop.sock_recv(receiver, 100), 60) == b"WATCHDOG=1"
 
 
 async def test_nobody_hears_of_it_who_did_not_ask() -> None:

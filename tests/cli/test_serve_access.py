@@ -167,7 +167,7 @@ def test_metrics_are_offered_where_they_are_wanted(tmp_path: Path) -> None:
         place = re.search(r"http://\S+", program.wait_for("metrics"))
         assert place is not None
         assert write(url) == "done"
-        with urllib.request.urlopen(place[0], timeout=10) as answer:
+        with urllib.request.urlopen(place[0], timeout=60) as answer:
             assert b"busway_" in answer.read()
 
 

@@ -84,7 +84,7 @@ def test_points_behave_on_every_listener_until_a_signal_and_are_kept(number: sig
             while link.unit(3).read("3x1", "uint32") <= found[0]:
                 assert time.monotonic() < deadline
         process.send_signal(number)
-        _, said = process.communicate(timeout=20)
+        _, said = process.communicate(timeout=60)
     assert process.returncode == 0
     assert "Traceback" not in said
     state = json.loads((file.parent / "state.json").read_text())
@@ -219,7 +219,7 @@ def test_a_control_page_that_cannot_be_is_refused_by_its_option(
 def test_a_state_that_cannot_be_read_is_said(file: Path) -> None:
     (file.parent / "state.json").write_text('{"kind": "busway simulation state"')
     with simulating(str(file), "--for", "10ms") as (process, _):
-        _, said = process.communicate(timeout=20)
+        _, said = process.communicate(timeout=60)
     assert "begins anew" in said
     assert process.returncode == 0
 

@@ -36,7 +36,7 @@ def file(tmp_path: Path) -> Path:
 
 def ask(url: str, token: str = "") -> dict[str, object]:
     request = urllib.request.Request(url, headers={"Authorization": f"Bearer {token}"} if token else {})
-    with urllib.request.urlopen(request, timeout=10) as answer:
+    with urllib.request.urlopen(request, timeout=60) as answer:
         return dict(json.loads(answer.read()))
 
 

@@ -66,7 +66,7 @@ def test_faults_of_the_file_and_of_the_command_line_are_played(file: Path) -> No
                     link.unit(4).read("4x1")
                 assert broken.value.reason == "unit 255 answered where 4 was asked"
             process.terminate()
-            _, said = process.communicate(timeout=20)
+            _, said = process.communicate(timeout=60)
         finally:
             process.kill()
     assert process.returncode == 0

@@ -43,11 +43,11 @@ def simulating(*arguments: str) -> Iterator[str]:
     try:
         assert process.stdout is not None
         endpoint = process.stdout.readline().strip()
-        assert endpoint.startswith("tcp://"), process.communicate(timeout=20)[1]
+        assert endpoint.startswith("tcp://"), process.communicate(timeout=60)[1]
         yield endpoint
     finally:
         process.send_signal(signal.SIGTERM)
-        _, errors = process.communicate(timeout=20)
+        _, errors = process.communicate(timeout=60)
     assert "Traceback" not in errors
     assert process.returncode == 0, errors
 

@@ -51,5 +51,5 @@ async def test_clock_of_a_loop_is_the_loop() -> None:
     assert clock.now() <= loop.time()
     clock.call_at(clock.now(), done.set)
     clock.call_at(clock.now() + 60, done.clear).cancel()
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(60):
         await done.wait()

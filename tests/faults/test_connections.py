@@ -208,7 +208,7 @@ async def test_answers_that_other_handlers_promise_come_later_and_misbehave_too(
         ):
             writer.write(encode_mbap(5, 1, bytes.fromhex(pdu)))
             expected = encode_mbap(6, 1, bytes.fromhex(answer)) + encode_mbap(5, 1, bytes.fromhex(answer))
-            assert await asyncio.wait_for(reader.readexactly(len(expected)), 5) == expected
+            assert await asyncio.wait_for(reader.readexactly(len(expected)), 60) == expected
         writer.close()
         await writer.wait_closed()
         (status,) = server.status().connections

@@ -53,7 +53,7 @@ async def host(server: ForeignServer, *options: str) -> AsyncIterator[tuple[list
     finally:
         assert process.stdin is not None
         process.stdin.close()
-        await asyncio.wait_for(process.wait(), 10)
+        await asyncio.wait_for(process.wait(), 60)
         await task
 
 

@@ -39,7 +39,7 @@ OPENMETRICS = "application/openmetrics-text; version=1.0.0"
 
 def get(url: str, accept: str = "") -> tuple[str, str]:
     """Text and content type of a scrape."""
-    with urllib.request.urlopen(urllib.request.Request(url, headers={"Accept": accept}), timeout=10) as answer:
+    with urllib.request.urlopen(urllib.request.Request(url, headers={"Accept": accept}), timeout=60) as answer:
         return answer.read().decode(), answer.headers["Content-Type"]
 
 

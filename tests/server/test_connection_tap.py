@@ -52,7 +52,7 @@ async def test_connection_is_a_wire_that_sends_bytes_as_they_are_and_closes_behi
         connection.send(b"what")
         connection.send(b"ever")
         asyncio.get_running_loop().call_soon(connection.close)
-        assert await asyncio.wait_for(reader.read(), 5) == b"whatever"
+        assert await asyncio.wait_for(reader.read(), 60) == b"whatever"
         await until(lambda: told.gone == [connection])
         connection.send(b"nobody is there any more")
         writer.close()
@@ -116,7 +116,7 @@ async def test_server_that_nobody_wants_the_wires_of_makes_none() -> None:
     async with busway.serve("tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=1)}) as server:
         reader, writer = await _connected(server)
         writer.write(encode_mbap(1, 1, READ))
-        assert await asyncio.wait_for(reader.readexactly(11), 5) == encode_mbap(1, 1, REPLY)
+        assert await asyncio.wait_for(reader.readexactly(11), 60) == encode_mbap(1, 1, REPLY)
         with pytest.raises(busway.ConfigError, match="a running server keeps its connection tap"):
             server.use_tap(Told())
         writer.close()

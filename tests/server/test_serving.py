@@ -78,7 +78,7 @@ def test_serve_forever_serves_until_it_is_interrupted() -> None:
             assert link.unit(1).read_holding_registers(0, count=3) == [1, 2, 3]
             program.send_signal(signal.SIGINT)
             assert program.stdout.readline() == "ended\n"
-        assert program.wait(10) == 0
+        assert program.wait(60) == 0
 
 
 @pytest.mark.parametrize(

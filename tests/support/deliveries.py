@@ -31,7 +31,7 @@ def delivery_to(
     )
 
 
-async def run_until(delivery: Delivery, done: Callable[[], bool], seconds: float = 30.0) -> None:
+async def run_until(delivery: Delivery, done: Callable[[], bool], seconds: float = 60.0) -> None:
     """Deliver until something is so; looked at only while the delivery pauses, so that its cursor has moved."""
     reached = asyncio.Event()
 

@@ -3,8 +3,10 @@
 A test is skipped by name where a server is not installed; with BUSWAY_REQUIRE_PEERS=1 it fails.
 """
 
+import contextlib
 import os
 import pwd
+import random
 import shutil
 import signal
 import socket
@@ -17,7 +19,8 @@ from typing import Self
 
 import pytest
 
-READY_SECONDS = 30.0
+READY_SECONDS = 60.0
+_CHANCE = random.SystemRandom()  # tests that run beside this one must not choose the same
 
 
 def needed(name: str, *places: str) -> str:
@@ -31,9 +34,12 @@ def needed(name: str, *places: str) -> str:
 
 
 def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """A port for a program that binds it later, below those from which the system takes clients' ports meanwhile."""
+    while True:
+        port = _CHANCE.randrange(10_000, 32_000)
+        with contextlib.suppress(OSError), socket.socket() as probe:
+            probe.bind(("127.0.0.1", port))
+            return port
 
 
 class ForeignServer:

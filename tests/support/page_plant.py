@@ -100,7 +100,7 @@ class Watched:
         """The same, with the bytes and the headers of the answer; a body of bytes goes as it is."""
         data = body if isinstance(body, bytes) or body is None else json.dumps(body).encode()
         given = {"Content-Type": "application/json"} if data is not None else {}
-        connection = http.client.HTTPConnection(self.host, timeout=10)
+        connection = http.client.HTTPConnection(self.host, timeout=60)
         try:
             given |= {name.replace("_", "-"): value for name, value in headers.items()}
             connection.request(method, path, data, given)

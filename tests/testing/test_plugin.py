@@ -308,7 +308,7 @@ def test_delays_of_faults_and_behaviours_follow_a_clock_that_is_moved_by_hand() 
 def test_host_and_port_are_there_for_programs_that_take_no_url() -> None:
     with (
         simulated_device({"4x1": 42}) as device,
-        socket.create_connection((device.host, device.port), timeout=10) as client,
+        socket.create_connection((device.host, device.port), timeout=60) as client,
     ):
         client.sendall(bytes.fromhex("0001 0000 0006 01 03 0000 0001"))
         assert client.recv(100) == bytes.fromhex("0001 0000 0005 01 03 02 002A")

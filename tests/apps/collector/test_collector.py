@@ -62,7 +62,7 @@ async def all_of(items: AsyncIterator[Item]) -> list[Item]:
 
 async def first_values(collector: busway.Collector, devices: list[str], points: int) -> dict[str, Any]:
     found: dict[str, Any] = {}
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         async for batch in collector.samples(devices=devices):
             for sample in batch:
                 if sample.value is not None:
@@ -147,7 +147,7 @@ async def test_what_was_learnt_survives_a_restart(tmp_path: Path) -> None:
         for run in range(2):
             async with busway.collect(file) as collector:
                 assert bool(collector.status()[0].learnt) is bool(run)  # before anything was asked
-                await until(lambda: any("exception 02" in line for line in collector.status()[0].learnt), 20)
+                await until(lambda: any("exception 02" in line for line in collector.status()[0].learnt))
         kept = json.loads((tmp_path / "data" / "learnt.json").read_text())
         assert kept["devices"]["pump"]["holes"][0]["start"] == 49
 
@@ -296,7 +296,7 @@ async def test_samples_are_handed_on_to_sinks_and_shown_to_prometheus(tmp_path: 
             text.write('[[sink]]\nname = "page"\nurl = "prometheus://127.0.0.1:0"\npoints = ["pump/*"]\n')
         async with busway.collect(file) as collector:
             await first_values(collector, ["pump"], 3)
-            await until(lambda: collector.sink_statuses()[0].sent >= 3, 20)
+            await until(lambda: collector.sink_statuses()[0].sent >= 3)
             loop = asyncio.get_running_loop()
             page = await loop.run_in_executor(None, lambda: urlopen(collector.pages[0]).read().decode())
             assert 'busway_point_value{device="pump",point="speed"} 1.5' in page

@@ -57,23 +57,23 @@ async def test_maintenance_is_one_interval_over_restarts_and_a_file_that_is_read
     async with served() as server:
         file = plant(tmp_path, server.endpoints[0])
         async with busway.collect(file) as collector:
-            await until(lambda: qualities(collector) == {("pump", 0), ("other", 0)}, 20)
+            await until(lambda: qualities(collector) == {("pump", 0), ("other", 0)})
             collector.maintenance("pump", begins=True, by="anna", why="changes the bearing")
-            await until(lambda: qualities(collector) == {("pump", bad), ("other", 0)}, 20)
+            await until(lambda: qualities(collector) == {("pump", bad), ("other", 0)})
             begin = collector.in_maintenance()["pump"].begin
             file.write_text(file.read_text().replace("0.05", "0.06"))
             await collector.reload(load_collector(file))
-            await until(lambda: {each.name: each.reads for each in collector.status()}["other"] > 2, 20)
+            await until(lambda: {each.name: each.reads for each in collector.status()}["other"] > 2)
             status = {each.name: each for each in collector.status()}
             assert (status["pump"].reads, status["pump"].state) == (0, "maintenance")
         async with busway.collect(file) as collector:
-            await until(lambda: ("other", 0) in qualities(collector), 20)
+            await until(lambda: ("other", 0) in qualities(collector))
             row = collector.in_maintenance()["pump"]
             assert (row.begin, row.by, row.why) == (begin, "anna", "changes the bearing")
             assert collector.status()[0].state == "maintenance"
-            await until(lambda: collector.values.reason_of("pump") == bad, 20)
+            await until(lambda: collector.values.reason_of("pump") == bad)
             collector.maintenance("pump", begins=False, by="otto", why="runs again")
-            await until(lambda: qualities(collector) == {("pump", 0), ("other", 0)}, 20)
+            await until(lambda: qualities(collector) == {("pump", 0), ("other", 0)})
             assert collector.values.reason_of("pump") == 0
         table = busway.Store(tmp_path / "data").read("pump")
     (interval,) = [each for each in table.intervals if each.reason == bad]
@@ -108,7 +108,7 @@ async def test_a_device_that_died_has_no_good_last_value_and_is_not_shown_to_pro
         text = '[[sink]]\nname = "page"\nurl = "prometheus://127.0.0.1:0"\npoints = ["*/*"]\n'
         file = plant(tmp_path, server.endpoints[0], text)
         async with busway.collect(file) as collector:
-            await until(lambda: qualities(collector) == {("pump", 0), ("other", 0)}, 20)
+            await until(lambda: qualities(collector) == {("pump", 0), ("other", 0)})
             assert "busway_point_value{" in await page_of(collector)
             await stack.aclose()
             await until(lambda: all(quality_of(reason) is Quality.BAD for _, reason in qualities(collector)), 30)

@@ -347,7 +347,7 @@ def test_the_usual_rules_cost_from_a_little_to_several_times_the_optimum_over_ra
 # How long planning takes.
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 @pytest.mark.parametrize(("count", "limit"), [(10_000, 0.050), (50_000, 0.300)])
 def test_a_plan_of_many_points_takes_little_time_of_the_processor(count: int, limit: float) -> None:
     source = random.Random(count)

@@ -44,7 +44,7 @@ def starts(folder: Path, point: str) -> list[int]:
 
 async def some_rounds(collector: busway.Collector) -> None:
     before = collector.store_status().samples
-    await until(lambda: collector.store_status().samples >= before + 12, 20)
+    await until(lambda: collector.store_status().samples >= before + 12)
 
 
 async def all_configurations(folder: Path, url: str, *steps: tuple[Mapping[str, str], Mapping[str, str]]) -> None:
@@ -78,7 +78,7 @@ async def test_a_sample_that_was_on_its_way_when_its_point_was_renamed_belongs_t
         async with busway.collect(plant(tmp_path, url, {**NAMED, "at0": "new0"}, {})) as collector:
             for number in range(1, 6):
                 turns = devices[1].turns + 2
-                await until(lambda turns=turns: devices[1].turns > turns, 20)  # what was asked last is not answered yet
+                await until(lambda turns=turns: devices[1].turns > turns)  # what was asked last is not answered yet
                 names, was = {**NAMED, "at0": f"new{number}"}, {"at0": f"new{number - 1}"}
                 await collector.reload(load_collector(plant(tmp_path, url, names, was)))
             await some_rounds(collector)
@@ -163,7 +163,7 @@ async def test_a_sink_gets_each_sample_under_the_name_that_it_was_read_by(tmp_pa
             file.write_text(file.read_text() + sink)
             await collector.reload(load_collector(file))
             await some_rounds(collector)
-            await until(lambda: collector.sink_statuses()[0].sent >= collector.store_status().samples - 12, 20)
+            await until(lambda: collector.sink_statuses()[0].sent >= collector.store_status().samples - 12)
     begun: dict[str, list[int]] = {}
     for line in (tmp_path / "lines.jsonl").read_text().splitlines():
         sample = json.loads(line)

@@ -194,9 +194,9 @@ async def test_what_was_learnt_of_a_unit_is_not_held_against_another_under_its_n
         url, devices = world.endpoint("tcp", [1, 2])
         devices[1].lies = Lies(holes=[range(100, 104)])
         async with busway.collect(file_for(url, 1)) as collector:
-            await until(lambda: any("exception 02" in line for line in collector.status()[0].learnt), 20)
+            await until(lambda: any("exception 02" in line for line in collector.status()[0].learnt))
             await collector.reload(load_collector(file_for(url, 2)))
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(60):
                 async for batch in collector.samples():
                     if "code100" in batch.points and batch.values[batch.points.index("code100")] is not None:
                         break

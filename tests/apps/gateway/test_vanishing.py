@@ -53,7 +53,7 @@ async def code_of(asked: Any) -> int:
 
 async def first_answer(unit: Any) -> list[int]:
     """Ask for register 5, as a client does that goes on polling, until there is no 0A any more."""
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(60):
         while True:
             try:
                 return await unit.read_holding_registers(5, count=1)  # type: ignore[no-any-return]

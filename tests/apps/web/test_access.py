@@ -65,7 +65,7 @@ def test_what_a_form_can_send_changes_nothing(plant, kind):
 def test_a_header_that_says_two_things_is_refused(plant):
     import http.client
 
-    connection = http.client.HTTPConnection(plant.host, timeout=10)
+    connection = http.client.HTTPConnection(plant.host, timeout=60)
     connection.putrequest("GET", "/api/units", skip_host=True)
     connection.putheader("Host", "127.0.0.1")
     connection.putheader("Origin", f"http://{plant.host}")
@@ -90,7 +90,7 @@ def test_a_body_of_unknown_length_is_read_up_to_the_limit(plant):
         for _ in range(BODY_LIMIT // 65_536 + 2):
             yield b" " * 65_536
 
-    connection = http.client.HTTPConnection(plant.host, timeout=10)
+    connection = http.client.HTTPConnection(plant.host, timeout=60)
     headers = {"Content-Type": "application/json", "Transfer-Encoding": "chunked"}
     connection.request("POST", "/api/values", pieces(), headers, encode_chunked=True)
     assert connection.getresponse().status == 413

@@ -44,7 +44,7 @@ def post(plant: WatchedCollector, path: str, content: Any, role: str = "operate"
     request.add_header("Content-Type", "application/json")
     request.add_header("Authorization", f"Bearer {token(plant, role)}")
     try:
-        with urlopen(request, timeout=20) as answer:
+        with urlopen(request, timeout=60) as answer:
             return answer.status, json.load(answer)
     except HTTPError as error:
         return error.code, json.load(error)
@@ -62,7 +62,7 @@ WHICH = {"device": "boiler", "point": "heat", "limit": "HH"}
 def test_an_alarm_is_shown_acknowledged_by_an_operator_and_gone_when_the_value_is_back(plant: WatchedCollector) -> None:
     assert alarms(plant) == {"active": [], "journal": []}
     plant.device.holding_registers[10] = 90
-    wait_until(lambda: bool(alarms(plant)["active"]), 20)
+    wait_until(lambda: bool(alarms(plant)["active"]))
     (shown,) = alarms(plant)["active"]
     assert {key: shown[key] for key in WHICH} == WHICH
     assert (shown["value"], shown["text"], shown["quality"]) == (90, "above 80 °C", "good")
@@ -75,7 +75,7 @@ def test_an_alarm_is_shown_acknowledged_by_an_operator_and_gone_when_the_value_i
     status, refused = post(plant, "/api/alarms/acknowledge", WHICH)
     assert (status, refused["error"]) == (404, "there is no alarm HH of boiler/heat to acknowledge")
     plant.device.holding_registers[10] = 20
-    wait_until(lambda: not alarms(plant)["active"], 20)
+    wait_until(lambda: not alarms(plant)["active"])
     assert [each["event"] for each in alarms(plant)["journal"]] == ["cleared", "acknowledged", "raised"]
     assert plant.ask("/api/alarms", limit=1)[1]["journal"][0]["event"] == "cleared"
 
@@ -93,6 +93,6 @@ def test_a_device_is_put_into_maintenance_with_a_reason_and_its_values_are_bad(p
         points, values = plant.ask("/api/points")[1]["points"], plant.ask("/api/values")[1]
         return {why for point, why in zip(points, values["reason"], strict=True) if point["device"] == "boiler"}
 
-    wait_until(lambda: reasons() == {"maintenance"}, 20)
+    wait_until(lambda: reasons() == {"maintenance"})
     assert post(plant, path, {"on": False, "reason": "done"})[1]["on"] is False
-    wait_until(lambda: reasons() == {""}, 20)
+    wait_until(lambda: reasons() == {""})

@@ -39,7 +39,7 @@ class Plant:
                 CollectorPage(self.collector, "127.0.0.1:0") as page,
             ):
                 self.page = page
-                async with asyncio.timeout(20):
+                async with asyncio.timeout(60):
                     async for batch in self.collector.samples():
                         if "setpoint" in batch.points:
                             break
@@ -60,7 +60,7 @@ class Plant:
         self, method: str, path: str, body: Any = None, *, role: str = "operate", kind: str = "application/json"
     ) -> tuple[int, Any]:
         """Status and content of an answer, for a caller of a role; an empty one shows no token."""
-        connection = HTTPConnection(urlsplit(self.page.url).netloc, timeout=20)
+        connection = HTTPConnection(urlsplit(self.page.url).netloc, timeout=60)
         headers = {"Content-Type": kind} if body is not None else {}
         if role:
             headers["Authorization"] = f"Bearer {self.tokens[role]}"

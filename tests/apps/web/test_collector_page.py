@@ -79,7 +79,7 @@ def test_the_page_and_all_that_it_names_are_served(plant: WatchedCollector) -> N
         if path in seen:
             continue
         seen.add(path)
-        with urlopen(plant.page.url.rstrip("/") + path, timeout=20) as answer:
+        with urlopen(plant.page.url.rstrip("/") + path, timeout=60) as answer:
             text = answer.read().decode()
         waiting += [f"/{name}" for name in re.findall(r'(?:src=|href=|from )"\.?/([^"]+)"', text)]
     assert {"/collector.js", "/history.js", "/dom.js", "/link.js", "/style.css", "/uplot/uPlot.esm.js"} <= seen

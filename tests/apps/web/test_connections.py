@@ -3,7 +3,6 @@
 import http.client
 import resource
 import socket
-import time
 from contextlib import ExitStack
 
 from page_plant import watched
@@ -17,7 +16,7 @@ TOKEN = "a-token-of-some-length"
 def silent(stack: ExitStack, host: str, count: int) -> list[socket.socket]:
     """Connections that say nothing."""
     name, _, port = host.rpartition(":")
-    return [stack.enter_context(socket.create_connection((name, int(port)), timeout=10)) for _ in range(count)]
+    return [stack.enter_context(socket.create_connection((name, int(port)), timeout=60)) for _ in range(count)]
 
 
 def is_closed(link: socket.socket) -> bool:
@@ -39,7 +38,7 @@ def test_more_silent_connections_than_there_may_be_lock_nobody_out():
 def test_head_that_does_not_end_in_its_time_ends_the_connection_and_one_that_is_kept_stays(monkeypatch):
     monkeypatch.setattr(busway.apps.web.connections, "HEAD_SECONDS", 0.2)
     with watched() as plant, ExitStack() as stack:
-        kept = http.client.HTTPConnection(plant.host, timeout=10)
+        kept = http.client.HTTPConnection(plant.host, timeout=60)
         stack.callback(kept.close)
         for _ in range(2):
             nothing, half = silent(stack, plant.host, 2)
@@ -71,10 +70,9 @@ def test_nonsense_is_answered_each_time_and_logged_once(caplog):
     assert sum("Invalid HTTP request" in one.getMessage() for one in caplog.records) == 1
 
 
-def test_busy_page_is_answered_at_once_though_others_are_silent_again_and_again():
+def test_busy_page_is_answered_before_the_time_of_silent_connections_is_over(monkeypatch):
+    monkeypatch.setattr(busway.apps.web.connections, "HEAD_SECONDS", 1000.0)
     with watched() as plant, ExitStack() as stack:
         for _ in range(3):
             silent(stack, plant.host, 60)
-            began = time.monotonic()
             assert plant.exchange("GET", "/")[0] == 200
-            assert time.monotonic() < began + 10

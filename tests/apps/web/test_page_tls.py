@@ -97,7 +97,7 @@ def test_certificates_that_cannot_be_trusted_end_the_handshake(page: Secured) ->
 
 
 def test_a_request_without_tls_is_not_answered(page: Secured) -> None:
-    with socket.create_connection(("127.0.0.1", page.port), timeout=20) as plain:
+    with socket.create_connection(("127.0.0.1", page.port), timeout=60) as plain:
         plain.sendall(b"GET /api/caller HTTP/1.1\r\nHost: x\r\n\r\n")
         assert not plain.recv(100).startswith(b"HTTP")
 
@@ -105,7 +105,7 @@ def test_a_request_without_tls_is_not_answered(page: Secured) -> None:
 def test_a_request_in_the_same_packet_as_the_end_of_the_handshake_is_answered(page: Secured) -> None:
     incoming, outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
     secured = page.context(page.store.client("anna")).wrap_bio(incoming, outgoing, server_hostname="127.0.0.1")
-    with socket.create_connection(("127.0.0.1", page.port), timeout=20) as plain:
+    with socket.create_connection(("127.0.0.1", page.port), timeout=60) as plain:
         while True:
             try:
                 secured.do_handshake()
@@ -126,7 +126,7 @@ def test_a_request_in_the_same_packet_as_the_end_of_the_handshake_is_answered(pa
 
 def test_handshakes_that_never_end_leave_room_for_others(page: Secured, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "MOST", 5)
-    silent = [socket.create_connection(("127.0.0.1", page.port), timeout=20) for _ in range(12)]
+    silent = [socket.create_connection(("127.0.0.1", page.port), timeout=60) for _ in range(12)]
     try:
         assert page.ask("/api/caller", page.store.client("anna"))[0] == 200
         assert silent[0].recv(1) == b""
@@ -139,7 +139,7 @@ def test_handshakes_that_never_end_leave_room_for_others(page: Secured, monkeypa
 
 def test_a_handshake_that_is_too_slow_is_closed(page: Secured, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connections, "HEAD_SECONDS", 0.2)
-    with socket.create_connection(("127.0.0.1", page.port), timeout=20) as silent:
+    with socket.create_connection(("127.0.0.1", page.port), timeout=60) as silent:
         begun = time.monotonic()
         with contextlib.suppress(ConnectionResetError):
             assert silent.recv(1) == b""

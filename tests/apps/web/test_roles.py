@@ -47,7 +47,7 @@ class Guarded:
         self.tokens = {line.split()[0]: line.split()[1] for line in lines if line[0] != "#"}
 
     def ask(self, method: str, path: str, token: str | None = None, **headers: str) -> tuple[int, Any]:
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=20)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
         try:
             connection.putrequest(method, path, skip_host=True)
             sent = {"Host": f"127.0.0.1:{self.port}", **{key.replace("_", "-"): each for key, each in headers.items()}}

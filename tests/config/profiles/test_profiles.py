@@ -183,7 +183,7 @@ def test_the_bytes_of_a_manual_s_example_travel_and_mean_its_value(
     with played(profile) as (simulation, url):
         simulation.point(f"7/{name}").put(meant)
         host, port = url.removeprefix("tcp://").rsplit(":", 1)
-        with socket.create_connection((host, int(port)), timeout=5) as wire:
+        with socket.create_connection((host, int(port)), timeout=60) as wire:
             wire.sendall(bytes.fromhex("0001 0000 0006 07") + request)  # MBAP: transaction, protocol, length, unit
             received = b""
             while len(received) < 7 + len(reply):

@@ -18,7 +18,7 @@ CHUNK = 65_536
 
 def connected(port: int, certificates: str) -> socket.socket:
     """One client, which does not block."""
-    link = socket.create_connection(("127.0.0.1", port), timeout=20)
+    link = socket.create_connection(("127.0.0.1", port), timeout=60)
     if certificates:
         authority, certificate, key = certificates.split(",")
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)

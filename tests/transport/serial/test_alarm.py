@@ -43,7 +43,7 @@ async def test_it_rings_once_and_not_before_its_time(kind: str) -> None:
     alarm = Alarm(bell)
     when = time.monotonic() + 0.01
     alarm.set(when)
-    await asyncio.wait_for(bell.rung.wait(), 5)
+    await asyncio.wait_for(bell.rung.wait(), 60)
     await asyncio.sleep(0.01)
     alarm.close()
     assert len(bell.times) == 1
@@ -65,7 +65,7 @@ async def test_what_the_one_who_is_rung_raises_is_reported(kind: str) -> None:
     asyncio.get_running_loop().set_exception_handler(report)
     alarm = Alarm(ring)
     alarm.set(time.monotonic())
-    await asyncio.wait_for(reported.wait(), 5)
+    await asyncio.wait_for(reported.wait(), 60)
     alarm.close()
     assert told == [error]
 
@@ -75,11 +75,11 @@ async def test_setting_it_again_moves_it(kind: str) -> None:
     alarm = Alarm(bell)
     alarm.set(time.monotonic() + 3600)
     alarm.set(time.monotonic() + 0.001)
-    await asyncio.wait_for(bell.rung.wait(), 5)
+    await asyncio.wait_for(bell.rung.wait(), 60)
     bell.rung.clear()
     alarm.set(time.monotonic() + 0.001)
     alarm.set(later := time.monotonic() + 0.01)
-    await asyncio.wait_for(bell.rung.wait(), 5)
+    await asyncio.wait_for(bell.rung.wait(), 60)
     alarm.close()
     assert bell.times[1] >= later - 0.001
     assert len(bell.times) == 2
@@ -91,7 +91,7 @@ async def test_a_time_that_has_passed_rings_in_the_next_turns(kind: str, when: f
     alarm = Alarm(bell)
     alarm.set(when)
     assert bell.times == []
-    await asyncio.wait_for(bell.rung.wait(), 5)
+    await asyncio.wait_for(bell.rung.wait(), 60)
     alarm.close()
 
 

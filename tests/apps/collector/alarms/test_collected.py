@@ -64,7 +64,7 @@ async def served(*values: int) -> AsyncIterator[tuple[Server, busway.Device]]:
 
 
 async def next_event(events: AsyncIterator[AlarmEvent]) -> str:
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         event = await anext(events)
     return f"{event.point} {event.limit} {event.kind}"
 
@@ -72,7 +72,7 @@ async def next_event(events: AsyncIterator[AlarmEvent]) -> str:
 async def test_an_alarm_is_raised_acknowledged_and_cleared_and_all_of_it_is_in_the_journal(tmp_path: Path) -> None:
     async with served(81, 50) as (server, device):
         async with busway.collect(plant(tmp_path, server.endpoints[0])) as collector:
-            await until(lambda: bool(collector.alarms.active()), 20)
+            await until(lambda: bool(collector.alarms.active()))
             (alarm,) = collector.alarms.active()
             assert (alarm.key, alarm.value) == (("boiler", "temperature", "H"), 81)
             assert (alarm.text, alarm.state) == ("above 80 °C", AlarmState.UNACKNOWLEDGED)
@@ -140,15 +140,15 @@ async def test_a_file_that_is_read_again_changes_renames_and_ends_alarms(tmp_pat
     async with served(81, 50) as (server, _):
         url = server.endpoints[0]
         async with busway.collect(plant(tmp_path, url)) as collector:
-            await until(lambda: bool(collector.alarms.active()), 20)
+            await until(lambda: bool(collector.alarms.active()))
             renamed = profile(LIMIT.replace("80", "60"), "heat", ', was = "temperature"')
             await collector.reload(load_collector(plant(tmp_path, url, renamed)))
-            await until(lambda: [each.point for each in collector.alarms.active()] == ["heat"], 20)
+            await until(lambda: [each.point for each in collector.alarms.active()] == ["heat"])
             assert collector.alarms.active()[0].state is AlarmState.UNACKNOWLEDGED
             await collector.alarms.acknowledge("boiler", "heat", "H", "anna")
             without = profile("", "heat", ', was = "temperature"')
             await collector.reload(load_collector(plant(tmp_path, url, without)))
-            await until(lambda: not collector.alarms.active(), 20)
+            await until(lambda: not collector.alarms.active())
         kept = busway.Store(tmp_path / "data").alarms()
         assert [(each.point, each.kind) for each in kept] == [
             ("heat", "raised"),

@@ -55,8 +55,8 @@ async def plant(folder: Path, more: str) -> AsyncIterator[tuple[busway.Collector
         boiler.server() as server,
         busway.collect(commanded_plant(folder, server.endpoints[0], more=more)) as collector,
     ):
-        await until(lambda: collector.status()[0].state == "polled", 20)
-        await until(lambda: all(each.error is None for each in collector.input_statuses()), 20)
+        await until(lambda: collector.status()[0].state == "polled")
+        await until(lambda: all(each.error is None for each in collector.input_statuses()))
         yield collector, boiler
 
 
@@ -101,7 +101,7 @@ class MqttUser:
     async def ask(self, topic: str, payload: str, **properties: Any) -> dict[str, Any]:
         """Send a command with a response topic, and give its answer."""
         await self.send(topic, payload, ResponseTopic="answers/me", CorrelationData=b"7", **properties)
-        where, correlation, content = await asyncio.wait_for(self.answers.get(), 20)
+        where, correlation, content = await asyncio.wait_for(self.answers.get(), 60)
         assert (where, correlation) == ("answers/me", b"7")
         return content
 
@@ -120,7 +120,7 @@ async def test_commands_by_mqtt_are_written_and_answered_on_the_response_topic(t
             assert (first["state"], again) == ("done", first)
             assert [items for _, _, items in boiler.writes] == [[215], [2], [300]]
             await user.send("plant/boiler/setpoint/set", "40")
-            where, _, content = await asyncio.wait_for(user.answers.get(), 20)
+            where, _, content = await asyncio.wait_for(user.answers.get(), 60)
             assert (where, content["state"]) == ("plant/boiler/setpoint/set/result", "done")
             assert {each.command.origin for each in await collector.commands.newest(9)} == {"mqtt"}
 
@@ -162,7 +162,7 @@ async def test_retained_commands_are_refused_at_each_connection(tmp_path: Path) 
             await user.send("plant/boiler/setpoint/set", "10", retain=True)
             async with plant(tmp_path, MQTT.format(port=server.port)) as (collector, boiler):
                 await user.send("plant/boiler/setpoint/set", "20", retain=True)
-                _, _, content = await asyncio.wait_for(user.answers.get(), 20)
+                _, _, content = await asyncio.wait_for(user.answers.get(), 60)
                 assert content["state"] == "refused"
                 assert "retained commands are not executed" in content["reason"]
                 assert (await user.ask("plant/boiler/setpoint/set", "30"))["state"] == "done"
@@ -175,7 +175,7 @@ async def test_commands_come_again_after_the_broker_was_away(tmp_path: Path) -> 
     with mosquitto(tmp_path) as server:
         async with plant(tmp_path, MQTT.format(port=server.port)) as (collector, boiler):
             server.stop()
-            await until(lambda: collector.input_statuses()[0].error is not None, 20)
+            await until(lambda: collector.input_statuses()[0].error is not None)
             server.start()
             await until(lambda: collector.input_statuses()[0].error is None, 30)
             async with MqttUser(server) as user:
@@ -204,7 +204,7 @@ async def test_commands_by_nats_are_requests_with_a_reply(tmp_path: Path) -> Non
                 assert (await ask("plant.boiler.mode.set", order)) == (await ask("plant.boiler.mode.set", order))
                 assert [items for _, _, items in boiler.writes] == [[215], [1]]
                 server.stop()
-                await until(lambda: collector.input_statuses()[0].error is not None, 20)
+                await until(lambda: collector.input_statuses()[0].error is not None)
                 server.start()
                 await until(lambda: collector.input_statuses()[0].error is None, 30)
             finally:
@@ -244,7 +244,7 @@ async def receiving(made: Any) -> AsyncIterator[HeldReceiver]:
     receiver = HeldReceiver()
     task = asyncio.create_task(made.run(receiver))
     try:
-        await asyncio.wait_for(receiver.is_connected.wait(), 20)
+        await asyncio.wait_for(receiver.is_connected.wait(), 60)
         yield receiver
     finally:
         task.cancel()
@@ -258,7 +258,7 @@ async def test_an_mqtt_input_has_ended_its_tasks_when_it_ends(tmp_path: Path) ->
         async with MqttUser(server) as user:
             async with receiving(made) as receiver:
                 await user.send("plant/boiler/setpoint/set", "1")
-                await asyncio.wait_for(receiver.has_taken.wait(), 20)
+                await asyncio.wait_for(receiver.has_taken.wait(), 60)
             assert receiver.has_ended
 
 
@@ -270,7 +270,7 @@ async def test_a_nats_input_has_ended_its_tasks_when_it_ends(tmp_path: Path) -> 
         try:
             async with receiving(NatsCommands(url, InputRights("plant.{device}.{point}.set", ("*/*",)))) as receiver:
                 await client.publish("plant.boiler.setpoint.set", b"1")
-                await asyncio.wait_for(receiver.has_taken.wait(), 20)
+                await asyncio.wait_for(receiver.has_taken.wait(), 60)
             assert receiver.has_ended
         finally:
             await client.close()
@@ -285,7 +285,7 @@ async def test_a_command_that_a_device_executes_while_the_collector_ends_is_reco
         async with plant(tmp_path, MQTT.format(port=server.port)) as (_, boiler), MqttUser(server) as user:
             boiler.before.append(lambda change: written.set())
             await user.send("plant/boiler/mode/set", '{"value": "auto", "key": "last"}')
-            await asyncio.wait_for(written.wait(), 20)
+            await asyncio.wait_for(written.wait(), 60)
     with contextlib.closing(CommandJournal(tmp_path / "data")) as journal:
         recorded = journal.find("last")
     assert recorded is not None
@@ -312,7 +312,7 @@ async def mute_server() -> AsyncIterator[tuple[int, asyncio.Event]]:
 
     async with await asyncio.start_server(say_nothing, "127.0.0.1", 0) as server:
         yield server.sockets[0].getsockname()[1], accepted
-        await asyncio.wait_for(closed.wait(), 20)
+        await asyncio.wait_for(closed.wait(), 60)
 
 
 async def test_an_mqtt_input_that_ends_while_it_connects_closes_its_connection() -> None:
@@ -320,7 +320,7 @@ async def test_an_mqtt_input_that_ends_while_it_connects_closes_its_connection()
     async with mute_server() as (port, accepted):
         made = MqttCommands("127.0.0.1", port, InputRights("plant/{device}/{point}/set", ("*/*",)))
         task = asyncio.create_task(made.run(HeldReceiver()))
-        await asyncio.wait_for(accepted.wait(), 20)
+        await asyncio.wait_for(accepted.wait(), 60)
         task.cancel()
         await asyncio.wait([task])
 
@@ -330,7 +330,7 @@ async def test_a_nats_input_that_ends_while_it_connects_closes_its_connection() 
     async with mute_server() as (port, accepted):
         made = NatsCommands(f"nats://127.0.0.1:{port}", InputRights("plant.{device}.{point}", ("*/*",)))
         task = asyncio.create_task(made.run(HeldReceiver()))
-        await asyncio.wait_for(accepted.wait(), 20)
+        await asyncio.wait_for(accepted.wait(), 60)
         task.cancel()
         await asyncio.wait([task])
 

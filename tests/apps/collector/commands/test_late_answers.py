@@ -56,7 +56,7 @@ async def test_a_late_answer_leaves_the_command_unknown_and_it_is_not_sent_again
     with PacedLine(ports=2, baud=115_200) as line, LateUnit("rtu", path=line.paths[1], hiccups=()) as unit:
         (tmp_path / "plant.toml").write_text(PLANT.format(url=f"rtu://{line.paths[0]}?baud=115200"))
         async with busway.collect(tmp_path / "plant.toml") as collector:
-            await until(lambda: collector.status()[0].state == "polled", 20)
+            await until(lambda: collector.status()[0].state == "polled")
             unit.hiccups = FirstWrite(unit)
             result = await collector.write("drive", "speed", 100, by="anna", key="late")
             assert result.state is CommandState.UNKNOWN

@@ -64,8 +64,8 @@ async def plant(folder: Path, *, link: str = "timeout = 5.0", more: str = "") ->
     async with boiler.server() as server:
         file = commanded_plant(folder, server.endpoints[0], link=link, more=more)
         async with busway.collect(file) as collector:
-            await until(lambda: collector.status()[0].state == "polled", 20)
-            await until(lambda: collector.values.last("boiler", "setpoint") is not None, 20)
+            await until(lambda: collector.status()[0].state == "polled")
+            await until(lambda: collector.values.last("boiler", "setpoint") is not None)
             yield Plant(collector, boiler, folder)
 
 
@@ -210,7 +210,7 @@ async def test_a_device_that_is_gone_refuses_with_the_reason(tmp_path: Path) -> 
         gone = closed.endpoints[0]
     file = commanded_plant(tmp_path, gone)
     async with busway.collect(file) as collector:
-        await until(lambda: collector.status()[0].state == "silent", 20)
+        await until(lambda: collector.status()[0].state == "silent")
         result = await collector.write("boiler", "setpoint", 5, by="anna")
         assert result.state is REFUSED
         assert "boiler does not answer; nothing was sent" in result.reason
@@ -265,7 +265,7 @@ async def test_what_is_read_to_confirm_a_value_is_a_sample(tmp_path: Path) -> No
         file = running.folder / "plant.toml"
         file.write_text(file.read_text().replace("all.period = 0.1", "all.period = 3600"))
         await running.collector.read_again()
-        await until(lambda: running.collector.status()[0].state == "polled", 20)
+        await until(lambda: running.collector.status()[0].state == "polled")
         assert (await running.write("setpoint", 33.5)).is_done
         await until(lambda: (running.collector.values.last("boiler", "setpoint") or (0,))[0] == 33.5)
         table = busway.Store(tmp_path / "data").read("boiler/setpoint", since="1m")
@@ -277,7 +277,7 @@ async def test_a_coil_is_confirmed_by_a_bit_elsewhere(tmp_path: Path) -> None:
         profile = (tmp_path / "valve.toml").read_text().replace('verify = "4x5"', 'verify = "4x5.2"')
         (tmp_path / "valve.toml").write_text(profile)
         await running.collector.read_again()
-        await until(lambda: running.collector.status()[0].state == "polled", 20)
+        await until(lambda: running.collector.status()[0].state == "polled")
         running.boiler.device.on_write(
             "coils", lambda change: running.boiler.device.holding_registers.__setitem__(4, 4), when="after"
         )
@@ -293,7 +293,7 @@ async def test_a_write_without_an_answer_is_unknown_and_not_repeated_whatever_th
         link = "timeout = 0.3\nwrite_retries = 3\nretries = 3"
         file = commanded_plant(tmp_path, server.endpoints[0], link=link, period=3600.0)
         async with busway.collect(file) as collector:
-            await until(lambda: collector.status()[0].state == "polled", 20)
+            await until(lambda: collector.status()[0].state == "polled")
             result = await collector.write("boiler", "mode", "auto", by="anna", key="slow")
             assert result.state is UNKNOWN
             assert "may have been executed" in result.reason

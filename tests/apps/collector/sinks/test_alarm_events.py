@@ -117,7 +117,7 @@ def test_prometheus_sees_active_and_unacknowledged_alarms_of_its_points() -> Non
     alarms = list(alarms_after([RAISED, CLEARED, replace(RAISED, limit="HH"), replace(RAISED, device="x")]).values())
     page = PrometheusPage("127.0.0.1:0", ["pump-1/*"], LastValues(), alarms=lambda: alarms)
     try:
-        shown = urlopen(page.url, timeout=10).read().decode()
+        shown = urlopen(page.url, timeout=60).read().decode()
     finally:
         page.close()
     assert 'busway_alarm_active{device="pump-1",limit="HH",point="speed"} 1.0' in shown

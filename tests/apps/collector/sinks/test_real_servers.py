@@ -61,7 +61,7 @@ async def heard(server: ForeignServer, folder: Path, *options: str) -> AsyncIter
     subscribed = asyncio.Event()
     task = asyncio.create_task(collect())
     try:
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             await subscribed.wait()
         yield messages
     finally:
