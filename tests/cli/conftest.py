@@ -1,5 +1,6 @@
 """What the tests of the command line share: running it in this process, and peers to run it against."""
 
+import logging
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -22,9 +23,14 @@ class Result:
 
 
 @pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
-    """Runs ``busway`` with arguments; what it prints is kept apart. An exception that is no exit fails the test."""
+def run(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Result]]:
+    """Runs ``busway`` with arguments; what it prints is kept apart. An exception that is no exit fails the test.
+
+    A command that shows its traffic shows that of the whole process: it ends with the test.
+    """
     monkeypatch.setenv("BUSWAY_TRACEBACK", "1")
+    trace = logging.getLogger("busway.trace")
+    before = (trace.level, trace.propagate, trace.handlers[:])
 
     def run(*arguments: str, stdin: str | None = None) -> Result:
         result = CliRunner().invoke(app, list(arguments), input=stdin)
@@ -33,7 +39,10 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Result]:
         assert "Traceback" not in result.stderr
         return Result(result.exit_code, result.stdout, result.stderr)
 
-    return run
+    yield run
+    busway.TRACE.set(busway.TraceLevel.OFF)
+    level, trace.propagate, trace.handlers[:] = before
+    trace.setLevel(level)
 
 
 @pytest.fixture

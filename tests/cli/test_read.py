@@ -154,12 +154,7 @@ def test_a_broken_reply_ends_as_6(run: Callable[..., Any], peer: Callable[..., s
     ("flag", "shown"), [("-v", "ReadHoldingRegisters"), ("-vv", "03 00 00 00 01"), ("-vvv", "12 bytes")]
 )
 def test_traffic_is_shown_on_stderr(run: Callable[..., Any], url: str, flag: str, shown: str) -> None:
-    from busway.observe.trace import TRACE, TraceLevel
-
-    try:
-        result = run("read", url, "4x1", flag)
-    finally:
-        TRACE.set(TraceLevel.OFF)
+    result = run("read", url, "4x1", flag)
     assert result.code == 0
     assert shown in result.err
     assert result.out == "4x1  0  0000\n"

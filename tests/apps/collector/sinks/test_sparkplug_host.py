@@ -5,6 +5,7 @@ import logging
 from types import SimpleNamespace
 
 import pytest
+from waiting import until
 
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.sinks.sparkplug import SparkplugSink
@@ -66,4 +67,4 @@ async def test_a_sink_that_no_longer_hears_its_host_is_down_and_the_log_says_why
     with pytest.raises(SinkDown, match="no longer received"):
         await made.send([])
     await made.close()
-    assert "messages are no longer received" in caplog.text
+    await until(lambda: "messages are no longer received" in caplog.text)
