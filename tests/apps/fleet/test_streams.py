@@ -113,8 +113,8 @@ async def test_every_sample_of_two_collectors_reaches_a_sink_that_was_away_and_a
                 await until(lambda: handed.taken > taken + 40, 60)
                 for each in (one, two):
                     await each.collector.flush()
-                newest = {each: each.collector.newest_commit for each in (one, two)}
                 kept = await asyncio.to_thread(stored, tmp_path, "one", "two")
+                newest = {each: each.collector.newest_commit for each in (one, two)}  # of all that was read before
                 for each in (one, two):
                     assert each.outbox is not None
                     await until(lambda each=each: each.outbox.status().kept >= newest[each], 60)  # type: ignore[misc]
