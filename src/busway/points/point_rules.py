@@ -6,6 +6,8 @@ Knows the rules and their ranges; applies only those that need nothing but a val
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from decimal import Decimal
+from functools import lru_cache
 from typing import Final, Literal
 
 from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, Table
@@ -195,8 +197,11 @@ class AlarmRule:
         """Whether a value starts the alarm; if it is active, whether the value has not come back far enough."""
         if self.kind == "state":
             return value in self.numbers or bool(self.bits and isinstance(value, int) and value & self.bits)
-        back = self.hysteresis if active else 0.0
-        return value > self.limit - back if self.kind in ("H", "HH") else value < self.limit + back
+        is_high = self.kind in ("H", "HH")
+        end = self.limit
+        if active and self.hysteresis:
+            end = _decimal_sum(self.limit, -self.hysteresis if is_high else self.hysteresis)
+        return value > end if is_high else value < end
 
     def text(self, unit_of_measure: str = "") -> str:
         """The condition of the alarm in words: ``above 80 °C``, ``is fault``."""
@@ -204,6 +209,12 @@ class AlarmRule:
             return f"is {' or '.join(self.states)}"
         side = "above" if self.kind in ("H", "HH") else "below"
         return f"{side} {self.limit:.10g}{' ' * bool(unit_of_measure)}{unit_of_measure}"
+
+
+@lru_cache(maxsize=4096)
+def _decimal_sum(one: float, other: float) -> float:
+    """Return the sum of two numbers as they are written: 0.3 and -0.1 make 0.2, which is what a scaled value is."""
+    return float(Decimal(repr(one)) + Decimal(repr(other)))
 
 
 def ranged(low: float | None, high: float | None) -> str:

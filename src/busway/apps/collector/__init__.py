@@ -24,7 +24,7 @@
 `sample_readers`  The programs that follow the samples of a running collector
 `report_rules`    Which report rule holds for a point, in the store and towards sinks
 `reloading`       Replaces the configuration of a running collector, from its file or from a text that becomes its file
-`renaming`        Decides which points of a device have other names after its configuration was read again
+`point_names`     Which points have other names after the configuration was read again: for store, alarms and totals
 `sinks`           Sinks: other systems that get the samples of a store
 `alarms`          Alarms of points: limits and states, with delay, hysteresis, acknowledgement and a journal
 `dashboards`      Dashboards for Grafana: one for the collector's page for Prometheus

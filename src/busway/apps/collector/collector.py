@@ -40,13 +40,13 @@ from .knowledge import Knowledge
 from .learnt_file import LearntFile
 from .maintenance import MaintenanceBook
 from .permitted_link import PermittedLink
+from .point_names import PointKey, PointNames
 from .poller import LinkPoller
 from .reloading import Reloading
-from .renaming import new_names
 from .report_rules import sink_rules, store_rules
 from .sample_clock import SampleClock
 from .sample_readers import SampleReaders
-from .samples import CounterState, SampleBatch
+from .samples import CounterState, PointDescription, SampleBatch
 from .schedule import LinkSchedule
 from .sinks.delivery import SinkStatus
 from .sinks.prometheus import LastValues, PrometheusPage
@@ -117,6 +117,7 @@ class Collector:
         self._receivers: list[CommandReceiver] = []
         self._receiving: list[asyncio.Task[None]] = []
         self._maintenance: MaintenanceBook | None = None
+        self._names = PointNames()
         self._reloading = Reloading(lambda: self.configuration, lambda: self._audit, self._apply)
 
     async def __aenter__(self) -> Self:
@@ -190,7 +191,8 @@ class Collector:
         with ExitStack() as unless_known:
             unless_known.callback(lambda: writer.close(time.time_ns()))
             self.knowledge = self._learnt.read()
-            writer.describe_points(each for device in configuration.devices.values() for each in device.descriptions())
+            writer.describe_points(_descriptions(configuration))
+            self._names = writer.manifest.point_names()
             unless_known.pop_all()
         return writer
 
@@ -460,7 +462,7 @@ class Collector:
     async def _apply(self, configuration: CollectorConfiguration) -> list[str]:
         """Use another configuration: end links that change, rename points behind all samples so far, start links."""
         assert self._committer is not None
-        before, self.configuration = self._points(), configuration
+        self.configuration = configuration
         if self._sinks is not None:
             self._sinks.set_point_rules(sink_rules(configuration))
         done: list[str] = []
@@ -472,31 +474,17 @@ class Collector:
             await self._stop_link(name)
             if name not in configuration.links:
                 done.append(f"link {name} ended")
-        await self._rename(before)
-        self._committer.describe(
-            (each for device in configuration.devices.values() for each in device.descriptions()),
-            store_rules(configuration),
-        )
+        descriptions = _descriptions(configuration)
+        moved = self._names.describe(descriptions)
+        self._committer.describe(descriptions, store_rules(configuration))
+        self.alarms.configure(self._points(), moved)
+        self._counters = _renamed(self._counters, moved)
         for name in configuration.links:
             if name not in self._links:
                 self._start_link(name, configuration)
                 done.append(f"link {name} {'began anew' if name in changed else 'began'}")
         self._end_maintenance_of_others()
         return done
-
-    async def _rename(self, before: Mapping[str, Sequence[Point]]) -> None:
-        """Go on with accumulators and alarms of points that have other names or limits, each with its own state."""
-        is_any = False
-        for device, points in self._points().items():
-            counters = self._counters.get(device, {})
-            names = new_names(before.get(device, ()), points, counters)
-            is_any = is_any or bool(names)
-            found = (replace(each, point=names.get(each.point, each.point)) for each in counters.values())
-            self._counters[device] = {each.point: each for each in found}
-        self.alarms.configure(self._points())
-        if is_any:
-            await self.flush()  # events that have the old names: these may be those of other points now
-        self.alarms.rename(self._points())
 
     def _end_maintenance_of_others(self) -> None:
         """End the maintenance of devices that are no longer in the configuration."""
@@ -642,6 +630,23 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
         return None
     devices: list[CollectedDevice] = configuration.devices_of(link)
     return configuration.links[link].settings, tuple(devices), tuple(configuration.periods.items())
+
+
+def _descriptions(configuration: CollectorConfiguration) -> list[PointDescription]:
+    """Return what the store keeps about all points beside their samples."""
+    return [each for device in configuration.devices.values() for each in device.descriptions()]
+
+
+def _renamed(
+    counters: Mapping[str, Mapping[str, CounterState]], moved: Mapping[PointKey, str]
+) -> dict[str, dict[str, CounterState]]:
+    """Return accumulators with the names that their points have now, by device and point."""
+    return {
+        device: {
+            (name := moved.get((device, point), point)): replace(each, point=name) for point, each in states.items()
+        }
+        for device, states in counters.items()
+    }
 
 
 async def _ended(task: "asyncio.Task[None]") -> None:

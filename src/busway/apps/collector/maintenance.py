@@ -75,14 +75,10 @@ class MaintenanceBook:
         return StateInterval(device, row.begin, end, Reason.MAINTENANCE)
 
     def mend(self, shift: int) -> None:
-        """Correct the begin of maintenance that is from before the wall clock was set."""
+        """Correct begins from before the wall clock was set; those in the manifest are corrected with the samples."""
         for row in list(self._rows.values()):
             if row.begin < EARLIEST:
-                self._rows[row.device] = moved = replace(row, begin=row.begin + shift)
-                try:
-                    self._manifest.begin_maintenance(moved)
-                except sqlite3.Error as error:
-                    _log.error("the begin of maintenance of %s cannot be mended: %s", row.device, error)
+                self._rows[row.device] = replace(row, begin=row.begin + shift)
 
     def _tell(self, row: MaintenanceRow, what: str, by: str, why: str, seconds: float) -> None:
         line = {

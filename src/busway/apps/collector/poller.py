@@ -113,6 +113,7 @@ class PolledDevice:
         reads, failures: how many were made for its values, and how many of these failed.
         last_seconds: how long its last transaction took.
         last_error: what was wrong last; empty where nothing ever was.
+        maintained: the maintenance that ended last.
         suspended: the interval that is open while it is suspended or in maintenance.
         single: the groups of points that were read alone.
     """
@@ -129,6 +130,7 @@ class PolledDevice:
     failures: int = 0
     last_seconds: float = 0.0
     last_error: str = ""
+    maintained: StateInterval | None = None
     suspended: StateInterval | None = None
     single: dict[str, PointGroup] = field(default_factory=dict)
     _compiled: dict[int, _CompiledRead] = field(default_factory=dict)
@@ -302,7 +304,7 @@ class LinkPoller:
         batch = SampleBatch(group, self._clock.time_ns((began + ended) / 2), half, (found.value,), int(reason))
         if device.derived is not None:
             batch, _ = device.derived.take(batch)
-        self._samples(batch)
+        self._give(device, batch)
 
     def wake(self) -> None:
         """Make the polling task look again at what is due next."""
@@ -364,6 +366,8 @@ class LinkPoller:
         device = self.devices.get(turn.device)
         if device is not None:
             await self.wait_for(turn.device)
+        if turn.kind is not TurnKind.WRITE and device is not None and self._is_maintained(device):
+            return  # it began during the wait; whoever works at the device is not disturbed
         began = self._now()
         if turn.kind is TurnKind.WRITE:
             await turn.write.perform()
@@ -415,19 +419,19 @@ class LinkPoller:
                 batch, changed = device.derived.take(batch)
                 if changed:
                     device.book.set_absent(device.derived.absent())
-            self._samples(batch)
+            self._give(device, batch)
             device.reads += turn.kind is TurnKind.ROUND
             self._learn(device, turn, each.read, ReadOutcome.SUCCESS, ended - began, alone=len(compiled) == 1)
         if device.derived is not None and turn.round is not None and not turn.round.reads:
             computed = device.derived.computed(middle, half)
             if computed is not None:
-                self._samples(computed)
+                self._give(device, computed)
         if result is TurnOutcome.ANSWERED:
             device.timeout.answered(ended - began)
             self._latencies.append(ended - began)
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
                 _log.info("%s answers again", device.name)
-                self._end_interval(device)
+                self._end_interval(device, middle)
         elif result is TurnOutcome.SILENT:
             device.timeout.silent()
         self.schedule.done(turn, began, ended, result)
@@ -468,7 +472,7 @@ class LinkPoller:
         if turn.kind is TurnKind.ROUND:
             device.reads += 1
             device.failures += 1
-            self._samples(failed_batch(compiled.group, middle, half, reason))
+            self._give(device, failed_batch(compiled.group, middle, half, reason))
             if device.derived is not None:
                 device.derived.failed(compiled.group.points, reason)
         code = error.code if isinstance(error, ExceptionReply) else None
@@ -498,6 +502,10 @@ class LinkPoller:
 
     # Intervals.
 
+    @staticmethod
+    def _is_maintained(device: PolledDevice) -> bool:
+        return device.suspended is not None and device.suspended.reason == Reason.MAINTENANCE
+
     def _tell_skipped(self, device: str, since: float, until: float) -> None:
         begin, end = self._clock.time_ns(since), self._clock.time_ns(until)
         self._intervals(StateInterval(device, begin, max(begin, end), Reason.SKIPPED))
@@ -507,12 +515,21 @@ class LinkPoller:
         _log.info("%s is not read: %s", device.name, reason_text(reason))
         self._intervals(device.suspended)
 
-    def _end_interval(self, device: PolledDevice) -> None:
+    def _give(self, device: PolledDevice, batch: SampleBatch) -> None:
+        """Hand on the samples of a read, unless it was under way when maintenance began: that has no samples."""
+        begun = device.suspended if self._is_maintained(device) else device.maintained
+        if begun is None or not begun.begin <= batch.time < (begun.end or batch.time + 1):
+            self._samples(batch)
+
+    def _end_interval(self, device: PolledDevice, at: int | None = None) -> None:
         begun = device.suspended
         if begun is not None:
             device.suspended = None
-            end = max(begun.begin, self._clock.time_ns(self._now()))
-            self._intervals(StateInterval(begun.device, begun.begin, end, begun.reason))
+            end = max(begun.begin, self._clock.time_ns(self._now()) if at is None else at)
+            ended = StateInterval(begun.device, begun.begin, end, begun.reason)
+            if begun.reason == Reason.MAINTENANCE:
+                device.maintained = ended
+            self._intervals(ended)
 
 
 def _judged(error: ModbusError) -> tuple[int, TurnOutcome]:

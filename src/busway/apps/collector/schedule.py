@@ -511,7 +511,8 @@ class LinkSchedule:
         if device is not None:
             has_credit_at = now - min(self._credit, 0.0) / self._share
             soonest = min(soonest, max(device.probe_at, has_credit_at))
-        asked = (each.question_at for each in self.devices.values() if each.lives and each.book.may_ask)
+        asking = (each for each in self.devices.values() if each.lives and not each.is_paused and each.book.may_ask)
+        asked = (each.question_at for each in asking)
         return max(now, min(soonest, min(asked, default=soonest)))
 
     # What it promises.

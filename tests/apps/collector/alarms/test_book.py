@@ -54,7 +54,7 @@ def test_a_renamed_point_takes_its_alarms_along() -> None:
     book = book_of()
     told(book, 15.0)
     renamed = replace(CURRENT, name="amps", was="current")
-    assert book.configure({"meter": (renamed,)}, 2) == []
+    assert book.configure({"meter": (renamed,)}, 2, moved={("meter", "current"): "amps"}) == []
     alarm = book.machines["meter", "amps", "H"].alarm
     assert alarm is not None
     assert (alarm.point, alarm.state) == ("amps", AlarmState.UNACKNOWLEDGED)
@@ -74,20 +74,23 @@ def test_points_that_exchange_their_names_keep_their_own_alarms_and_delays() -> 
         replace(points[2], name="apparent", was="power"),
         Point("power", Table.HOLDING_REGISTERS, 3, alarms=slow),
     ]
-    for _ in range(2):  # read again, it says the same, and nothing is exchanged a second time
-        assert book.configure({"meter": exchanged}, 2) == []
+    moved = {("meter", "voltage"): "current", ("meter", "current"): "voltage", ("meter", "power"): "apparent"}
+    for names in (moved, {}):  # read again, it says the same, and nothing is exchanged a second time
+        assert book.configure({"meter": exchanged}, 2, moved=names) == []
         alarms = {key[1]: machine.alarm for key, machine in book.machines.items() if machine.alarm}
         assert {name: (alarm.point, alarm.limit) for name, alarm in alarms.items()} == {"voltage": ("voltage", "H")}
     assert told(book, 50.0, at=11.0, group=PointGroup("meter", ("power",))) == [], "the delay was that of another point"
+    assert told(book, 50.0, at=11.0, group=PointGroup("meter", ("apparent",))) == ["H raised"], "its delay went on"
     ended = book.configure({"meter": [replace(each, alarms=()) for each in exchanged]}, 3)
-    assert [event.key for event in ended] == [("meter", "voltage", "H")]
+    assert {event.key for event in ended} == {("meter", "voltage", "H"), ("meter", "apparent", "H")}
 
 
-def test_the_end_of_an_alarm_of_a_renamed_point_has_the_name_that_the_journal_knows() -> None:
+def test_the_end_of_an_alarm_of_a_renamed_point_has_its_new_name() -> None:
     book = book_of()
     told(book, 15.0)
-    (ended,) = book.configure({"meter": (replace(CURRENT, name="amps", was="current", alarms=()),)}, 2)
-    assert ended.key == ("meter", "current", "H")
+    renamed = replace(CURRENT, name="amps", was="current", alarms=())
+    (ended,) = book.configure({"meter": (renamed,)}, 2, moved={("meter", "current"): "amps"})
+    assert ended.key == ("meter", "amps", "H")
 
 
 def test_an_alarm_whose_limit_or_device_is_gone_is_ended_by_an_event() -> None:

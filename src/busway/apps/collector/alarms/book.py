@@ -3,18 +3,18 @@
 Pure: knows devices, points and samples; knows no store and no clock.
 
 1. Only points with alarms cost anything: a group of points without them is found by one look-up.
-2. Where a file is read again, an alarm stays what it was under the new limit, which holds from the next sample on. A
-   point that was renamed takes its alarms along. An alarm whose limit is gone is ended by an event.
+2. Where a file is read again, an alarm stays what it was under the new limit, which holds from the next sample on, and
+   a delay that runs goes on. A point that was renamed takes its alarms along; points may exchange their names. An alarm
+   whose limit is gone is ended by an event.
 """
 
 import weakref
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from ....points.point import Point
-from ..renaming import new_names
+from ..point_names import PointKey
 from ..samples import PointGroup, SampleBatch
-from .events import AlarmEvent, AlarmEventKind, AlarmKey, RaisedAlarm
+from .events import AlarmEvent, AlarmEventKind, AlarmKey, RaisedAlarm, renamed_key
 from .machine import AlarmMachine
 
 _Places = tuple[tuple[int, tuple[AlarmMachine, ...]], ...]
@@ -22,22 +22,19 @@ _Places = tuple[tuple[int, tuple[AlarmMachine, ...]], ...]
 
 
 class AlarmBook:
-    """The states of all alarms of a collector, by device, point and limit.
-
-    Attributes:
-        machines: the states.
-        renamed: the new names of points that `configure` has renamed last, by device and old name.
-    """
+    """The states of all alarms of a collector, by device, point and limit."""
 
     def __init__(self) -> None:
         self.machines: dict[AlarmKey, AlarmMachine] = {}
-        self.renamed: dict[tuple[str, str], str] = {}
-        self._points: dict[str, Sequence[Point]] = {}
         self._devices: frozenset[str] = frozenset()
         self._places: weakref.WeakKeyDictionary[PointGroup, _Places] = weakref.WeakKeyDictionary()
 
     def configure(
-        self, devices: Mapping[str, Sequence[Point]], at: int, raised: Mapping[AlarmKey, RaisedAlarm] | None = None
+        self,
+        devices: Mapping[str, Sequence[Point]],
+        at: int,
+        raised: Mapping[AlarmKey, RaisedAlarm] | None = None,
+        moved: Mapping[PointKey, str] | None = None,
     ) -> list[AlarmEvent]:
         """Set up the alarms that the points declare, keeping the state of those that continue. Returns their events.
 
@@ -45,39 +42,28 @@ class AlarmBook:
             devices: the points of each device.
             at: nanoseconds since 1970 UTC.
             raised: at a start, what the journal says there was.
+            moved: new names of points that were renamed, by device and name before.
 
         Returns:
-            Ends of alarms whose limits are gone; their points have the names that they had.
+            Ends of alarms whose limits are gone.
         """
-        before = self.machines
-        self.renamed = {
-            (device, was): name
-            for device, points in (devices.items() if raised is None else ())
-            for was, name in new_names(self._points.get(device, ()), points).items()
-        }
-        self._points = dict(devices)
-        moved = self.renamed.keys() | {(device, name) for (device, _), name in self.renamed.items()}
-        kept = (each.alarm for each in before.values() if each.alarm) if raised is None else raised.values()
-        alarms = {self._with_name(alarm).key: alarm for alarm in kept}
+        before = {renamed_key(key, moved or {}): machine for key, machine in self.machines.items()}
+        alarms = dict(raised or {})
         self.machines = {}
         for device, points in devices.items():
             for point in points:
                 for rule in point.alarms:
                     key = (device, point.name, rule.kind)
-                    known = before.get(key)
-                    alarm = alarms.pop(key, None)
-                    alarm = alarm if alarm is None else self._with_name(alarm)
-                    is_new = known is None or known.rule != rule or known.alarm is not alarm
-                    if known is None or is_new or (device, point.name) in moved:
-                        known = AlarmMachine(device, point.name, rule, point.unit_of_measure, alarm)
-                    self.machines[key] = known
+                    machine = before.pop(key, None)
+                    if machine is None:
+                        machine = AlarmMachine(device, point.name, rule, point.unit_of_measure, alarms.pop(key, None))
+                    else:
+                        machine.continue_as(point.name, rule, point.unit_of_measure)
+                    self.machines[key] = machine
         self._devices = frozenset(device for device, _, _ in self.machines)
         self._places.clear()
-        return [AlarmEvent(*alarm.key, AlarmEventKind.REMOVED, at, text=alarm.text) for alarm in alarms.values()]
-
-    def _with_name(self, alarm: RaisedAlarm) -> RaisedAlarm:
-        name = self.renamed.get((alarm.device, alarm.point))
-        return alarm if name is None else replace(alarm, point=name)
+        alarms |= {key: machine.alarm for key, machine in before.items() if machine.alarm is not None}
+        return [AlarmEvent(*key, AlarmEventKind.REMOVED, at, text=alarm.text) for key, alarm in alarms.items()]
 
     def take(self, batch: SampleBatch, now: float) -> Sequence[AlarmEvent]:
         """Return the alarm events that the samples of a read cause; ``now``: monotonic seconds at its middle."""

@@ -9,18 +9,29 @@ Knows the book, the committer and asyncio; for the thread of the event loop.
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncGenerator, Callable, Iterable, Mapping, Sequence
+from collections.abc import AsyncGenerator, Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Final, TypeVar
+from typing import Final, Protocol, TypeVar
 
 from ....errors import InvalidRequest, Overloaded
 from ....points.point import Point
+from ..point_names import PointKey
 from ..sample_clock import EARLIEST
 from ..samples import NANOSECONDS, SampleBatch
 from .book import AlarmBook
 from .events import AlarmEvent, AlarmKey, AlarmState, RaisedAlarm, alarms_after, fold_event
 
 Named = TypeVar("Named", AlarmEvent, RaisedAlarm)
+
+
+class _Changed(Protocol):
+    """Gives an alarm or event as it is to be shown from now on."""
+
+    def __call__(self, named: Named, /) -> Named: ...
+
+
+MOST_UNCOMMITTED: Final = 20_000
+"""Events that wait for their commit and are known here; a store that cannot be written keeps fewer."""
 
 MOST_WAITING: Final = 10_000
 """Events that wait for a reader, at most."""
@@ -67,7 +78,8 @@ class CollectorAlarms:
         self._journal: deque[AlarmEvent] = deque(maxlen=RECENT)
         self._readers: list[_EventReader] = []
         self._promised: dict[int, tuple[AlarmEvent, asyncio.Future[None]]] = {}
-        self._renamed: dict[tuple[str, str], str] = {}
+        self._told: dict[int, tuple[AlarmEvent, AlarmEvent]] = {}  # by id: events to be committed, and as to be shown
+        self._earlier: frozenset[int] = frozenset()
         self._ended = False
 
     # What programs use.
@@ -109,6 +121,7 @@ class CollectorAlarms:
         event = self._book.acknowledge((device, point, limit), by, self._wall())
         if event is None:
             raise InvalidRequest(f"there is no alarm {limit} of {device}/{point} to acknowledge")
+        self._note([event])
         kept: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._promised[id(event)] = event, kept
         self._keep([event])
@@ -143,44 +156,43 @@ class CollectorAlarms:
         """Take over, at the start, the alarms that a journal leaves active or unacknowledged."""
         self._raised = alarms_after(journal)
         self._journal.extend(journal)
+        self._earlier = frozenset(event.at for event in journal if event.at < EARLIEST)
         self._tell(self._book.configure(devices, self._wall(), self._raised))
 
-    def configure(self, devices: Mapping[str, Sequence[Point]]) -> None:
-        """Go on with the alarm limits of a configuration file that was read again; `rename` follows."""
-        self._tell(self._book.configure(devices, self._wall()))
+    def configure(self, devices: Mapping[str, Sequence[Point]], moved: Mapping[PointKey, str] | None = None) -> None:
+        """Continue with the alarm limits of a file that was read again.
 
-    def rename(self, devices: Mapping[str, Sequence[Point]]) -> None:
-        """Show alarms by the new names of their points, once the events with their old names are in the journal."""
-        names = self._book.renamed
-        raised = [replace(each, point=names.get(each.key[:2], each.point)) for each in self._raised.values()]
-        self._raised = {each.key: each for each in raised}
-        there = {(device, point.name) for device, points in devices.items() for point in points}
-        self._renamed = {
-            (device, point.was): point.name
-            for device, points in devices.items()
-            for point in points
-            if point.was and (device, point.was) not in there
-        }
+        Args:
+            devices: the points of each device.
+            moved: new names of points that were renamed, by device and name before. What is kept from now on is named
+                by them.
+        """
+        moved = moved or {}
+        self._show_anew(lambda named: _renamed(named, moved))
+        self._tell(self._book.configure(devices, self._wall(), moved=moved))
 
     def take(self, batch: SampleBatch) -> Sequence[AlarmEvent]:
         """Return the alarm events that the samples of a read cause; the caller stores both together."""
-        return self._book.take(batch, self._now() - batch.half_width / NANOSECONDS)
+        events = self._book.take(batch, self._now() - batch.half_width / NANOSECONDS)
+        if events:
+            self._note(events)
+        return events
 
     def committed(self, events: Sequence[AlarmEvent]) -> None:
-        """Tell those who follow alarm events which ones are in the journal now."""
-        for event in events:
-            fold_event(self._raised, self._with_name(event))
+        """Show alarm events, which are in the journal now."""
+        shown = [self._told.pop(id(event), (event, event))[1] for event in events]
+        for event, as_shown in zip(events, shown, strict=True):
+            fold_event(self._raised, as_shown)
             promised = self._promised.get(id(event))
             if promised is not None and not promised[1].done():
                 promised[1].set_result(None)
-        self._journal.extend(events)
+        self._journal.extend(shown)
         for reader in self._readers:
-            reader.take(events)
+            reader.take(shown)
 
     def mend(self, shift: int) -> None:
-        """Correct the times of alarms raised before the wall clock was set."""
-        self._raised = {key: _moved(alarm, shift) for key, alarm in self._raised.items()}
-        self._journal = deque((_moved(event, shift) for event in self._journal), maxlen=RECENT)
+        """Correct times from before the wall clock was set."""
+        self._show_anew(lambda named: _moved(named, shift, self._earlier))
 
     def end(self) -> None:
         """End the iteration of all programs that follow alarm events."""
@@ -188,18 +200,36 @@ class CollectorAlarms:
         for reader in self._readers:
             reader.arrived.set()
 
-    def _with_name(self, named: Named) -> Named:
-        """Return an alarm or event with the name that its point has now."""
-        name = self._renamed.get((named.device, named.point))
-        return named if name is None else replace(named, point=name)
-
     def _tell(self, events: Sequence[AlarmEvent]) -> None:
         if events:
+            self._note(events)
             self._keep(events)
 
+    def _note(self, events: Iterable[AlarmEvent]) -> None:
+        """Remember events that wait for their commit, because names and times may change before it."""
+        self._told.update((id(event), (event, event)) for event in events)
+        while len(self._told) > MOST_UNCOMMITTED:
+            self._told.pop(next(iter(self._told)))
 
-def _moved(named: Named, shift: int) -> Named:
-    """Return an alarm or event with times corrected that are from before the wall clock was set."""
+    def _show_anew(self, changed: _Changed) -> None:
+        """Show all alarms and events with other names or times."""
+        self._raised = {each.key: each for each in map(changed, self._raised.values())}
+        self._journal = deque(map(changed, self._journal), maxlen=RECENT)
+        self._told = {key: (event, changed(shown)) for key, (event, shown) in self._told.items()}
+
+
+def _renamed(named: Named, moved: Mapping[PointKey, str]) -> Named:
+    """Return an alarm or event with the name that its point has now."""
+    name = moved.get((named.device, named.point))
+    return named if name is None else replace(named, point=name)
+
+
+def _moved(named: Named, shift: int, earlier: Container[int]) -> Named:
+    """Return an alarm or event whose times from before the wall clock was set are corrected.
+
+    ``earlier`` are times that an earlier process gave: they stay as they are.
+    """
     names = ("at",) if isinstance(named, AlarmEvent) else ("since", "acknowledged_at", "cleared_at")
     found = {name: getattr(named, name) for name in names}
-    return replace(named, **{name: at + shift for name, at in found.items() if at is not None and at < EARLIEST})
+    wrong = {name: at for name, at in found.items() if at is not None and at < EARLIEST and at not in earlier}
+    return replace(named, **{name: at + shift for name, at in wrong.items()}) if wrong else named

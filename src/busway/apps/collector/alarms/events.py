@@ -4,11 +4,12 @@ Pure. The journal is a list of `AlarmEvent`; the alarms that there are follow fr
 what was active and acknowledged by reading the journal.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
+from ..point_names import PointKey
 from ..samples import Value
 
 
@@ -60,6 +61,12 @@ NEXT_STATE: Final = {
 
 AlarmKey = tuple[str, str, str]
 """Device, point, and the kind of the limit: at most one alarm each."""
+
+
+def renamed_key(key: AlarmKey, moved: Mapping[PointKey, str]) -> AlarmKey:
+    """Return the key of an alarm whose point may have got another name."""
+    device, point, limit = key
+    return device, moved.get((device, point), point), limit
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,15 +5,16 @@ Pure: knows a rule, values and the time as a number.
 1. A good or uncertain value decides. A bad sample raises and clears nothing, and does not interrupt a delay; what is
    shown beside the alarm is its reason.
 2. The delay runs from the first value beyond the limit, and begins again after a value that is not. It is measured by
-   samples: an alarm is raised by the first one beyond the limit that is at least the delay later.
+   samples: an alarm is raised by the first one beyond the limit that is at least the delay later, in nanoseconds.
 3. An active alarm is cleared, at once, by a value that has come back by the hysteresis.
 4. What the machine does is told by events, and its state is what `alarm_after` makes of them: the journal is the state.
 """
 
 import math
+from dataclasses import replace
 
 from ....points.point_rules import AlarmRule
-from ..samples import Quality, Value, quality_of
+from ..samples import NANOSECONDS, Quality, Value, quality_of
 from .events import AlarmEvent, AlarmEventKind, AlarmState, RaisedAlarm, alarm_after
 
 
@@ -51,6 +52,12 @@ class AlarmMachine:
             return self.alarm.state
         return AlarmState.NORMAL if self._beyond_since is None else AlarmState.PENDING
 
+    def continue_as(self, point: str, rule: AlarmRule, unit_of_measure: str) -> None:
+        """Go on under another name and another limit, which holds from the next sample on."""
+        self.point, self.rule, self.unit_of_measure = point, rule, unit_of_measure
+        if self.alarm is not None:
+            self.alarm = replace(self.alarm, point=point)
+
     def take(self, value: Value | None, reason: int, at: int, now: float) -> AlarmEvent | None:
         """Change the alarm by a sample of its point. Returns the alarm event that follows, or None.
 
@@ -75,7 +82,7 @@ class AlarmMachine:
     def _beyond(self, value: Value, at: int, now: float) -> AlarmEvent | None:
         if self._beyond_since is None:
             self._beyond_since = now
-        if now - self._beyond_since < self.rule.delay:
+        if round((now - self._beyond_since - self.rule.delay) * NANOSECONDS) < 0:
             return None
         self._beyond_since = None
         return self._tell(AlarmEventKind.RAISED, at, value)
@@ -87,6 +94,7 @@ class AlarmMachine:
     def _tell(self, kind: AlarmEventKind, at: int, value: Value | None = None, by: str = "") -> AlarmEvent:
         rule = self.rule
         text = rule.text(self.unit_of_measure)
-        event = AlarmEvent(self.device, self.point, rule.kind, kind, at, value, by, rule.acknowledge, text)
+        needs = rule.acknowledge or self.state is AlarmState.CLEARED  # a person still has to, whatever the limit says
+        event = AlarmEvent(self.device, self.point, rule.kind, kind, at, value, by, needs, text)
         self.alarm = alarm_after(self.alarm, event)
         return event

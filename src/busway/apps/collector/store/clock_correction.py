@@ -31,7 +31,11 @@ def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
         columns = ", ".join(f"{name} = {_MOVED.format(name)}" for name in ("at", "low", "high"))
         database.execute(f"UPDATE commits SET {columns} WHERE number >= :first", known)
         columns = ", ".join(f"{name} = {_MOVED.format(name)}" for name in ("begin", '"end"'))
-        database.execute(f"UPDATE intervals SET {columns} WHERE commit_number >= :first", known)
+        database.execute(  # the first commit also ends what an earlier process left open, by the clock of then
+            f"UPDATE intervals SET {columns}"
+            " WHERE commit_number >= :first AND (device IS NULL OR commit_number > :first)",
+            known,
+        )
         database.execute(  # the time from the end of an earlier process to the first commit of this one
             'UPDATE intervals SET "end" = max("end", (SELECT at FROM commits WHERE number = :first))'
             " WHERE device IS NULL AND commit_number = :first",

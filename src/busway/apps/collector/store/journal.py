@@ -5,12 +5,13 @@ lists it as finished, so that they outlive its samples.
 """
 
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Final
 
-from ..alarms.events import AlarmEvent, AlarmEventKind, alarms_after
+from ..alarms.events import AlarmEvent, AlarmEventKind, AlarmKey, RaisedAlarm, fold_event
+from ..sample_clock import EARLIEST
 from ..samples import CounterState
 from .folder import SEGMENTS
 from .manifest import AlarmRow, Manifest
@@ -69,14 +70,36 @@ def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) 
     """Delete alarm events before a time, and the oldest above a number; those of active alarms stay."""
     rows = manifest.alarms()
     excess = max(0, len(rows) - most)
-    old = [row for place, row in enumerate(rows) if row.at < before or place < excess]
+    old = {place for place, at in _known_times(rows) if at < before or place < excess}
     if not old:
         return 0
-    events = dict(zip(rows, alarm_events(rows, manifest), strict=True))
-    active = alarms_after(events.values())
-    gone = [row for row in old if (alarm := active.get(events[row].key)) is None or row.at < alarm.since]
+    needed = _places_of_active(alarm_events(rows, manifest))
+    gone = [row for place, row in enumerate(rows) if place in old and place not in needed]
     manifest.forget_alarms(gone)
     return len(gone)
+
+
+def _places_of_active(journal: Sequence[AlarmEvent]) -> set[int]:
+    """Return the places of events that say how an alarm is that is active or not acknowledged."""
+    alarms: dict[AlarmKey, RaisedAlarm] = {}
+    places: dict[AlarmKey, list[int]] = {}
+    for place, event in enumerate(journal):
+        fold_event(alarms, event)
+        if event.kind is AlarmEventKind.RAISED:
+            places[event.key] = []
+        places.setdefault(event.key, []).append(place)
+    return {place for key in alarms for place in places[key]}
+
+
+def _known_times(rows: Sequence[AlarmRow]) -> Iterator[tuple[int, int]]:
+    """Yield the place of each event, the last first, and the time by which its age can be told.
+
+    An event from a time when the clock was not set is as old as the next that has a time.
+    """
+    known = 2**63
+    for place in range(len(rows) - 1, -1, -1):
+        known = rows[place].at if rows[place].at >= EARLIEST else known
+        yield place, known
 
 
 def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ....errors import ConfigError
+from ..point_names import PointNames
 from ..samples import PointDescription, Value
 from .database import open_database, transaction
 from .folder import MANIFEST, check_store
@@ -272,9 +273,17 @@ class Manifest:
         return StorePart(identity, number, file, "open", None, None, None, None, None, None, None)
 
     def close_segment(
-        self, part: StorePart, alarms: Iterable[AlarmRow] = (), counters: Iterable[CounterRow] = ()
+        self,
+        part: StorePart,
+        alarms: Iterable[AlarmRow] = (),
+        counters: Iterable[CounterRow] = (),
+        *,
+        is_mended: bool = False,
     ) -> None:
-        """Record what a finished segment contains, and copy its alarms and accumulators."""
+        """Record what a finished segment contains, and copy its alarms and accumulators.
+
+        With ``is_mended`` its times are corrected, and so are those of all segments before it.
+        """
         with self.transaction() as database:
             database.executemany(INSERT_ALARM, [astuple(row) for row in alarms])
             database.executemany(
@@ -288,6 +297,8 @@ class Manifest:
                 " rows = ?, bytes = ? WHERE id = ?",
                 (part.low, part.high, part.first_commit, part.last_commit, part.alive, part.rows, part.bytes, part.id),
             )
+            if is_mended:
+                database.execute("INSERT OR REPLACE INTO facts VALUES ('mended', ?)", (part.id,))
             database.execute(  # by number, not by time: the clock may have been set back
                 "INSERT OR REPLACE INTO facts SELECT name, value FROM"
                 " (SELECT 'alive' AS name, :alive AS value UNION ALL SELECT 'alive_commit', :commit)"
@@ -373,12 +384,29 @@ class Manifest:
         with self.transaction() as database:
             database.execute("DELETE FROM maintenance WHERE device = ?", (device,))
 
+    def begin_maintenance_again(self, earliest: int, now: int) -> None:
+        """Let maintenance begin now where nobody knows when it did: an earlier process noted it without the time."""
+        with self.transaction() as database:
+            database.execute("UPDATE maintenance SET begin = ? WHERE begin < ?", (now, earliest))
+
+    def begin_mending(self, first: int, shift: int, earliest: int) -> None:
+        """Note that times before ``earliest`` are to be corrected, from a commit on; those of maintenance are."""
+        with self.transaction() as database:
+            database.execute("DELETE FROM facts WHERE name = 'mended'")
+            database.execute("INSERT OR REPLACE INTO facts VALUES ('mend_by', ?), ('mend_from', ?)", (shift, first))
+            database.execute("UPDATE maintenance SET begin = begin + ? WHERE begin < ?", (shift, earliest))
+
     # Points
 
     def points(self) -> list[StoredPoint]:
         """Return all points of the store, also those that are no longer read."""
         rows = self._all("SELECT id, device, point, unit_of_measure, is_state FROM points ORDER BY id")
         return [StoredPoint(number, device, point, unit, bool(state)) for number, device, point, unit, state in rows]
+
+    def point_names(self) -> PointNames:
+        """Return the names that all points have now, and had before."""
+        with self._lock:
+            return _names_of(self._database)
 
     def count_points(self) -> int:
         """Return the number of points of the store."""
@@ -465,19 +493,15 @@ def copy_points(source: Path, target: sqlite3.Connection) -> None:
             target.execute(f"INSERT INTO main.{table} SELECT * FROM source.{table}")
 
 
+def _names_of(database: sqlite3.Connection) -> PointNames:
+    rows = database.execute("SELECT device, point, id FROM points").fetchall()
+    ids = {(device, point): number for device, point, number in rows}
+    return PointNames(ids, set(database.execute("SELECT point, was FROM carried_names")))
+
+
 def _give_new_names(database: sqlite3.Connection, described: Sequence[PointDescription], last_commit: int) -> None:
     """Rename points to their current names, unless another point has that name and keeps it."""
-    rows = database.execute("SELECT device, point, id FROM points").fetchall()
-    ids: dict[tuple[str, str], int] = {(device, point): number for device, point, number in rows}
-    carried = set(database.execute("SELECT point, was FROM carried_names"))
-    moves: dict[int, PointDescription] = {}
-    for one in described:
-        old = None if one.was is None else ids.get((one.device, one.was))
-        if old is not None and (ids.get((one.device, one.point)), one.was) not in carried:
-            moves.setdefault(old, one)
-    while blocked := [old for old, one in moves.items() if ids.get((one.device, one.point), old) not in moves]:
-        for old in blocked:
-            del moves[old]
+    moves = _names_of(database).moves(described)
     for old, one in moves.items():
         database.execute("INSERT INTO renames VALUES (?, ?, ?)", (old, one.was, last_commit))
         database.execute("UPDATE points SET point = char(0) || id WHERE id = ?", (old,))  # until all have left theirs

@@ -14,7 +14,7 @@ import logging
 import sqlite3
 import threading
 import weakref
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -128,6 +128,7 @@ class StoreWriter:
                 remove_unlisted(self.folder, self.manifest)
                 self._next, self._behind = self.manifest.reserve_numbers()
                 self._first = self._next
+                self._awaits_clock = now < EARLIEST
                 self._begin_again(now)
                 unless_open.pop_all()
         except (sqlite3.Error, OSError) as error:
@@ -161,13 +162,23 @@ class StoreWriter:
         remove_unlisted(self.folder, self.manifest)
         while self.manifest.fact("mend_from") is not None:
             self.mend_next()
+        self.manifest.begin_maintenance_again(EARLIEST, now)
         alive = self.manifest.fact("alive")
         if alive is not None:
-            end = max(alive, now)
-            left = [replace(each, end=max(alive, each.begin)) for each in self._open_intervals()]
-            left.append(Gap(alive, end, Reason.STOPPED if meant else Reason.KILLED))
+            left = [replace(each, end=_end_of(each, alive)) for each in self._open_intervals()]
+            begin = self._begin_of_gap(alive, now)
+            left.append(Gap(begin, max(begin, now), Reason.STOPPED if meant else Reason.KILLED))
         self.commit([], left, now)
         self.manifest.set_fact("ended", None)
+
+    def _begin_of_gap(self, alive: int, now: int) -> int:
+        """Return when the gap before a start begins, by the clock of the start as far as that can be said."""
+        if alive >= EARLIEST or alive <= now < EARLIEST:
+            return alive
+        if now < EARLIEST:  # the machine was started again, and counts from 1970 anew
+            return now
+        right = (part.alive for part in self.manifest.parts() if (part.alive or 0) >= EARLIEST)
+        return max((at for at in right if at is not None and at <= now), default=now)
 
     def _finish_listing(self, part: StorePart) -> None:
         """Record what a segment contains, from its commits; an empty one is taken off the list."""
@@ -249,8 +260,7 @@ class StoreWriter:
 
     def begin_mending(self, shift: int) -> None:
         """Begin to correct times from before the wall clock was set, by ``shift`` nanoseconds."""
-        self.manifest.set_fact("mend_by", shift)
-        self.manifest.set_fact("mend_from", self._first)
+        self.manifest.begin_mending(self._first, shift, EARLIEST)
 
     def mend_next(self) -> bool:
         """Correct times in one segment; returns whether there may be more. Goes on after a crash in between.
@@ -264,8 +274,9 @@ class StoreWriter:
         if not self._files.acquire(blocking=False):
             return True  # the other thread seals or drops; samples do not wait for that
         try:
+            done = self.manifest.fact("mended") or 0
             for part in self.manifest.parts():
-                if part.kind == "closed" and (part.low or EARLIEST) < EARLIEST and (part.last_commit or 0) >= first:
+                if part.kind == "closed" and part.id > done and (part.last_commit or 0) >= first:
                     self._mend_closed(part, first, shift)
                     return True
             if self._segment is not None:
@@ -276,6 +287,7 @@ class StoreWriter:
         finally:
             self._files.release()
         self.manifest.set_fact("mend_from", None)
+        self._awaits_clock = False
         return False
 
     def _mend_closed(self, part: StorePart, first: int, shift: int) -> None:
@@ -283,13 +295,15 @@ class StoreWriter:
         with closing(open_database(path, makes=False)) as database:
             mend_segment(database, first, shift)
             found = facts_of(database, part, path.stat().st_size)
-            if (found.low or EARLIEST) < EARLIEST:
-                found = replace(found, low=EARLIEST)  # of an earlier process; it is not looked at again
-            self.manifest.close_segment(found, alarms_of(database))
+            self.manifest.close_segment(found, alarms_of(database), is_mended=True)
 
     def _is_to_be_mended(self, part: StorePart) -> bool:
-        """Whether times in a file may still be corrected: it is neither sealed nor dropped for its age."""
-        return (part.low or EARLIEST) < EARLIEST and (part.last_commit or 0) >= self._first
+        """Whether times in a file may still be corrected: it is neither sealed nor dropped for its age.
+
+        A segment without samples has intervals and alarms, whose times may be early too.
+        """
+        is_early = part.low is None or part.low < EARLIEST
+        return self._awaits_clock and is_early and (part.last_commit or 0) >= self._first
 
     def sync(self) -> None:
         """Make earlier commits survive a power failure, if not every commit does so. Raises `OSError`."""
@@ -405,4 +419,27 @@ class StoreWriter:
         segment = self._segment
         size = 0 if segment is None else segment.size()
         parts = [replace(part, bytes=size) if part.kind == "open" else part for part in self.manifest.parts()]
-        return [replace(part, high=EVER) if self._is_to_be_mended(part) else part for part in parts]
+        return list(_aged(parts, self._is_to_be_mended))
+
+
+def _aged(parts: Sequence[StorePart], may_be_mended: Callable[[StorePart], bool]) -> Iterator[StorePart]:
+    """Yield parts, the last first, with times by which their age can be told.
+
+    What a process wrote without ever knowing the time is as old as what was written next by one that did.
+    """
+    next_high = EVER
+    for part in reversed(parts):
+        high = part.high if part.high is not None else part.alive
+        if may_be_mended(part):
+            yield replace(part, high=EVER)
+        elif high is not None and high < EARLIEST:
+            yield replace(part, high=next_high)
+        else:
+            next_high = next_high if high is None else high
+            yield part
+
+
+def _end_of(interval: StateInterval, alive: int) -> int:
+    """Return when an interval ended that a process left open, which was alive until then."""
+    is_known = (interval.begin < EARLIEST) is (alive < EARLIEST)  # else the clock was set in between, and not mended
+    return max(alive, interval.begin) if is_known else interval.begin

@@ -1,0 +1,60 @@
+"""The names of points over time: which points a configuration renames, and to what.
+
+Pure. The manifest of a store, the alarms and the totals of counters all go by this, so that none of them follows
+another point than the others.
+
+1. A point that says ``was`` takes over the point that has that name, once: what it has taken over is remembered, so a
+   line that stays in the file renames nothing again, also where another point has got the name meanwhile.
+2. All names of a configuration change at once, so points may exchange theirs. A name that another point has and keeps
+   is not given a second time.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from .samples import PointDescription
+
+PointKey = tuple[str, str]
+"""Device and name of a point."""
+
+
+@dataclass(slots=True)
+class PointNames:
+    """The names of all points that were ever described.
+
+    Attributes:
+        ids: number of the point that has a name now, by device and name.
+        taken_over: numbers of points, with names that they have taken over.
+    """
+
+    ids: dict[PointKey, int] = field(default_factory=dict)
+    taken_over: set[tuple[int, str]] = field(default_factory=set)
+    _next: int = -1
+
+    def moves(self, described: Iterable[PointDescription]) -> dict[int, PointDescription]:
+        """Return which points get another name from a configuration, by their number."""
+        moves: dict[int, PointDescription] = {}
+        for one in described:
+            old = None if one.was in (None, one.point) else self.ids.get((one.device, one.was))
+            if old is not None and (self.ids.get((one.device, one.point)), one.was) not in self.taken_over:
+                moves.setdefault(old, one)
+        while blocked := [old for old, one in moves.items() if self.ids.get((one.device, one.point), old) not in moves]:
+            for old in blocked:
+                del moves[old]
+        return moves
+
+    def describe(self, described: Iterable[PointDescription]) -> Mapping[PointKey, str]:
+        """Take over the points of a configuration; returns new names by device and name before."""
+        points = list(described)
+        moves = self.moves(points)
+        before = {number: key for key, number in self.ids.items() if number in moves}
+        for key in before.values():
+            del self.ids[key]
+        for number, one in moves.items():
+            self.ids[one.device, one.point] = number
+        for one in points:
+            number = self.ids.setdefault((one.device, one.point), self._next)
+            self._next -= number == self._next
+            if one.was is not None:
+                self.taken_over.add((number, one.was))
+        return {key: moves[number].point for number, key in before.items()}
