@@ -553,11 +553,20 @@ class Collector:
     # Upkeep.
 
     async def _keep_up(self) -> None:
+        async with asyncio.TaskGroup() as tasks:  # the clock does not wait for the disk
+            tasks.create_task(self._follow_clock())
+            tasks.create_task(self._write_files())
+
+    async def _follow_clock(self) -> None:
+        while True:
+            await asyncio.sleep(CLOCK_EVERY)
+            self._mend(self._clock.adjust(asyncio.get_running_loop().time(), time.time_ns()))
+
+    async def _write_files(self) -> None:
         loop = asyncio.get_running_loop()
         write_at = loop.time() + LEARNT_EVERY
         while True:
             await asyncio.sleep(CLOCK_EVERY)
-            self._mend(self._clock.adjust(loop.time(), time.time_ns()))
             await self.commands.record_again()
             if loop.time() >= write_at:
                 write_at = loop.time() + LEARNT_EVERY

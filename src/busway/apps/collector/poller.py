@@ -367,7 +367,7 @@ class LinkPoller:
         if device is not None:
             await self.wait_for(turn.device)
         if turn.kind is not TurnKind.WRITE and device is not None and self._is_maintained(device):
-            return  # it began during the wait; whoever works at the device is not disturbed
+            return  # it began during the wait, and people may work at the device now
         began = self._now()
         if turn.kind is TurnKind.WRITE:
             await turn.write.perform()

@@ -385,7 +385,7 @@ class Manifest:
             database.execute("DELETE FROM maintenance WHERE device = ?", (device,))
 
     def begin_maintenance_again(self, earliest: int, now: int) -> None:
-        """Let maintenance begin now where nobody knows when it did: an earlier process noted it without the time."""
+        """Let maintenance begin now where its begin is unknown: an earlier process noted it without the time."""
         with self.transaction() as database:
             database.execute("UPDATE maintenance SET begin = ? WHERE begin < ?", (now, earliest))
 
