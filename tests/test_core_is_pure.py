@@ -28,6 +28,7 @@ PURE_MODULES = {
     "difflib",
     "enum",
     "fractions",
+    "decimal",
     "functools",
     "heapq",
     "ipaddress",
