@@ -14,6 +14,7 @@ from collected import at
 from waiting import until
 
 import busway
+from busway.apps.collector import collector as collecting
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.configuration import CollectorConfiguration, load_collector
 from busway.apps.collector.samples import PointGroup, SampleBatch
@@ -70,6 +71,24 @@ async def first_values(collector: busway.Collector, devices: list[str], points: 
             if len(found) == points:
                 return found
     raise AssertionError("no more samples")
+
+
+async def test_the_clock_is_followed_while_files_cannot_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(collecting, "CLOCK_EVERY", 0.01)
+    async with busway.collect(plant(tmp_path, {"hall": CLOSED}, {"a": "hall"})) as collector:
+        waits, goes_on, shifts = asyncio.Event(), asyncio.Event(), list[int]()
+
+        async def record_again() -> None:
+            waits.set()
+            await goes_on.wait()
+
+        monkeypatch.setattr(collector.commands, "record_again", record_again)
+        await waits.wait()
+        monkeypatch.setattr(collector, "_mend", shifts.append)
+        await until(lambda: len(shifts) >= 3)
+        goes_on.set()
 
 
 async def test_readers_get_all_that_was_stored_until_the_end(tmp_path: Path) -> None:

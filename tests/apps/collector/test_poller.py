@@ -248,6 +248,65 @@ async def test_maintenance_is_an_interval_without_reads() -> None:
     assert len(bench.device.asked) >= 9
 
 
+async def test_a_read_that_is_under_way_when_maintenance_begins_gives_no_samples() -> None:
+    bench = Bench([number("a", 4)])
+    await bench.until(105)
+    answered = bench.device.run
+
+    async def run(unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
+        bench.poller.pause("meter", paused=True)
+        bench.batches.clear()
+        return await answered(unit, requests, call_options)
+
+    bench.device.run = run  # type: ignore[method-assign]
+    await bench.until(107)
+    assert bench.batches == []
+    bench.device.run = answered  # type: ignore[method-assign]
+    bench.poller.pause("meter", paused=False)
+    await bench.until(109)
+    begun, ended = bench.intervals
+    assert ended.end is not None
+    assert bench.batches
+    assert not [batch for batch in bench.batches if begun.begin <= batch.time < ended.end]
+
+
+async def test_a_read_under_way_over_the_whole_of_maintenance_gives_no_samples() -> None:
+    bench = Bench([number("a", 4)])
+    await bench.until(105)
+    answered = bench.device.run
+
+    async def run(unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
+        bench.device.run = answered  # type: ignore[method-assign]
+        bench.device.now += 0.02
+        bench.poller.pause("meter", paused=True)
+        bench.device.now += 0.02
+        bench.poller.pause("meter", paused=False)
+        bench.batches.clear()
+        return await answered(unit, requests, call_options)
+
+    bench.device.run = run  # type: ignore[method-assign]
+    await bench.until(108)
+    _, ended = bench.intervals
+    assert ended.end is not None
+    assert not [batch for batch in bench.batches if ended.begin <= batch.time < ended.end]
+    assert bench.batches, "it is polled again"
+
+
+async def test_a_read_that_waits_for_its_pause_when_maintenance_begins_is_not_sent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bench = Bench([number("a", 4)])
+    await bench.until(105)
+    bench.device.asked.clear()
+
+    async def wait_for(device: str) -> None:
+        bench.poller.pause("meter", paused=True)
+
+    monkeypatch.setattr(bench.poller, "wait_for", wait_for)
+    await bench.until(108)
+    assert not bench.device.asked
+
+
 async def test_skipped_rounds_are_an_interval() -> None:
     bench = Bench([number("a", 4)])
     await bench.until(105)

@@ -274,6 +274,20 @@ def test_a_device_in_maintenance_is_left_alone_and_polled_again_afterwards() -> 
     assert len(link.polled["b"]) >= 117
 
 
+def test_nothing_is_awaited_of_a_device_in_maintenance_that_has_something_to_learn() -> None:
+    link = link_with({"a": book({"c": 5}), "b": book({"c": 5})}, {"c": 1.0})
+    link.run(5)
+    asking = link.schedule.devices["a"]
+    asking.book._probes = None  # it may ask
+    link.schedule.pause("a", paused=True, now=link.now)
+    for _ in range(20):
+        link.run(link.now + 1)
+        turn = link.schedule.next(link.now)
+        if isinstance(turn, float):
+            assert turn > link.now, "the link's task would spin"
+    assert asking.book.may_ask
+
+
 def test_a_device_that_is_removed_and_added_again_is_polled_once_a_period() -> None:
     link = link_with({"a": book({"c": 5})}, {"c": 1.0})
 

@@ -109,3 +109,11 @@ def test_a_delay_that_runs_is_not_begun_again_by_a_file_that_says_the_same() -> 
     assert told(book, 15.0, at=0.0) == []
     book.configure({"meter": (slow,)}, 1)
     assert told(book, 15.0, at=10.0) == ["H raised"]
+
+
+def test_a_delay_that_runs_goes_on_under_another_limit() -> None:
+    slow = replace(CURRENT, alarms=(AlarmRule("H", 10.0, delay=10.0),))
+    book = book_of((slow,))
+    assert told(book, 15.0, at=0.0) == []
+    book.configure({"meter": (replace(CURRENT, alarms=(AlarmRule("H", 12.0, delay=10.0),)),)}, 1)
+    assert told(book, 15.0, at=10.0) == ["H raised"]

@@ -5,6 +5,7 @@ import contextlib
 import os
 import sys
 from collections.abc import AsyncIterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,9 +14,15 @@ import pytest
 from waiting import until
 
 import busway
+from busway.apps.collector.alarms.collected import CollectorAlarms
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind, AlarmState
 from busway.apps.collector.configuration import load_collector
+from busway.apps.collector.sample_clock import EARLIEST, NANOSECONDS
+from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
+from busway.codes import Table
 from busway.errors import InvalidRequest
+from busway.points import Point
+from busway.points.point_rules import AlarmRule
 from busway.server.server import Server
 
 LIMIT = '{ kind = "H", limit = 80, hysteresis = 5, acknowledge = true }'
@@ -155,6 +162,26 @@ async def test_a_file_that_is_read_again_changes_renames_and_ends_alarms(tmp_pat
             ("heat", "acknowledged"),
             ("heat", "removed"),
         ]
+
+
+def test_events_that_wait_for_their_commit_are_shown_by_the_names_and_times_of_then() -> None:
+    kept: list[AlarmEvent] = []
+    alarms = CollectorAlarms(kept.extend, lambda: 5.0, lambda: 7 * NANOSECONDS)
+    rule = (AlarmRule("H", 10.0, acknowledge=True),)
+    old = Point("temperature", Table.HOLDING_REGISTERS, 0, alarms=rule)
+    earlier = AlarmEvent("boiler", "temperature", "L", AlarmEventKind.RAISED, 3 * NANOSECONDS)
+    alarms.begin([earlier], {"boiler": [old]})
+    read = SampleBatch(PointGroup("boiler", ("temperature",)), 6 * NANOSECONDS, 0, (15.0,), int(Reason.CLOCK))
+    (raised,) = alarms.take(read)
+    shift = EARLIEST
+    alarms.configure({"boiler": [replace(old, name="heat", was="temperature")]}, {("boiler", "temperature"): "heat"})
+    alarms.mend(shift)
+    alarms.committed([raised])
+    (shown,) = [each for each in alarms.active() if each.limit == "H"]
+    assert (shown.point, shown.since) == ("heat", 6 * NANOSECONDS + shift)
+    last, first = alarms.journal()
+    assert (last.point, last.at) == ("heat", 6 * NANOSECONDS + shift)
+    assert (first.point, first.at) == ("heat", 3 * NANOSECONDS), "the clock of an earlier process is not known"
 
 
 async def test_totals_go_on_after_a_kill(tmp_path: Path) -> None:

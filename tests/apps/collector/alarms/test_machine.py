@@ -158,6 +158,32 @@ def test_it_clears_when_the_value_has_come_back_by_the_hysteresis() -> None:
     assert [feed(machine, at, value) for at, value in enumerate((81, 79, 78.1, 78.0))] == [RAISED, None, None, CLEARED]
 
 
+@pytest.mark.parametrize(
+    ("kind", "limit", "hysteresis", "back", "beside"),
+    [("H", 0.3, 0.1, 0.2, 0.2001), ("LL", 0.7, 0.1, 0.8, 0.7999), ("HH", -0.3, 0.1, -0.4, -0.3999)],
+)
+def test_numbers_count_as_they_are_written(
+    kind: Literal["H", "LL", "HH"], limit: float, hysteresis: float, back: float, beside: float
+) -> None:
+    rule = AlarmRule(kind, limit, hysteresis=hysteresis)
+    assert [rule.is_beyond(value, active=True) for value in (back, beside)] == [False, True]
+
+
+def test_a_delay_is_over_at_its_end_also_where_floats_do_not_add_up() -> None:
+    machine = machine_of(delay=0.7)
+    assert [feed(machine, at, 90) for at in (0.6, 0.6 + 0.7)] == [None, RAISED]
+
+
+def test_an_alarm_that_is_raised_again_needs_its_acknowledgement_whatever_the_limit_says_by_then() -> None:
+    machine = machine_of()
+    assert [feed(machine, 0, 90), feed(machine, 1, 70)] == [RAISED, CLEARED]
+    machine.continue_as("temperature", AlarmRule("H", 80.0), "")
+    event = machine.take(90, 0, 2 * SECOND, 2.0)
+    assert event is not None
+    assert event.needs_acknowledgement
+    assert machine.state is AlarmState.UNACKNOWLEDGED
+
+
 def test_a_low_limit_is_the_other_way_round() -> None:
     machine = machine_of("LL", limit=1.0, hysteresis=0.5)
     assert [feed(machine, at, value) for at, value in enumerate((1, 0.9, 1.4, 1.5))] == [None, RAISED, None, CLEARED]

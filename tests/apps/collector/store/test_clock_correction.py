@@ -1,19 +1,21 @@
 """Samples from before the wall clock was set: mended when it is, once, over crashes, and handed on with their time."""
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from collected import METER, NOON, SECOND, at
+from collected import METER, NOON, SECOND, at, meter_read
 from deliveries import RecordingSink, delivery_to, run_until
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
-from busway.apps.collector.sample_clock import SampleClock
+from busway.apps.collector.sample_clock import EARLIEST, SampleClock
 from busway.apps.collector.samples import Gap, Reason, SampleBatch, StateInterval
 from busway.apps.collector.sinks.delivery import CLOCK_WAIT
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.commit_thread import Committer
-from busway.apps.collector.store.manifest import Manifest
+from busway.apps.collector.store.journal import forget_old_alarms
+from busway.apps.collector.store.manifest import MaintenanceRow, Manifest
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.segment import Segment
@@ -160,6 +162,84 @@ def test_the_committer_mends_what_was_added_before_the_clock_was_set_in_the_orde
     assert committer.flush()
     committer.close()
     assert voltages(tmp_path) == [(SHIFT + second * SECOND, second, 0) for second in range(1, 200)]
+
+
+def test_segments_without_samples_are_mended_too(tmp_path: Path) -> None:
+    with StoreWriter(tmp_path, now=10 * SECOND) as writer:
+        writer.commit([], [StateInterval("meter-7", 20 * SECOND, 30 * SECOND, Reason.SUSPENDED)], 31 * SECOND)
+        writer.roll()
+        raised = AlarmEvent("meter-7", "voltage", "H", AlarmEventKind.RAISED, 50 * SECOND, 1.0)
+        writer.commit([], [], 51 * SECOND, [raised])
+        writer.roll()
+        assert writer.seal_closed() == 0
+        writer.begin_mending(SHIFT)
+        mend(writer)
+        assert [each.at for each in Store(tmp_path).alarms()] == [SHIFT + 50 * SECOND]
+        mended = [(each.begin, each.end) for each in Store(tmp_path).read("meter-7").intervals]
+    assert mended == [(SHIFT + 20 * SECOND, SHIFT + 30 * SECOND)]
+
+
+@pytest.mark.parametrize("reason", [Reason.SUSPENDED, Reason.MAINTENANCE])
+def test_an_interval_that_an_earlier_process_left_open_is_not_moved_by_the_clock_of_a_later_one(
+    tmp_path: Path, reason: Reason
+) -> None:
+    first = StoreWriter(tmp_path, now=3 * SECOND)
+    first.commit([early(5)], [StateInterval("meter-7", 7 * SECOND, None, reason)], 8 * SECOND)
+    first.close(9 * SECOND)
+    with written(tmp_path) as writer:
+        writer.begin_mending(SHIFT)
+        mend(writer)
+        left = [each for each in Store(tmp_path).read("meter-7").intervals if each.begin == 7 * SECOND]
+        assert [(each.begin, each.end) for each in left] == [(7 * SECOND, 8 * SECOND)], "it ended when that process did"
+        assert voltages(tmp_path)[1:] == wanted()
+
+
+def test_maintenance_that_was_noted_without_the_time_moves_with_the_samples_or_begins_anew(tmp_path: Path) -> None:
+    with StoreWriter(tmp_path, now=10 * SECOND) as writer:
+        writer.manifest.begin_maintenance(MaintenanceRow("meter-7", 20 * SECOND, "anna", "new sensor"))
+        writer.begin_mending(SHIFT)
+        assert [row.begin for row in writer.manifest.maintenance()] == [SHIFT + 20 * SECOND]
+        mend(writer)
+        writer.manifest.begin_maintenance(MaintenanceRow("pump-1", 30 * SECOND, "anna", "new seal"))
+    with StoreWriter(tmp_path, now=at(50)) as writer:
+        begun = {row.device: row.begin for row in writer.manifest.maintenance()}
+    assert begun == {"meter-7": SHIFT + 20 * SECOND, "pump-1": at(50)}
+
+
+def test_the_gap_after_a_process_that_never_knew_the_time_begins_with_what_is_known(tmp_path: Path) -> None:
+    StoreWriter(tmp_path, now=at(0)).close(at(10))
+    with StoreWriter(tmp_path, now=100 * SECOND) as writer:
+        writer.commit([early(101)], [], 101 * SECOND)
+    with StoreWriter(tmp_path, now=20 * SECOND) as writer:  # the machine was started again
+        writer.commit([early(21)], [], 21 * SECOND)
+    StoreWriter(tmp_path, now=at(500)).close(at(500))
+    gaps = [(gap.begin, gap.end) for gap in Store(tmp_path).read().gaps]
+    assert all(begin <= end and (begin < EARLIEST) is (end < EARLIEST) for begin, end in gaps if begin != at(0)), gaps
+    assert (at(0), at(500)) in gaps, gaps
+
+
+def test_what_was_written_without_the_time_is_as_old_as_what_was_written_next(tmp_path: Path) -> None:
+    options = StoreOptions(seals=False, retention=Retention(age=3600.0))
+    with StoreWriter(tmp_path, options, now=10 * SECOND) as writer:
+        raised = AlarmEvent("meter-7", "voltage", "H", AlarmEventKind.RAISED, 12 * SECOND, 1.0)
+        writer.commit([early(11)], [], 12 * SECOND, [raised, replace(raised, kind=AlarmEventKind.CLEARED)])
+    with StoreWriter(tmp_path, options, now=at(0)) as writer:
+        writer.commit([meter_read(1)], [], at(1))
+        writer.roll()
+        assert writer.apply_retention(at(3000)) == []
+        assert len(Store(tmp_path).alarms()) == 2
+        writer.commit([meter_read(4000)], [], at(4000))
+        assert len(writer.apply_retention(at(4500))) == 2, "both are older than an hour by now"
+
+
+def test_events_of_an_active_alarm_are_kept_and_those_of_its_earlier_ones_are_not(tmp_path: Path) -> None:
+    raised = AlarmEvent("meter-7", "voltage", "H", AlarmEventKind.RAISED, at(1), 1.0)
+    with StoreWriter(tmp_path, now=at(0)) as writer:
+        cleared = replace(raised, kind=AlarmEventKind.CLEARED, at=at(1))
+        writer.commit([], [], at(2), [raised, cleared, raised])  # all at once
+        writer.roll()
+        assert forget_old_alarms(writer.manifest, at(100)) == 2
+        assert [each.kind for each in Store(tmp_path).alarms()] == [AlarmEventKind.RAISED]
 
 
 async def test_a_sink_gets_them_once_with_their_right_time(tmp_path: Path) -> None:
