@@ -120,6 +120,33 @@ def test_a_wrong_token_is_refused_with_a_sentence(new_page, plant, complaints):
     complaints[:] = [each for each in complaints if "401" not in each and "WebSocket" not in each and "403" not in each]
 
 
+def test_a_page_whose_token_is_removed_or_permits_less_says_so_and_offers_less(new_page, plant, complaints):
+    path = plant.page.token_path
+    first = path.read_text()
+    try:
+        path.write_text(first + "operate a-token-of-many-letters anna\n")
+        page = new_page(plant.page.url)
+        page.get_by_role("button", name="Sign in").click()
+        page.get_by_role("textbox", name="Token").fill("a-token-of-many-letters")
+        page.get_by_role("button", name="Use it").click()
+        expect(row(page, "pump/speed").get_by_role("button", name="Write pump/speed")).to_be_visible()
+        path.write_text(first + "view a-token-of-many-letters anna\n")
+        expect(page.locator("#who")).to_have_text("anna: view")
+        expect(page.get_by_role("button", name="Write pump/speed")).to_have_count(0)
+        expect(page.locator("#live")).to_have_text("live")
+        path.write_text(first)
+        expect(page.locator("#token-message")).to_have_text("The token is wrong.")
+        expect(page.locator("#live")).to_have_text("The token is wrong.")
+        path.write_text(first + "operate a-token-of-many-letters anna\n")
+        page.get_by_role("textbox", name="Token").fill("a-token-of-many-letters")
+        page.get_by_role("button", name="Use it").click()
+        expect(page.locator("#who")).to_have_text("anna: operate")
+        expect(page.locator("#live")).to_have_text("live")
+    finally:
+        path.write_text(first)
+    complaints[:] = [each for each in complaints if "401" not in each and "WebSocket" not in each and "403" not in each]
+
+
 # Writes.
 
 

@@ -47,10 +47,12 @@ def until_values(socket: ClientConnection, **wanted: Any) -> None:
     until(socket, take)
 
 
-def receive_all(socket: ClientConnection) -> None:
+def receive_all(socket: ClientConnection, into: list[str] | None = None) -> None:
     """Receive until the stream is closed, which raises."""
     while True:
-        socket.recv(timeout=20)
+        text = str(socket.recv(timeout=20))
+        if into is not None:
+            into.append(text)
 
 
 def test_the_first_message_has_every_point_and_later_ones_what_changes(plant: WatchedCollector) -> None:
@@ -146,6 +148,57 @@ def test_there_is_a_limit_to_viewers(plant: WatchedCollector, monkeypatch: pytes
         socket.recv(timeout=20)
         with pytest.raises((InvalidStatus, ConnectionClosed)), stream_of(plant) as other:
             other.recv(timeout=20)
+
+
+@pytest.mark.parametrize(
+    "later", ["", "view a-token-of-many-letters anna\n", "operate a-token-of-many-letters berta\n", None]
+)
+def test_a_viewer_whose_token_is_removed_or_permits_something_else_is_closed_and_others_stay(
+    plant: WatchedCollector, later: str | None
+) -> None:
+    path = plant.page.token_path
+    first = path.read_text()
+    offered: Any = ["busway", "bearer.a-token-of-many-letters"]
+    try:
+        path.write_text(first + "operate a-token-of-many-letters anna\n")
+        with (
+            stream_of(plant) as without,
+            connect(plant.page.url.replace("http", "ws") + "stream", subprotocols=offered, proxy=None) as socket,
+        ):
+            socket.send('{"shown":[1]}')
+            until(socket, lambda message: "raw" in message)
+            if later is None:
+                path.unlink()
+            else:
+                path.write_text(first + later)
+            with pytest.raises(ConnectionClosed) as caught:
+                receive_all(socket)
+            assert caught.value.rcvd is not None
+            assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (1008, "what its token permits has changed")
+            wait_until(lambda: len(plant.page.api.stream) == 1)
+            plant.loop.call_soon_threadsafe(plant.page.api.stream.tell, "command", {"key": "later"})
+            until(without, lambda message: message.get("command") == {"key": "later"})
+    finally:
+        path.write_text(first)
+        path.chmod(0o600)
+
+
+def test_an_event_that_waits_for_a_viewer_is_not_sent_once_its_token_is_removed(
+    plant: WatchedCollector, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = plant.page.api.stream
+    with stream_of(plant) as socket:
+        socket.recv(timeout=20)
+
+        def at_once() -> None:  # before any tick
+            monkeypatch.setattr(collector_stream, "current_caller", lambda scope: None)
+            stream.tell("command", {"key": "secret"})
+
+        plant.loop.call_soon_threadsafe(at_once)
+        told: list[str] = []
+        with pytest.raises(ConnectionClosed):
+            receive_all(socket, told)
+    assert "secret" not in "".join(told)
 
 
 def test_nothing_ticks_without_viewers(plant: WatchedCollector) -> None:

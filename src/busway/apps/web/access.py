@@ -14,6 +14,8 @@ Knows headers, roles and sizes; knows no resource. It wraps the whole applicatio
    callers without either. A wrong token is refused, and never taken for none.
 6. What changes something needs at least the role `Role.OPERATE`, also where a route forgets to say so; routes that need
    more say it with `require`.
+7. A WebSocket outlives this check: what serves it asks `current_caller` before it sends, and closes it once the answer
+   is another.
 """
 
 import functools
@@ -52,6 +54,7 @@ CERTIFICATE_SUBJECT: Final = "certificate_subject"
 _BODY_KINDS: Final = ("application/json", "application/toml")
 """Types of bodies. A page of another origin can send neither without asking first."""
 _CALLER: Final = "busway.caller"
+_FIND_CALLER: Final = "busway.find_caller"
 _log = logging.getLogger("busway.apps.web")
 
 
@@ -160,6 +163,12 @@ def caller_of(scope: Scope) -> Caller:
     return found
 
 
+def current_caller(scope: Scope) -> Caller | None:
+    """Return the caller of a request that `PageAccess` has let in, by the tokens of now; None if it is refused now."""
+    found: Caller | None = scope[_FIND_CALLER]()
+    return found
+
+
 def _permitted(caller: Caller, least: Role) -> Caller:
     if caller.role >= least:
         return caller
@@ -216,31 +225,35 @@ class PageAccess:
                 raise Refused(415, f"the body must be {' or '.join(_BODY_KINDS)}")
 
     def _caller(self, scope: Scope, headers: dict[str, list[str]]) -> Caller:
-        """Return the caller of a request by its token, certificate or address (rule 5)."""
+        """Return the caller of a request; it can be looked for again as long as the request lasts (rule 7)."""
         given = _token(scope, headers)
-        if given is not None and self._rules.tokens is not None:
-            return self._holder(given, self._rules.tokens(), scope)
+        digest = None if given is None or self._rules.tokens is None else _digest(given)
         subject = scope.get("state", {}).get(CERTIFICATE_SUBJECT, "")
+        find = scope[_FIND_CALLER] = functools.partial(self._find, digest, subject)
+        found = find()
+        if found is not None:
+            return found
+        if digest is None:
+            raise Refused(401, "a token is needed")
+        host = (scope.get("client") or ("",))[0]
+        repeated = self._wrong_tokens.again(host, time.monotonic())
+        if repeated is not None:
+            _log.warning("a wrong token was shown to the page from %s%s", host, so_often(repeated))
+        raise Refused(401, "the token is wrong")
+
+    def _find(self, digest: bytes | None, subject: str) -> Caller | None:
+        """Return the caller with a token, a certificate or neither (rule 5); None if it is refused."""
+        if digest is not None and self._rules.tokens is not None:
+            found: Caller | None = None
+            for token in self._rules.tokens():  # all of them: the time says nothing about which one it was
+                if hmac.compare_digest(token.digest, digest):
+                    found = token.caller
+            return found
         role = self._rules.subjects.get(subject) if subject else None
         if role is not None:
             return Caller(subject, role)
-        if self._rules.without_token is None:
-            raise Refused(401, "a token is needed")
-        return Caller("loopback", self._rules.without_token)
-
-    def _holder(self, given: str, tokens: Sequence[AccessToken], scope: Scope) -> Caller:
-        digest = _digest(given)
-        found: Caller | None = None
-        for token in tokens:  # all of them: the time says nothing about which one it was
-            if hmac.compare_digest(token.digest, digest):
-                found = token.caller
-        if found is None:
-            host = (scope.get("client") or ("",))[0]
-            repeated = self._wrong_tokens.again(host, time.monotonic())
-            if repeated is not None:
-                _log.warning("a wrong token was shown to the page from %s%s", host, so_often(repeated))
-            raise Refused(401, "the token is wrong")
-        return found
+        without = self._rules.without_token
+        return None if without is None else Caller("loopback", without)
 
 
 def _digest(token: str) -> bytes:

@@ -7,6 +7,8 @@ Knows viewers and what they look at; knows no store. Values come from `live_valu
 2. A viewer says which points it shows, at most `MOST_SHOWN`. Their registers are sent to it alone, and those that are
    read rarely are leased: read every `LEASED_PERIOD` seconds before all classes, unless their link has no time for it.
 3. Everything has a limit: viewers, points, events that wait, seconds that a viewer takes for a message.
+4. A viewer is told who it is and what it may do. Once its token is removed, or permits something else, it is closed
+   within a tick and gets nothing after that; its page then asks anew.
 """
 
 import asyncio
@@ -27,7 +29,7 @@ from ..collector.admission import MOST_LOAD
 from ..collector.collector import Collector
 from ..collector.commands.command import CommandResult
 from ..collector.store.writer import Commit
-from .access import BEARER_PROTOCOL
+from .access import BEARER_PROTOCOL, POLICY_VIOLATION, Caller, caller_of, current_caller
 from .live_values import LiveValues
 from .messages import Asked, plain_value
 from .stream import CLIENTS, PROTOCOL, SEND_SECONDS
@@ -55,15 +57,17 @@ class Shown(Asked):
 
 
 class Viewer:
-    """One open page in a browser: what it was sent, and which points it shows."""
+    """One open page in a browser: whose it is, what it was sent, and which points it shows."""
 
-    def __init__(self) -> None:
+    def __init__(self, caller: Caller) -> None:
+        self.caller: Caller = caller
         self.seen: int = 0
         self.revision: int = -1
         self.shown: tuple[int, ...] = ()
         self.told: dict[int, bytes] = {}
         self.alarms: tuple[int, int] = (0, 0)
-        self.events: deque[str] = deque(maxlen=MOST_EVENTS)
+        told = {"caller": {"name": caller.name, "role": caller.role.label}}
+        self.events: deque[str] = deque([json.dumps(told, ensure_ascii=False)], maxlen=MOST_EVENTS)
         self.message: str = ""
         self.is_sending: bool = False
         self.wake: asyncio.Event = asyncio.Event()
@@ -151,7 +155,7 @@ class CollectorStream:
         offered = socket.scope.get("subprotocols", [])
         shows_token = any(one.startswith(BEARER_PROTOCOL) for one in offered)
         await socket.accept(PROTOCOL if PROTOCOL in offered or shows_token else None)
-        viewer = Viewer()
+        viewer = Viewer(caller_of(socket.scope))
         self._viewers.append(viewer)
         if self._ticker is None:
             self._ticker = asyncio.create_task(self._tick(), name="busway page ticks")
@@ -212,6 +216,8 @@ class CollectorStream:
                     viewer.wake.set()
             self._tell_alarms()
             self._lease()
+            for viewer in self._viewers:
+                viewer.wake.set()  # rule 4 holds where nothing changes, too
             await asyncio.sleep(TICK)
 
     # What is shown.
@@ -267,6 +273,10 @@ async def _send(socket: WebSocket, viewer: Viewer) -> None:
     while True:
         await viewer.wake.wait()
         viewer.wake.clear()
+        if current_caller(socket.scope) != viewer.caller:
+            viewer.shown = ()
+            await _close(socket, POLICY_VIOLATION, "what its token permits has changed")
+            return
         try:
             async with asyncio.timeout(SEND_SECONDS):
                 if viewer.message:
@@ -276,7 +286,11 @@ async def _send(socket: WebSocket, viewer: Viewer) -> None:
                 while viewer.events:
                     await socket.send_text(viewer.events.popleft())
         except TimeoutError:
-            with contextlib.suppress(RuntimeError):
-                if socket.application_state is WebSocketState.CONNECTED:
-                    await socket.close(_TRY_AGAIN_LATER, "it takes nothing")
+            await _close(socket, _TRY_AGAIN_LATER, "it takes nothing")
             return
+
+
+async def _close(socket: WebSocket, code: int, reason: str) -> None:
+    with contextlib.suppress(RuntimeError):  # it has ended meanwhile
+        if socket.application_state is WebSocketState.CONNECTED:
+            await socket.close(code, reason)

@@ -8,7 +8,7 @@ import { DeviceView, showLinks, showSinks } from "./devices.js";
 import { byId, setText } from "./dom.js";
 import { History } from "./history.js";
 import { Refusal, Stream, ask, hasToken } from "./link.js";
-import { askForToken, learnRole, may, offerTokens, onRole } from "./session.js";
+import { askForToken, learnRole, may, offerTokens, onRole, takeRole } from "./session.js";
 import { ValueTable } from "./values.js";
 
 const VIEWS = ["values", "alarms", "devices", "links", "sinks", "commands", "log", "configuration"];
@@ -23,7 +23,10 @@ function state(name, text = STATES[name]) {
   setText(byId("live"), text);
 }
 
-const stream = new Stream(take, state);
+const stream = new Stream(take, (name) => {
+  state(name);
+  if (name === "down") askAgain();
+});
 const past = new History((point) => table.focus(point, "c-name"));
 const writing = new WriteDialog(
   () => view === "commands" && refresh(),
@@ -55,6 +58,7 @@ function take(message) {
       begin();
     }
   }
+  if (message.caller) takeRole(message.caller);
   if (message.alarms) alarms.count(message.alarms);
   if (message.command && view === "commands") refresh();
 }
@@ -82,6 +86,19 @@ async function keepUp() {
     await refresh();
   }
   setTimeout(keepUp, PERIOD);
+}
+
+/** The stream has ended or could not begin: perhaps the token is taken no longer, or permits something else now. */
+async function askAgain() {
+  const mine = begun;
+  try {
+    await learnRole();
+  } catch (error) {
+    if (mine !== begun || error.status !== 401) return; // begun anew, or nothing answers: the stream tries again
+    stream.stop();
+    state("down", error.message);
+    askForToken(error.message);
+  }
 }
 
 let begun = 0;

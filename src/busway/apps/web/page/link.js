@@ -95,17 +95,23 @@ export class Stream {
     socket.addEventListener("close", () => {
       if (this.socket !== socket) return;
       this.state("down");
-      setTimeout(() => this.open(), this.pause * (0.75 + Math.random() / 2));
+      this.again = setTimeout(() => this.open(), this.pause * (0.75 + Math.random() / 2));
       this.pause = Math.min(this.pause * 2, LONGEST_PAUSE);
     });
   }
 
   /** Connect anew: another token is used, or everything has to come again. */
   reopen() {
+    this.stop();
+    this.open();
+  }
+
+  /** Stay without a connection until `reopen`. */
+  stop() {
+    clearTimeout(this.again);
     const before = this.socket;
     this.socket = null;
     before?.close();
-    this.open();
   }
 
   /** Say what is wanted from now on; it is said again after each new connection. */

@@ -19,7 +19,12 @@ export function onRole(told) {
 
 /** Ask for name and role; throws a `Refusal` where a token is needed. */
 export async function learnRole() {
-  Object.assign(session, await ask("GET", "/api/caller"));
+  takeRole(await ask("GET", "/api/caller"));
+}
+
+/** Take over who the user is and what that role may do. */
+export function takeRole(caller) {
+  Object.assign(session, caller);
   setText(byId("who"), session.name === session.role ? session.role : `${session.name}: ${session.role}`);
   setText(byId("sign"), hasToken() ? "Sign out" : "Sign in");
   for (const told of listeners) told();
