@@ -1,4 +1,7 @@
-"""Each room with more than five files has a map: the docstring of its package names every file, one line each."""
+"""Each room with more than five files has a map: the docstring of its package names every file, one line each.
+
+Below it, "Where it is decided" says which file of the room decides what.
+"""
 
 import ast
 import re
@@ -36,6 +39,20 @@ def map_of(room: str) -> list[str]:
 def test_the_map_of_a_room_names_every_file_once_and_nothing_else(room: str) -> None:
     named = map_of(room)
     assert sorted(named) == sorted(files_of(SOURCES / room))
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_map_of_a_room_says_which_of_its_files_decides_what(room: str) -> None:
+    docstring = ast.get_docstring(ast.parse((SOURCES / room / "__init__.py").read_text(encoding="utf-8"))) or ""
+    _, found, text = docstring.partition("\n\nWhere it is decided: ")
+    assert found, f"{room}/__init__.py does not say where what is decided"
+    decisions = text.partition("\n\n")[0]
+    files = set(re.findall(r"(?<!`)`([a-z]\w*)`(?!`)", decisions))
+    assert files
+    assert files <= files_of(SOURCES / room)
+    for other in re.findall(r"`busway\.([a-z_.]+)`", decisions):
+        path = SOURCES.joinpath(*other.split("."))
+        assert path.is_dir() or path.with_suffix(".py").is_file(), other
 
 
 def test_rooms_were_found() -> None:

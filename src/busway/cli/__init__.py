@@ -39,6 +39,10 @@
 ================  ======================================================================================================
 
 One file per command. Only here are files and the environment read, and only here is anything printed.
+
+Where it is decided: which exit code an error has: `exits`. How values are printed: `output`; status: `status_view`.
+What Ctrl-C and SIGTERM do: `signals`. What SIGHUP does: `running`. What happens when standard output is closed:
+`streams`. Which command is loaded: `program`. Options that commands share: `arguments`.
 """
 
 import sys

@@ -16,4 +16,9 @@
 `files`              The schemas of all files that people write: TOML text to checked, frozen values
 `profiles`           Ready-made device profiles: simulation files that come with the package, each with its parameters
 ===================  =================================================================================================
+
+Where it is decided: which keys a file has, and how an error in it is worded: `files`. At which key a wrong combination
+is reported: `report`. Which rules can never match: `preflight`. Whether a certificate can be used: `certificates`.
+Which values Modbus clients may write to a device: `device_writes`. What a reload replaces in a running server:
+`reloadable_access`.
 """

@@ -11,4 +11,8 @@
 `switchboard`          The faults of a server by name: added, switched and removed while it runs
 `profiles`             The table of all fault profiles of devices; the profiles are defined in the files beside this one
 =====================  =================================================================================================
+
+Where it is decided: whether a fault applies to a request: `fault` (`Faults.strike`). Which bytes are sent in place of
+the device's, and when: `faulty_conversation`. Which fault profiles there are: `profiles`; their options: `profile`.
+Which faults are on: `switchboard`.
 """

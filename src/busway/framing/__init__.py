@@ -21,4 +21,9 @@
 
 Receivers take bytes and the time of the read and give what was complete (`busway.framing.received.Receiver`); those
 of serial lines share what masters, servers and observers need (`busway.framing.received.SerialReceiver`).
+
+Where it is decided: where a frame ends: `lengths` by function, `rtu` by length and CRC, `rtu_strict` by silence,
+`ascii` by its delimiter, `mbap` by its header. Where the next frame begins after damaged bytes: `rtu_search`. Whether a
+frame is a request or a reply: `frame_direction`. Whether received bytes are an echo: `echo`. How long t1.5 and t3.5
+are: `timing`.
 """

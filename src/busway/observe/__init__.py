@@ -14,4 +14,8 @@
 `wording`           Describes a PDU in one line of words, for lists of frames
 `metrics`           Metrics of servers, gateways and links in the formats of Prometheus and OpenMetrics
 ==================  ==================================================================================================
+
+Where it is decided: which reply answers which request: `pairing`. In which framing a frame from an unknown source is:
+`dissect`. What is logged at which level: `trace`. What a capture file has: `capture`. Which metrics there are:
+`metrics`.
 """

@@ -17,4 +17,9 @@
 `text`         Converts options given as text (URLs, command line) or keywords into fields of parameter classes
 `tls`          Options of Modbus/TCP Security: certificates, TLS versions, cipher suites and deadlines (port 802
 =============  =====================================================================================================
+
+Where it is decided: range, unit and default of an option: its field in the parameter class (`client`, `server`,
+`lines`, `ports`, …), as `declaration` reads it. Which options a component accepts: `offer`. What `preset=strict` sets,
+and what it refuses: `presets`. How a text becomes a value, and what an unknown option is answered: `text`. What a URL
+means: `endpoints`.
 """

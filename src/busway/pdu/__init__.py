@@ -18,4 +18,9 @@
 `wide_registers`  Requests for registers wider than two bytes, of devices that answer 4…12 bytes for each register
 `write_items`     Messages of functions 05, 06, 15, 16, 22 and 23, which write coils and holding registers
 ================  ======================================================================================================
+
+Where it is decided: which class belongs to a function code: `functions`. Whether a message is valid: its class, in the
+file of its function, with `fields`. Which exception code an invalid request gets: `malformed`. Which requests the
+server's fast path answers: `fast_answers`. In which order a request reads and writes the device: its ``apply``, by the
+interfaces of `model`.
 """

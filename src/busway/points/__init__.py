@@ -9,6 +9,10 @@
 `point_rules`  Rules that device files give for points: limits of reads, and what may be written
 `quality`      Quality of a point's value (good, uncertain, bad), and the reason if it is not good
 =============  =========================================================================================================
+
+Where it is decided: whether a value is good, uncertain or bad, and why: `quality`. What raw number and unit mean:
+`conversion`. Whether a value may be written: `point_rules`. What a formula may contain: `expression`. When a counter
+has rolled over: `derived`.
 """
 
 from .conversion import Conversion, Linear

@@ -13,6 +13,9 @@
 ==============  ====================================================================================================
 
 Public, also for tests of programs that use the library. Names are imported when they are used.
+
+Where it is decided: when a byte is on the bus, and what a collision does: `virtual_line` (simulated time), `line` (real
+time). What the test device answers: `device`.
 """
 
 from importlib import import_module

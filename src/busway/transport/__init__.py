@@ -14,4 +14,8 @@
 `serial`              Serial ports: bytes in, bytes out, over a UART, a USB adapter or a pseudo-terminal
 `tls`                 TLS: contexts, certificates, roles of clients, handshakes, and the reasons for which they fail
 ====================  =================================================================================================
+
+Where it is decided: which local and remote address a connection uses: `dialling`. On which addresses a listener
+listens: `listening_sockets`. Which socket options are set: `tcp`. How many connections are accepted at once:
+`accepting`. Which descriptors are kept for Modbus: `descriptors`.
 """

@@ -15,6 +15,10 @@
 `texts`      Conversion between registers and character strings
 `types`      Value types by name, such as `float32`: how registers become values and back
 ===========  ========================================================================================================
+
+Where it is decided: what a type name means, and how many registers it takes: `types`. In which order bytes are:
+`orders`. What the address `40001` means: `addresses`. Which values fit a type: `numbers`, `texts`, `bits`, `network`;
+how a refusal is worded: `refusal`. How long `5m` is: `durations`.
 """
 
 from .addresses import Address, format_address, parse_address

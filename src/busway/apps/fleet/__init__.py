@@ -16,4 +16,9 @@
 `streams`          the stream of a zone: samples go in from collectors, and out to sinks
 `fleet_collector`  a collector that polls what it owns
 =================  =========================================================================
+
+Where it is decided: which links make a shard, and which hosts may own it: `shards`. Whether this collector owns a shard
+now, and when it stops: `member`; for how long a lease holds: `lease_times`. Which collector takes a free shard, and
+which shards move: `balance`. Who wins when two write at once: `coordinator` (compare-and-set). To which epoch a sample
+belongs: `ownership`. What is sent again: `outbox`.
 """

@@ -12,7 +12,7 @@ serial line gateways").
 `overview`                  The contents of a gateway file as rows of text: listeners, upstreams, routes
 `own_unit`                  The gateway's own unit: its identification, diagnostics and status registers
 `policy_gaps`               Finds routes that reach a rule's device by units or addresses that the rule does not name
-`read_cache`                Reads in flight that several clients wait for, and recently read values
+`read_cache`                What may answer a read without a new request: recent values, and reads in flight
 `route_checks`              Checks the routes of a gateway file before the gateway runs
 `router`                    Which upstream or own unit answers a request of one listener; broadcasts
 `routes`                    Routes: which upstream and which unit a request is forwarded to
@@ -27,7 +27,8 @@ serial line gateways").
 A gateway is a server whose responder hands each request to a link.
 
 Where it is decided: which upstream gets a request: `routes`. 0A or 0B when an upstream is down, silent or dies:
-`upstream_exception_codes`. Who waits for which reply, and for how long: `forwarding`, `waiter_deadlines`. Which reads
-are answered from memory: `read_cache`. Broadcasts: `router`. Connecting again: `upstream` and
-`busway.session.reconnect`.
+`upstream_exception_codes`. Which values are still fresh enough to answer from memory, and which reads in flight may be
+shared: `read_cache`. Whether the read of this client takes them or goes upstream itself (a priority host does not wait
+behind others): `forwarding`. How long each client waits: `waiter_deadlines`. Broadcasts: `router`. Connecting again:
+`upstream` and `busway.session.reconnect`.
 """

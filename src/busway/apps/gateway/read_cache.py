@@ -1,4 +1,6 @@
-"""Cache of reads through a gateway: reads in flight that several clients wait for, and recently read values.
+"""What may answer a read of a gateway without a new request: values read recently, and reads in flight to share.
+
+`forwarding` asks here before it sends a read, and decides for the single client.
 
 Knows reads and writes by unit and range; knows no link, and the time only as ``now``.
 

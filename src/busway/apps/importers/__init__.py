@@ -12,4 +12,7 @@ over.
 ================  ==============================================================================================
 
 Register maps in CSV, as manuals have them, are read by `busway.apps.simulator.register_map`.
+
+Where it is decided: which importer reads a file: `formats`. What is left out, and how that is reported: `imported`. How
+a key of another program is understood: the file of that program (`home_assistant`, `modpoll`, `sunspec`, `telegraf`).
 """

@@ -10,4 +10,8 @@
 `reload`           Reads a configuration again while its server runs, and applies what can change without a restart
 `service`          A running server and the services around it: policy, audit log, metrics and control socket
 =================  =====================================================================================================
+
+Where it is decided: what a reload can change without a restart: `reload`. What an option of the command line overrides:
+`overrides`. Which keys a configuration has, and what must fit together: `configuration`. Which policy and which allow
+list apply now: `access_in_force`. The order of start and stop: `service`.
 """

@@ -17,4 +17,9 @@
 `writes`          Tells a simulation which of its points a Modbus client has written
 `behaviours`      Behaviours, which make simulated values change
 ================  ===================================================================================================
+
+Where it is decided: which point changes when, and in which order: `engine`. What a write by a client does to a point:
+`simulation`, told by `writes`. Where a point is in memory, and how it is encoded: `registers`. The value at a moment:
+`behaviours`. What is kept over a restart: `state`. What a clone leaves out: `clone`. Columns of a register map:
+`register_map`.
 """

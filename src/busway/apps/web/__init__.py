@@ -24,4 +24,9 @@
 
 1. It needs the extra ``web``, and is imported only when the page is started.
 2. It runs in the event loop of the simulation or collector, so it never reads a state that is half changed.
+
+Where it is decided: who may call, with which role, from which host and origin: `access`. How many connections, and for
+how long: `connections`. The tokens: `page_tokens`. How an error is answered: `operations`. What a viewer of a collector
+is sent, and when: `live_values`, `collector_stream`; of a simulation: `stream`. What a command from the page needs:
+`collector_commands`.
 """

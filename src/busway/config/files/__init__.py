@@ -11,8 +11,8 @@
 `options`     Keys of files that set options: generated from the declarations of the options
 `points`      Keys of files for points: `[[unit.point]]` and `[[unit.group]]`, the same in every file that has devices
 `policy`      Keys of access policies: who may connect, and rules for requests
-`problems`    The error for an invalid file, with one line for each problem
-`schema`      Base of all file schemas, and the translation of schema errors into sentences with a line
+`problems`    The error that holds all problems of one invalid file, a line each; `schema` words them
+`schema`      Base of all file schemas, and the wording of their errors: the sentence for a wrong key or value
 `simulation`  The schema of simulation files: device files whose points have ranges, names for numbers, and behaviours
 `sinks`       Keys of `[[sink]]` in collector files, one section class for each kind of sink
 `system`      Keys of configuration files: server, listeners, client, security, policy and units in one file
@@ -20,6 +20,10 @@
 
 Knows texts; reads no file itself and builds nothing: `busway.config` does both, `busway.config.devices` makes the
 devices. Imported only where a file is used: it loads pydantic.
+
+Where it is decided: how an error in a file is worded, also "is it …?": `schema`, never `problems`, which only holds the
+errors of one file together. Which keys a section has: the file of its kind. Which options are keys: `options`, from
+their declarations. In which line a key is: `lines`.
 """
 
 from ...extras import require

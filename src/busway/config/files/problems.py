@@ -1,4 +1,4 @@
-"""The error for an invalid file, with one line for each problem."""
+"""The error that holds all problems of one invalid file, a line each. `schema` words them; nothing is decided here."""
 
 from collections.abc import Sequence
 

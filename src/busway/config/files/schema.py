@@ -1,4 +1,4 @@
-"""Base of all file schemas, and the translation of schema errors into sentences with a line.
+"""Base of all file schemas, and the wording of their errors: which sentence a wrong key or value gets, at which line.
 
 Knows pydantic and TOML texts; knows no particular file.
 

@@ -9,6 +9,9 @@
 `refusals`     Fault profiles of devices that refuse valid requests, or answer with unusual exceptions
 `timing`       Fault profiles of devices that reply too late, out of order, or not for a while
 =============  ==============================================================================================
+
+Where it is decided: what a profile does to a request or a reply: its file, such as `refusals` or `timing`. Which
+requests it applies to: `busway.faults.fault`.
 """
 
 from typing import Final

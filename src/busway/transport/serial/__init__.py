@@ -26,6 +26,10 @@ lost port is tried again (`reopen`), and the two ways to use one (`device`): `co
 without it.
 
 `serialx` opens the ports. It is imported when the first one is opened, so that programs without one do not wait for it.
+
+Where it is decided: which port is meant: `ports`. Whether a port is taken: `lock` by other programs, `opening` by this
+one. When a lost port is tried again: `reopen`. When the last character has left: `emission`. Who switches the
+direction: `rs485`. Which characters are damaged or lost: `marks`, `overruns`.
 """
 
 from importlib import import_module

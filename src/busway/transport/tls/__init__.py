@@ -9,4 +9,7 @@
 `stream`        TLS of one connection without IO: encrypted bytes in and out
 `certificates`  Certificates: reading what one says (`facts`), and issuing those of a test installation (`authority`)
 ==============  ========================================================================================================
+
+Where it is decided: which versions, ciphers and authorities are accepted: `context`. Why a handshake failed:
+`failures`. Which role a client has: `roles`. When a TLS connection has ended: `stream`.
 """

@@ -15,4 +15,9 @@
 `nats`           Receives commands to write points by NATS request and reply
 `sparkplug`      Receives commands from host applications of Sparkplug B, over the connection of the sink
 ===============  =======================================================================================================
+
+Where it is decided: which points the commands of one server may write, and whether a message came too late: `inputs`.
+Whether a command was given before, and what it gets then: `journal`. The order of check, record, write and report:
+`runner`. Which values a point takes, and whether the device shows them afterwards: `point_write`. How many messages
+wait at once: `message_tasks`. What the audit log says: `audit`.
 """

@@ -16,4 +16,9 @@
 `sparkplug`          Sink for Sparkplug B 3.0: the collector is an edge node of a group
 `sparkplug_payload`  Payloads of Sparkplug B 3.0: metrics with type, time and quality, as protobuf bytes
 ===================  ===================================================================================================
+
+Where it is decided: what is sent to a sink, in what order, again or never: `delivery`. When a delivery that failed
+begins again: `running`. Whether an error means "later" or "refused for good": the file of the sink, by the errors of
+`interface`. By which key a receiver knows a sample that comes twice: `documents`. Secrets, TLS and options: `options`.
+Topics and subjects: `mqtt`, `nats`, `sparkplug`.
 """

@@ -1,4 +1,4 @@
-"""The writer of a store: puts one commit after the other into the open segment, and decides when a segment ends.
+"""The writer of a store: puts one commit after the other into the open segment; ends it when `segment` says so.
 
 Knows the order of steps that keeps a store whole; knows no thread and no clock. Times come as arguments.
 
@@ -6,7 +6,8 @@ Knows the order of steps that keeps a store whole; knows no thread and no clock.
 2. A commit has a number, greater than all before. Only what `commit` returned may be shown or sent: it is in the store.
 3. A commit that fails (a full disk) is undone as a whole. The caller keeps its batches and tries again, and what must
    be dropped meanwhile becomes a `Gap` with the number of samples lost.
-4. A segment ends after ten minutes, at 256 MB, or when a reader holds its log. Another thread can seal it then.
+4. A segment ends by `Segment.has_ended`: after ten minutes, at 256 MB, or when a reader holds its log. Another thread
+   can seal it then.
 5. A start that finds commits of an earlier run records the time between as a `Gap`, and ends intervals left open.
 """
 

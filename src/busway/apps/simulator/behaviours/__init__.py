@@ -12,4 +12,7 @@
 
 Knows time as a number; knows no clock, no device and no register. The keys in files are known by
 `busway.config.files.behaviours`.
+
+Where it is decided: which behaviour a section makes: `builder`. What a behaviour is asked, and when: `behaviour`. Which
+random numbers a seed gives: `chance`.
 """
