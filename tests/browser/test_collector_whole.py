@@ -26,6 +26,15 @@ name = "level"
 address = "4x2"
 access = "read"
 alarm = [{ kind = "H", limit = 80, acknowledge = true }]
+
+[[unit.point]]
+name = "mode"
+address = "4x3"
+enumeration = { off = 0, auto = 1, "by hand" = 2 }
+
+[[unit.point]]
+name = "valve"
+address = "4x4.3"
 """
 
 
@@ -80,6 +89,40 @@ def test_a_write_reaches_the_device_and_stands_in_the_list(plant, signed, compla
     for text in ("operate", "page", "pump/speed", "done"):
         expect(page.locator("#command-rows tr").first).to_contain_text(text)
     complaints[:] = [each for each in complaints if "422" not in each]
+
+
+def test_named_values_and_states_are_chosen_from_a_list_and_shown_by_name(plant, signed):
+    page = signed("operate")
+    expect(row(page, "pump/mode").locator(".c-value")).to_have_text("off (0)")
+    row(page, "pump/mode").get_by_role("button", name="Write pump/mode").click()
+    choice = page.get_by_role("combobox", name="New value")
+    expect(choice).to_be_focused()
+    expect(choice.locator("option")).to_have_text(["Choose a value", "off (0)", "auto (1)", "by hand (2)"])
+    page.get_by_role("button", name="Write…").click()
+    expect(page.locator("#write-message")).to_have_text("Choose a value.")
+    choice.select_option("by hand (2)")
+    page.get_by_role("button", name="Write…").click()
+    expect(page.locator("#write-sentence")).to_have_text("Write by hand to pump/mode, now off (0) (good)?")
+    choice.select_option("auto (1)")
+    expect(page.locator("#write-question")).to_be_hidden()
+    page.get_by_role("button", name="Write…").click()
+    page.get_by_role("button", name="Write now").click()
+    expect(page.locator("#write-outcome")).to_contain_text("Written.")
+    expect(choice).to_be_disabled()
+    page.get_by_role("button", name="Close", exact=True).click()
+    expect(row(page, "pump/mode").locator(".c-value")).to_have_text("auto (1)")
+    row(page, "pump/valve").get_by_role("button", name="Write pump/valve").click()
+    expect(choice).to_be_enabled()
+    choice.select_option("on")
+    page.get_by_role("button", name="Write…").click()
+    page.get_by_role("button", name="Write now").click()
+    expect(page.locator("#write-outcome")).to_contain_text("Written.")
+    page.get_by_role("button", name="Close", exact=True).click()
+    expect(row(page, "pump/valve").locator(".c-value")).to_have_text("on")
+    assert plant.device.holding_registers[2:4] == [1, 8]
+    row(page, "pump/speed").get_by_role("button", name="Write pump/speed").click()
+    expect(page.get_by_role("textbox", name="New value in rpm")).to_be_focused()
+    expect(choice).to_be_hidden()
 
 
 def test_an_alarm_is_told_at_once_acknowledged_and_kept_in_the_journal(plant, signed):

@@ -36,6 +36,9 @@ class CollectedPoint(Answer):
     point: str
     unit_of_measure: str
     kind: Literal["number", "state", "text"]
+    enumeration: dict[str, int] = Field(
+        default_factory=dict, description="Numbers by name; each can be written by name."
+    )
     writable: bool
 
 

@@ -208,6 +208,7 @@ class CollectorApi:
                     point=point.name,
                     unit_of_measure=point.unit_of_measure,
                     kind=_kind(point),
+                    enumeration=dict(point.conversion.names),
                     writable=point.writing is not None,
                 )
                 for device in self._collector.configuration.devices.values()

@@ -254,7 +254,6 @@ class CommandRunner:
         now, moment = self._now(), self._moment()
         command = PointCommand(new_key(now), device, point, value, by, origin, now + ARMED_SECONDS)
         target = self._targets.target(device, point)
-        unit = target.point.unit_of_measure
         refusal = self._refusal(command)
         if refusal:
             self.refused(self._result(command), refusal)
@@ -264,8 +263,8 @@ class CommandRunner:
         if len(self._armed) >= MOST_ARMED:
             raise Overloaded(f"{MOST_ARMED} commands wait to be confirmed; try again in a minute")
         old = self._targets.last(device, point)
-        is_now = f", now {_text(old.value, unit)} ({old.quality})" if old is not None else ""
-        sentence = f"Write {_text(value, unit)} to {device}/{point}{is_now}?"
+        is_now = f", now {_text(old.value, target.point)} ({old.quality})" if old is not None else ""
+        sentence = f"Write {_text(value, target.point)} to {device}/{point}{is_now}?"
         armed = ArmedCommand(command, old, sentence, moment + ARMED_SECONDS, target.poller)
         self._armed[command.key] = armed
         return armed
@@ -641,8 +640,11 @@ def _fail(future: "asyncio.Future[_T]", error: Exception) -> None:
         future.set_exception(error)
 
 
-def _text(value: CommandValue | None, unit: str) -> str:
-    """Return a value of a point as text for people."""
+def _text(value: CommandValue | None, point: Point) -> str:
+    """Return a value of a point as text for people, with its name if it has one."""
+    unit, name = point.unit_of_measure, point.label(value)
+    if name:
+        return f"{name} ({value})"
     if value is None or isinstance(value, bool):
         return "unknown" if value is None else "on" if value else "off"
     text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)

@@ -26,6 +26,12 @@ export function typedValue(text, kind) {
   return number;
 }
 
+/** The values of a point that are chosen rather than typed, by what the list says; empty for a point of any number. */
+function choicesOf(point) {
+  if (point.labels.size) return new Map([...point.labels].map(([number, name]) => [`${name} (${number})`, name]));
+  return new Map(point.kind === "state" ? [["on", true], ["off", false]] : []);
+}
+
 export class WriteDialog {
   constructor(done, closed) {
     this.done = done;
@@ -33,7 +39,9 @@ export class WriteDialog {
       event.preventDefault();
       this.arm();
     });
+    this.choices = new Map();
     byId("write-value").addEventListener("input", () => this.forget());
+    byId("write-choice").addEventListener("change", () => this.forget());
     byId("write-confirm").addEventListener("click", () => this.confirm());
     for (const id of ["write-cancel", "write-back", "write-close"]) byId(id).addEventListener("click", () => byId("write").close());
     byId("write").addEventListener("close", () => {
@@ -46,12 +54,41 @@ export class WriteDialog {
     this.point = point;
     setText(byId("write-title"), `Write ${point.key}`);
     const measure = point.unit_of_measure ? ` ${point.unit_of_measure}` : "";
-    setText(byId("write-now"), `Now: ${valueText(point.value, null)}${point.value === null ? "" : measure}`);
+    setText(byId("write-now"), `Now: ${valueText(point.value, point)}${point.value === null ? "" : measure}`);
     setText(byId("write-label"), point.unit_of_measure ? `New value in ${point.unit_of_measure}` : "New value");
-    byId("write-value").value = "";
+    this.offer(choicesOf(point));
     this.forget();
     byId("write").showModal();
-    byId("write-value").focus();
+    this.field().focus();
+  }
+
+  /** Show the list of values, or, where there is none, the field to type one. */
+  offer(choices) {
+    this.choices = choices;
+    byId("write-value").value = "";
+    byId("write-value").hidden = choices.size > 0;
+    byId("write-choice").hidden = choices.size === 0;
+    const option = (text) => element("option", { value: text }, text || "Choose a value");
+    byId("write-choice").replaceChildren(...["", ...choices.keys()].map(option));
+    byId("write-label").htmlFor = this.field().id;
+  }
+
+  field() {
+    return byId(this.choices.size ? "write-choice" : "write-value");
+  }
+
+  /** The value that was chosen or typed; throws a sentence. */
+  value() {
+    const { value } = this.field();
+    if (!this.choices.size) return typedValue(value, this.point.kind);
+    if (!this.choices.has(value)) throw new Error("Choose a value.");
+    return this.choices.get(value);
+  }
+
+  /** Whether another value can be chosen or typed. */
+  lock(isLocked) {
+    byId("write-value").readOnly = isLocked;
+    byId("write-choice").disabled = isLocked;
   }
 
   /** Another value: what was armed no longer counts. */
@@ -64,14 +101,14 @@ export class WriteDialog {
     byId("write-question").hidden = true;
     byId("write-arm").hidden = false;
     byId("write-done").hidden = true;
-    byId("write-value").readOnly = false;
+    this.lock(false);
   }
 
   async arm() {
     this.forget();
     const mine = this.asked;
     try {
-      const value = typedValue(byId("write-value").value, this.point.kind);
+      const value = this.value();
       const { device, point } = this.point;
       const armed = await ask("POST", "/api/commands/arm", { device, point, value });
       if (mine !== this.asked) return; // another value was typed meanwhile, or another point opened
@@ -89,7 +126,7 @@ export class WriteDialog {
   expire() {
     this.forget();
     setText(byId("write-message"), "It was not confirmed in time, and nothing was sent. Ask again.");
-    byId("write-value").focus();
+    this.field().focus();
   }
 
   async confirm() {
@@ -99,12 +136,12 @@ export class WriteDialog {
     const mine = this.asked;
     clearTimeout(this.expiring);
     byId("write-question").hidden = true;
-    byId("write-value").readOnly = true;
+    this.lock(true);
     setText(byId("write-outcome"), "It is being written…");
     let text;
     try {
       const told = await ask("POST", `/api/commands/${encodeURIComponent(armed.key)}/confirm`, {});
-      const back = told.read_back === null || told.read_back === undefined ? "" : ` The device now has ${valueText(told.read_back, null)}.`;
+      const back = told.read_back === null || told.read_back === undefined ? "" : ` The device now has ${valueText(told.read_back, this.point)}.`;
       text = `${OUTCOMES[told.state] ?? told.state}.${back}${told.reason ? ` ${told.reason}` : ""}`;
     } catch (error) {
       text = error.status ? error.message : `${OUTCOMES.unknown}. ${error.message} Look at the list of commands before you try again.`;

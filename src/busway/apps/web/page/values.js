@@ -62,6 +62,7 @@ export class ValueTable {
       ...point,
       place,
       key: `${point.device}/${point.point}`,
+      labels: new Map(Object.entries(point.enumeration).map(([name, number]) => [number, name])),
       text: `${point.device}/${point.point}`.toLowerCase(),
       value: null,
       reason: 0,
@@ -169,7 +170,7 @@ export class ValueTable {
     row.style.transform = `translateY(${at * height}px)`;
     row.setAttribute("aria-rowindex", at + 2);
     const measure = point.unit_of_measure && point.value !== null ? ` ${point.unit_of_measure}` : "";
-    setText(value, valueText(point.value, null) + measure);
+    setText(value, valueText(point.value, point) + measure);
     const name = this.quality(point);
     const reason = point.time ? this.reasons[point.reason]?.[1] : "";
     setText(quality, name === QUALITY_UNREAD ? "not read yet" : name + (reason ? `: ${reason}` : ""));
