@@ -42,7 +42,7 @@ class LinkLoad:
 
 
 def admit(link: str, devices: Iterable[tuple[str, PlanBook, Mapping[str, float]]], timeout: float) -> LinkLoad:
-    """Compute whether a link can keep the poll periods of its devices.
+    """Compute whether a collector's link can keep the poll periods of its devices.
 
     Args:
         link: its name.

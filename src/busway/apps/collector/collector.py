@@ -153,11 +153,13 @@ class Collector:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop polling the devices, and commit samples that wait."""
+        """Stop polling the devices, and store the samples that are not stored yet."""
         await self._stop()
 
     async def _stop(self) -> None:
-        """End everything that was started, the last first; each step is done even if others fail."""
+        """Stop every part of the collector, the last started first; a part that fails does not keep the
+        others running.
+        """
         try:
             await self._reloading.end()  # else a link that a change begins would not be ended
         finally:
@@ -181,7 +183,7 @@ class Collector:
                 steps.push_async_callback(_ended, task)
 
     def _opened_store(self) -> StoreWriter:
-        """Open the store, and tell it the points of the configuration. Raises `ConfigError`."""
+        """Open the store (the folder of samples), and tell it the points of the configuration. Raises `ConfigError`."""
         configuration = self.configuration
         options = configuration.file.collector
         retention = Retention(None if options.keep_days is None else 86_400 * options.keep_days, options.keep_bytes)
@@ -197,7 +199,7 @@ class Collector:
         return writer
 
     def _start_sinks(self, writer: StoreWriter, committer: Committer) -> None:
-        """Start to pass samples on to the sinks. Raises `ConfigError` for an impossible name, `LinkDown` for a page."""
+        """Start to send samples to the sinks (MQTT, …). Raises `ConfigError` or, for a port in use, `LinkDown`."""
         configuration = self.configuration
         if configuration.sinks:
             self._sinks = SinkThread(writer, configuration.sinks, sink_rules(configuration))
@@ -208,7 +210,7 @@ class Collector:
                 self._pages.append(made)
 
     def _start_commands(self) -> None:
-        """Open audit log and command journal, and close what an earlier process left open. Raises `ConfigError`."""
+        """Open audit log and command record; end commands that an earlier process left open. Raises `ConfigError`."""
         configuration = self.configuration
         section = configuration.file.audit
         path = configuration.common.audit or Path(configuration.store) / AUDIT_LOG
@@ -227,7 +229,7 @@ class Collector:
         self._end_maintenance_of_others()
 
     def _receive_commands(self) -> None:
-        """Start to receive commands from the servers of those sinks that may send some."""
+        """Start to receive write commands from the servers (MQTT, …) of those sinks that may send some."""
         for name, made in self.configuration.inputs.items():
             receiver = CommandReceiver(name, made, self.commands, lambda: self.configuration)
             task = asyncio.create_task(receiver.run(), name=f"busway commands of {name}")
@@ -242,7 +244,7 @@ class Collector:
         return self._commands
 
     async def _close_store(self) -> None:
-        """Commit waiting samples, give sinks a moment to take them, and close; each step even if others fail."""
+        """Store the waiting samples, let the sinks send them for a moment, and close; a failure skips no step."""
         assert self._committer is not None
         async with AsyncExitStack() as steps:
             steps.push_async_callback(asyncio.to_thread, self._committer.close)
@@ -301,7 +303,7 @@ class Collector:
         return {} if self._maintenance is None else self._maintenance.devices
 
     def watch(self, device: str, points: Iterable[str], *, period: float = 1.0, seconds: float = 10.0) -> None:
-        """Read some points of a device every ``period`` seconds for ``seconds``, before everything but writes.
+        """Read some points of a device every ``period`` seconds for ``seconds``, with priority over regular polling.
 
         Call it again before that time is over for as long as the points are viewed. Raises `ConfigError`.
         """
@@ -318,32 +320,34 @@ class Collector:
 
     @property
     def newest_commit(self) -> int:
-        """The number of the last commit of samples to the store; 0 before the first."""
+        """The number of the newest commit, a group of samples written to the store together; 0 before the first."""
         assert self._committer is not None
         return self._committer.writer.newest_commit
 
     @property
     def manifest(self) -> Manifest:
-        """The manifest of the open store."""
+        """The manifest of the open store: its list of files, points and sinks."""
         assert self._committer is not None
         return self._committer.writer.manifest
 
     async def flush(self) -> bool:
-        """Commit all samples taken so far; returns False if the store could not be written in ten seconds."""
+        """Store all samples taken so far; returns False if the store could not be written in ten seconds."""
         assert self._committer is not None
         return await asyncio.to_thread(self._committer.flush)
 
     def subscribe(self, told: Callable[[Commit], None]) -> None:
-        """Have a function called with each commit from now on, in the thread of the store: it must be quick."""
+        """Register a function to be called, in the store's thread, with each group of stored samples.
+        It must be quick.
+        """
         assert self._committer is not None
         self._committer.subscribe(told)
 
     def sink_statuses(self) -> Sequence[SinkStatus]:
-        """Return the status of each sink, a system that gets the samples."""
+        """Return the status of each sink, a system (such as an MQTT broker) that the samples are sent to."""
         return () if self._sinks is None else self._sinks.statuses()
 
     def input_statuses(self) -> Sequence[InputStatus]:
-        """Return the status of each server that commands come from."""
+        """Return the status of each server from which the collector receives write commands."""
         return [each.status() for each in self._receivers]
 
     @property
@@ -364,7 +368,7 @@ class Collector:
         }
 
     def latencies(self, parts: Sequence[float]) -> Mapping[str, list[float]]:
-        """Return by link the seconds within which these parts (0…1) of its last requests were answered."""
+        """Return response times by link: for each given quantile (0…1), the seconds of its latest requests."""
         return {name: running.poller.latencies(parts) for name, running in self._links.items()}
 
     def _poller_of(self, device: str) -> LinkPoller:
@@ -407,7 +411,7 @@ class Collector:
 
     @property
     def readers_lost(self) -> int:
-        """Number of batches that readers of `samples` were too slow for, counted when a reader ends."""
+        """Number of batches of samples that programs iterating `samples` missed because they were too slow."""
         return self._readers.lost
 
     @property
@@ -460,7 +464,7 @@ class Collector:
         return await self._reloading.replace(text, by, origin, revision)
 
     async def _apply(self, configuration: CollectorConfiguration) -> list[str]:
-        """Use another configuration: end links that change, rename points behind all samples so far, start links."""
+        """Use another configuration: end the links that change, rename points after all samples so far, start links."""
         assert self._committer is not None
         self.configuration = configuration
         if self._sinks is not None:
@@ -575,7 +579,7 @@ class Collector:
                 await self._write_learnt()
 
     def _mend(self, shift: int) -> None:
-        """Correct the times of samples and alarms from before the wall clock was set, by a shift; 0 does nothing."""
+        """Add ``shift`` to the times of samples and alarms from before the wall clock was set; 0 does nothing."""
         if not shift:
             return
         assert self._committer is not None
@@ -598,7 +602,7 @@ class Collector:
                 _log.error("what was learnt cannot be written to %s: %s", self._learnt.path, error)
 
     def _take(self, batch: SampleBatch) -> None:
-        """Take the samples of a read: queue them for the store, with the alarms and accumulators that follow."""
+        """Queue the samples of a read for the store, with the alarm events and counter totals that follow from them."""
         assert self._committer is not None
         if batch.counters:
             self._counters.setdefault(batch.device, {}).update((each.point, each) for each in batch.counters)
@@ -642,14 +646,14 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
 
 
 def _descriptions(configuration: CollectorConfiguration) -> list[PointDescription]:
-    """Return what the store keeps about all points beside their samples."""
+    """Return what the store keeps about each point beside its samples, such as the unit of measure."""
     return [each for device in configuration.devices.values() for each in device.descriptions()]
 
 
 def _renamed(
     counters: Mapping[str, Mapping[str, CounterState]], moved: Mapping[PointKey, str]
 ) -> dict[str, dict[str, CounterState]]:
-    """Return accumulators with the names that their points have now, by device and point."""
+    """Return the states of counter totals under the names that their points have now, by device and point."""
     return {
         device: {
             (name := moved.get((device, point), point)): replace(each, point=name) for point, each in states.items()
@@ -659,7 +663,7 @@ def _renamed(
 
 
 async def _ended(task: "asyncio.Task[None]") -> None:
-    """Cancel a task and wait for its end. Its error was logged before, by `_log_defect`."""
+    """Cancel a task and wait for its end. Its error is not raised: `_log_defect` has logged it."""
     task.cancel()
     await asyncio.wait([task])
 

@@ -77,11 +77,11 @@ class CollectedDevice:
     fixed: bool
 
     def book(self, known: DeviceKnowledge) -> PlanBook:
-        """Return the read plans of the device, which begin with what was learnt about it."""
+        """Create the cache of the device's read plans, which starts with what earlier runs learnt about the device."""
         return PlanBook(self.items, self.rules, self.cost, fixed=self.fixed, knowledge=known)
 
     def descriptions(self) -> list[PointDescription]:
-        """Return what the store keeps about the device's points beside their samples."""
+        """Return what the store keeps about each point beside its samples, such as the unit of measure."""
         return [
             PointDescription(self.name, point.name, point.unit_of_measure, point.type == "bit", point.was or None)
             for point in self.points
@@ -134,7 +134,7 @@ class CollectorConfiguration:
         return [device for device in self.devices.values() if device.link == link]
 
     def known_of(self, device: CollectedDevice, knowledge: Knowledge) -> DeviceKnowledge:
-        """Return what is known of a device of this kind, on this link and with this unit identifier."""
+        """Return what is known about a device by its profile, firmware, link and unit identifier."""
         place = f"{self.links[device.link].settings.endpoint.url} unit {device.unit}"
         return knowledge.of(device.name, device.profile, device.firmware, place)
 
@@ -190,7 +190,7 @@ def parse_collector(text: str, name: str) -> CollectorConfiguration:
 def _sinks(
     file: CollectorFile, name: str, report: ConfigurationReport
 ) -> tuple[dict[str, tuple[Sink, DeliveryOptions]], dict[str, PrometheusSinkSection], dict[str, CommandInput]]:
-    """Return the sinks of the file and the sources of commands; paths are relative to the file's folder."""
+    """Return the file's sinks and sources of commands; relative paths are taken from the file's folder."""
     sinks: dict[str, tuple[Sink, DeliveryOptions]] = {}
     pages: dict[str, PrometheusSinkSection] = {}
     inputs: dict[str, CommandInput] = {}
@@ -209,7 +209,7 @@ def _sinks(
 
 
 def _rooted(section: SinkSection, name: str) -> SinkSection:
-    """Return a sink whose paths are no longer relative to the folder of its file."""
+    """Return a copy of a sink's options whose relative paths start at the folder of the collector file."""
     files = {key for key, option in keys_of(type(section)).items() if Mark.FILE in option.marks}
     paths = {key: within(name, getattr(section, key)) for key in files & section.model_fields_set}
     if section.url.startswith(_FILE):
@@ -254,7 +254,7 @@ class _Profiles:
         return self._read[key]
 
     def _needs_unit(self, section: CollectedDeviceSection) -> bool:
-        """Whether what a profile says depends on the number of its unit."""
+        """Whether a device profile's contents depend on the unit number, so that each unit needs its own copy."""
         if section.profile not in self._by_unit:
             try:
                 text = read_profile(self._file(section.profile))
@@ -273,7 +273,7 @@ _UNIT: Final = re.compile(r"\$\{[^}]*\b(unit|index)\b")
 
 
 def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source, at: Path) -> ConfigError:
-    """Return the error in a profile as an error at the device of the collector file that names it."""
+    """Return an error in a profile as one in the collector file, at the device that uses the profile."""
     if error.key in section.with_:
         return source.problem((*at, "with", str(error.key)), f"{section.profile}: {error.message}")
     is_path = "/" in section.profile or "." in section.profile
@@ -282,7 +282,7 @@ def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source,
 
 
 def _rules_of(unit: UnitSection) -> ReadRules:
-    """Return how a unit may be read. A table that the unit declares exists wholly, so gaps in it may be read."""
+    """Return the limits for reading a unit. In a table that the unit declares, undeclared addresses may be read too."""
     rules = unit.read.rules()
     readable = dict(rules.readable)
     for table in Table:
@@ -333,7 +333,7 @@ def _device(
 def _by_class(
     file: CollectorFile, section: CollectedDeviceSection, points: Sequence[Point], at: Path, report: ConfigurationReport
 ) -> dict[str, list[Point]] | None:
-    """Return the points by poll class; None, and a problem in the report, if a class is missing."""
+    """Return the points grouped by poll class; None, and a problem in the report, if a class does not exist."""
     usual = file.class_of(section)
     found: dict[str, list[Point]] = {}
     for point in points:
@@ -355,7 +355,7 @@ def _by_class(
 
 
 def _cost(settings: LinkSettings, line_baud: int | None, pause: float) -> tuple[ReadCost, bool]:
-    """Return what reads over a link cost, and whether the time per register is known."""
+    """Return what reads over a link cost in seconds, and whether the time per register is known for sure."""
     if line_baud is not None:
         return baud_cost(line_baud), True
     port = None if settings.line is None else settings.line.port

@@ -59,7 +59,7 @@ class ReadCost:
 def line_cost(
     timing: SerialTiming, framing: Literal["rtu", "ascii"] = "rtu", *, turnaround: float = TURNAROUND, gap: float = 0.0
 ) -> ReadCost:
-    """Return the seconds that reads on a serial line take: per request, per register and per bit.
+    """Return what reads on a serial line cost, in seconds: per request, per register and per bit.
 
     Args:
         timing: characters and silences of the line; a character takes time.

@@ -47,7 +47,7 @@ class DerivedPoints:
         return not (self._accumulators or self._inputs or self._counted)
 
     def absent(self) -> list[Point]:
-        """The members of groups that the device does not have, as far as known."""
+        """Names of group members that the device does not have, by the group sizes read so far."""
         return [point for point in self._counted if not self._is_there(point)]
 
     def _is_there(self, point: Point) -> bool:
@@ -94,7 +94,7 @@ class DerivedPoints:
         return changed
 
     def failed(self, points: Sequence[str], reason: int) -> None:
-        """Note that some of the device's points could not be read, and why, for the formulas that use them."""
+        """Mark points as unreadable for a reason, so that formulas that use them get no value."""
         if self._group is not None:
             self._latest |= {name: Reading(None, reason) for name in points}
             self._touched |= set(points)

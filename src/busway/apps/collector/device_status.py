@@ -36,7 +36,7 @@ class CollectedDeviceStatus:
 
 
 def status_of(poller: LinkPoller, name: str) -> CollectedDeviceStatus:
-    """Return the status of a device from its poller and its place in the schedule."""
+    """Return the status of a polled device, put together from its poller and its schedule."""
     device, scheduled = poller.devices[name], poller.schedule.devices.get(name)
     if scheduled is None:
         state = "nothing to read"

@@ -100,7 +100,7 @@ class DeviceKnowledge:
         return any(one.table is table and one.start < end and start < one.end for one in self.holes)
 
     def knows(self, hole: LearntHole) -> bool:
-        """Whether a refused range, or a larger one around it, was learnt already."""
+        """Whether the device is already known to refuse this range, or a larger one around it."""
         return any(
             one.table is hole.table
             and one.start <= hole.start
@@ -110,20 +110,20 @@ class DeviceKnowledge:
         )
 
     def with_hole(self, hole: LearntHole) -> "DeviceKnowledge":
-        """Return a copy with one more refused range."""
+        """Return a copy with one more range that the device refuses."""
         if self.knows(hole):
             return self
         return replace(self, holes=(*self.holes, hole))
 
     def with_limit(self, limit: LearntLimit) -> "DeviceKnowledge":
-        """Return a copy with another largest read; a pinned one stays."""
+        """Return a copy with another largest read, unless the present one is pinned (protected from change)."""
         known = self.limit(limit.bits)
         if known is not None and (known.pinned or known == limit):
             return self
         return replace(self, limits=(*(one for one in self.limits if one.bits is not limit.bits), limit))
 
     def pinned(self) -> "DeviceKnowledge":
-        """Return a copy with everything pinned, so that it is not forgotten by itself."""
+        """Return a copy in which all facts are pinned, so that only an explicit command forgets them."""
         return replace(
             self,
             holes=tuple(replace(one, pinned=True) for one in self.holes),
@@ -161,7 +161,7 @@ class Knowledge:
         return iter(sorted(self._devices.items()))
 
     def of(self, name: str, profile: str = "", firmware: str = "", place: str = "") -> DeviceKnowledge:
-        """Return what is known about a device: from itself at this place, or from its kind (rules 1 and 2)."""
+        """Return what is known about a device: from its own reads, or else from devices of its kind (rules 1 and 2)."""
         known = self._devices.get(name)
         if known is None:
             return replace(self.offered(profile, firmware), place=place)
@@ -170,7 +170,7 @@ class Knowledge:
         return replace(known, place=place or known.place)
 
     def set(self, name: str, known: DeviceKnowledge) -> None:
-        """Replace what was learnt about one device."""
+        """Replace the facts learnt about one device."""
         self._devices[name] = known
 
     def pin(self, name: str) -> bool:
@@ -189,7 +189,7 @@ class Knowledge:
         return True
 
     def offered(self, profile: str, firmware: str) -> DeviceKnowledge:
-        """Return what two devices or more with the same profile and firmware have learnt in common."""
+        """Return the facts that at least two devices with the same profile and firmware have learnt independently."""
         empty = DeviceKnowledge(profile, firmware)
         if not profile or not firmware:
             return empty

@@ -79,7 +79,7 @@ class CostLearner:
         self.widths: set[int] = set()
 
     def observe(self, table: Table, width: int, seconds: float) -> None:
-        """Note a read that succeeded at its first attempt, ``seconds`` after its request began."""
+        """Learn from a read that succeeded at its first attempt, ``seconds`` after its request began."""
         self.reads += 1
         self.widths.add(width)
         self._seen.append((table, width, seconds))
@@ -174,7 +174,7 @@ def outcome_of(code: int | None, *, silent: bool = False) -> ReadOutcome:
 
 @dataclass(slots=True)
 class _Part:
-    """A read that a device refused, and what is known about its two halves.
+    """A read that a device refused, and how the reads of its two halves ended.
 
     Attributes:
         read: it.
@@ -197,7 +197,7 @@ class _Purpose(Enum):
 
 @dataclass(slots=True)
 class _Question:
-    """A read that is made only to learn from its result what a device refuses."""
+    """A read that is sent only to find out, from its result, what a device refuses."""
 
     purpose: _Purpose
     read: PlannedRead
@@ -243,15 +243,17 @@ class MapLearner:
 
     @property
     def is_asking(self) -> bool:
-        """Whether a read that tests what the device refuses waits to be sent."""
+        """Whether a test read, which finds out what the device refuses, waits to be sent."""
         return bool(self._questions)
 
     def question(self) -> PlannedRead | None:
-        """Return the next read for learning, to be sent at low priority, or None."""
+        """Return the next test read to send at low priority, which finds out what a device refuses;
+        None without one.
+        """
         return self._questions[0].read if self._questions else None
 
     def observe(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Note the result of an ordinary read, to learn which ranges the device refuses.
+        """Learn from the result of an ordinary read which ranges the device refuses.
 
         Args:
             read: it.
@@ -277,7 +279,7 @@ class MapLearner:
                 self._ask_control(read)
 
     def answered(self, outcome: ReadOutcome, code: int = 0) -> bool:
-        """Note the result of a read for learning. Returns whether something was learnt that changes read plans."""
+        """Learn from the result of a test read. Returns whether that changes the device's read plans."""
         question = self._questions[0]
         self.asked += 1
         self._left -= 1
@@ -312,7 +314,7 @@ class MapLearner:
         self._split(read)
 
     def _give_up(self) -> None:
-        """Stop looking for what is wrong with a read whose parts were accepted; wait longer before trying again."""
+        """Stop testing a refused read whose parts were all accepted; wait longer before the next attempt."""
         self.inconclusive += 1
         assert self._cause is not None
         wait = self._waits.setdefault((self._cause.table, self._cause.start, self._cause.width), _Wait())
@@ -320,7 +322,7 @@ class MapLearner:
         wait.next = min(2 * wait.next, MOST_IGNORED)
 
     def _ask_control(self, read: PlannedRead) -> None:
-        """Arrange a read that tests whether the device answers at all."""
+        """Queue a small test read that shows whether the device answers at all."""
         control = self._narrowest
         if control is None or control.width >= read.width:
             control = read_of(read.table, [min(read.items, key=lambda one: one.width)], self._cost)
@@ -330,7 +332,7 @@ class MapLearner:
         self._questions.append(_Question(_Purpose.CONTROL, control))
 
     def _split(self, read: PlannedRead) -> None:
-        """Arrange reads of the halves of a refused read, or of its only item."""
+        """Queue test reads of the two halves of a refused read, or of its only item."""
         bundles = _bundles(read.items)
         if len(bundles) == 1:
             self._questions.append(_Question(_Purpose.ITEM, read_of(read.table, bundles[0], self._cost)))
@@ -379,7 +381,7 @@ class MapLearner:
             self._split(read)
 
     def _both_good(self, part: _Part) -> None:
-        """Handle a refused read whose two halves were accepted (rule 5)."""
+        """Decide what to test next when a read was refused and both its halves were accepted (rule 5)."""
         left, right = part.halves
         across = read_of(part.read.table, [*_bundles(left.items)[-1], *_bundles(right.items)[0]], self._cost)
         if across.width < part.read.width:
@@ -418,7 +420,7 @@ class MapLearner:
         self._ask_width(self._cause)
 
     def _ask_width(self, read: PlannedRead) -> None:
-        """Arrange a read whose width is halfway between an accepted and a refused width."""
+        """Queue a test read whose width is halfway between an accepted and a refused width."""
         limit = self.knowledge.limit(read.table.holds_bits)
         if limit is None or limit.bad - limit.good < 2 or any(one.purpose is _Purpose.WIDTH for one in self._questions):
             return
@@ -439,7 +441,7 @@ class MapLearner:
 
 
 def _bundles(items: Sequence[Any]) -> list[list[Any]]:
-    """Return items grouped so that no read separates a group: atomic groups, and overlapping items."""
+    """Return items in groups that reads must not separate: atomic groups, and items that overlap."""
     found: list[list[Any]] = []
     end = -1
     for one in sorted(items, key=lambda each: (each.start, -each.width)):
@@ -453,7 +455,9 @@ def _bundles(items: Sequence[Any]) -> list[list[Any]]:
 
 
 def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
-    """Return the runs of items at the start of a read, and those at its end, with their widths."""
+    """Yield the consecutive items at the start of a read, and those at its end, with their widths, for each place to
+    cut.
+    """
     bundles = _bundles(read.items)
     for at in range(1, len(bundles)):
         for part in (bundles[:at], bundles[at:]):
@@ -462,7 +466,7 @@ def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
 
 
 def with_knowledge(rules: ReadRules, knowledge: DeviceKnowledge) -> ReadRules:
-    """Return the rules for reading a device, tightened by what was learnt about it."""
+    """Return the rules for reading a device (largest reads, forbidden ranges), narrowed by what was learnt."""
     forbidden = {table: list(spans) for table, spans in rules.forbidden.items()}
     borders = {table: set(places) for table, places in rules.borders.items()}
     for hole in knowledge.holes:

@@ -22,7 +22,7 @@ class LearntFile:
         self._written = ""
 
     def read(self) -> Knowledge:
-        """Return what earlier runs have learnt; nothing if there is no file. Raises `ConfigError`."""
+        """Return what earlier runs learnt about the devices; empty if there is no file. Raises `ConfigError`."""
         return read_knowledge(read_text(str(self.path)), str(self.path)) if self.path.exists() else Knowledge()
 
     def write(self, text: str) -> None:

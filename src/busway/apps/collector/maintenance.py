@@ -40,7 +40,9 @@ class MaintenanceBook:
         return self._rows
 
     def begin(self, device: str, at: int, by: str, why: str) -> MaintenanceRow:
-        """Note that a device is in maintenance; one that is already keeps its begin. Raises `ConfigError`."""
+        """Record that a device is in maintenance, not polled; if it already was, its begin stays.
+        Raises `ConfigError`.
+        """
         known = self._rows.get(device)
         row = MaintenanceRow(device, at if known is None else known.begin, by, why)
         try:
@@ -75,7 +77,7 @@ class MaintenanceBook:
         return StateInterval(device, row.begin, end, Reason.MAINTENANCE)
 
     def mend(self, shift: int) -> None:
-        """Correct begins from before the wall clock was set; those in the manifest are corrected with the samples."""
+        """Correct the begin of each maintenance that was recorded before the computer's wall clock was set."""
         for row in list(self._rows.values()):
             if row.begin < EARLIEST:
                 self._rows[row.device] = replace(row, begin=row.begin + shift)

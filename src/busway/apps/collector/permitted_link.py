@@ -21,7 +21,7 @@ class PermittedLink:
         self._name, self._link, self._permit = name, link, permit
 
     async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
-        """Send requests and return a reply or error for each; without permission the same error for all."""
+        """Send requests if permission is given, and return a reply or error for each; else the same error for all."""
         try:
             self._permit(self._name)
         except LinkDown as error:

@@ -62,7 +62,7 @@ class ReadItem(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PlainItem:
-    """An address range to be read, without being a point.
+    """An address range that one read must fetch, without a name or value type.
 
     Attributes:
         table: the table it stands in.
@@ -151,7 +151,7 @@ def plan_reads(
 
 
 def predicted(reads: Iterable[PlannedRead], cost: ReadCost) -> float:
-    """Return the seconds that reads will take, by another cost than that of their plan."""
+    """Return the seconds that planned reads take if reads cost as given, not as the plan assumed."""
     return sum(cost.of(read.table, read.width) for read in reads)
 
 
@@ -252,7 +252,7 @@ def _plan_table(
 
 
 class _Borders:
-    """The positions in a table that no read may cross."""
+    """The positions in a table of registers or bits that no read may cross."""
 
     def __init__(self, table: Table, rules: ReadRules) -> None:
         self._label = table.label
@@ -319,7 +319,7 @@ def _is_gapless(block: _Block) -> bool:
 
 
 class _Ranges:
-    """Sorted ranges in which one that overlaps a given range can be found; overlapping ones count as one."""
+    """Sorted address ranges with a fast search for one that overlaps a given range; overlapping ones are merged."""
 
     def __init__(self, spans: Sequence[ItemRange]) -> None:
         self._spans: list[ItemRange] = []
@@ -395,7 +395,7 @@ def _shortest_path(places: list[_Place], limit: int, base: float, per_item: floa
 
 
 def _one_each(table: Table, blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """Return one read request for each range, with the items in it."""
+    """Return one read request for each address range, with the items in it."""
     same = groupby(blocks, key=lambda block: (block.start, block.end))
     return [_read(table, start, end, list(each), cost) for (start, end), each in same]
 

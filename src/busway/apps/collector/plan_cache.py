@@ -30,7 +30,7 @@ Classes = frozenset[str]
 
 
 class PlanBook:
-    """The read plans of one device, made when needed and again when costs or rules change.
+    """Cache of one device's read plans; plans are computed when first needed, and anew if costs or rules change.
 
     Args:
         items: by class, the points that it polls.
@@ -72,7 +72,7 @@ class PlanBook:
 
     @property
     def cost(self) -> ReadCost:
-        """How many seconds reads of the device take, as far as known."""
+        """The seconds that reads of the device take (per request, register and bit), as far as known."""
         return self._learner.cost
 
     @property
@@ -82,7 +82,7 @@ class PlanBook:
 
     @property
     def knowledge(self) -> DeviceKnowledge:
-        """Return what was learnt about the device, to be saved."""
+        """Return what was learnt about the device (refused ranges, limits, cost of reads), to be saved."""
         known = self._map.knowledge
         if not self._learner.is_settled:
             return known
@@ -146,7 +146,7 @@ class PlanBook:
         return self._cheapest
 
     def succeeded(self, read: PlannedRead, seconds: float) -> None:
-        """Note a read that succeeded at its first attempt, to learn its cost."""
+        """Learn what reads cost from one that succeeded at its first attempt."""
         self._learner.observe(read.table, read.width, seconds)
         self._map.observe(read, ReadOutcome.SUCCESS)
         if self._cheapest is None or read.seconds < self._cheapest.seconds:
@@ -157,7 +157,7 @@ class PlanBook:
             self._look_at_cost()
 
     def failed(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Note a failed read, with its exception code if there is one, to learn what the device refuses."""
+        """Learn what the device refuses from a failed read, with its exception code if there is one."""
         self._map.observe(read, outcome, code)
 
     def _look_at_cost(self) -> None:
@@ -178,11 +178,11 @@ class PlanBook:
 
     @property
     def may_ask(self) -> bool:
-        """Whether a read that tests what the device refuses may be sent now."""
+        """Whether a test read, which finds out what the device refuses, may be sent now."""
         return self._probes is None or bool(self._probes) or self._map.is_asking
 
     def question(self) -> PlannedRead | None:
-        """Return the next read for learning, to be sent at low priority, or None."""
+        """Return the next test read, which finds out what the device refuses, for low priority; None without one."""
         asked = self._map.question()
         if asked is not None:
             return asked
@@ -199,7 +199,7 @@ class PlanBook:
         return not (self._rules.exact or self._rules.one_point)
 
     def answered(self, read: PlannedRead, outcome: ReadOutcome, seconds: float, code: int = 0) -> bool:
-        """Note the result of a read for learning. Returns whether refused ranges or limits were learnt from it."""
+        """Learn from the result of a test read. Returns whether refused ranges or limits were learnt."""
         if read is self._probe:
             self._probe = None
             if outcome is ReadOutcome.SUCCESS:
@@ -217,7 +217,7 @@ class PlanBook:
         return learnt
 
     def forget(self, known: DeviceKnowledge) -> None:
-        """Begin again with the given knowledge about the device, after some was forgotten or pinned."""
+        """Replace what was learnt about the device, after a user had some of it forgotten or pinned."""
         self._map = MapLearner(known, self._cost)
         self._plans.clear()
 

@@ -32,7 +32,7 @@ class PointNames:
     _next: int = -1
 
     def moves(self, described: Iterable[PointDescription]) -> dict[int, PointDescription]:
-        """Return which points get another name from a configuration, by their number."""
+        """Return which points get another name from a new configuration: old and new name, by the points' numbers."""
         moves: dict[int, PointDescription] = {}
         for one in described:
             old = None if one.was in (None, one.point) else self.ids.get((one.device, one.was))
@@ -44,7 +44,7 @@ class PointNames:
         return moves
 
     def describe(self, described: Iterable[PointDescription]) -> Mapping[PointKey, str]:
-        """Take over the points of a configuration; returns new names by device and name before."""
+        """Use the point names of a new configuration; returns the new name for each device and old name."""
         points = list(described)
         moves = self.moves(points)
         before = {number: key for key, number in self.ids.items() if number in moves}

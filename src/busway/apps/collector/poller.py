@@ -61,7 +61,7 @@ class PollLink(Protocol):
 
 @dataclass(slots=True, eq=False)
 class _CompiledRead:
-    """A planned read with all that is needed to send it: request, decoder of the reply, and whose samples it brings.
+    """A planned read, ready to be sent: the request, the decoder of its reply, and the points whose samples it gives.
 
     Attributes:
         data, at: its last reply, and the nanosecond when that was taken, for those who ask for raw values.
@@ -77,7 +77,7 @@ class _CompiledRead:
 
 @dataclass(frozen=True, slots=True)
 class _QueuedWrite:
-    """A write of a command that waits for its turn on the link."""
+    """A command's write that waits for its turn on the link."""
 
     perform: Callable[[], Awaitable[None]]
     drop: Callable[[], None] | None
@@ -259,7 +259,7 @@ class LinkPoller:
         self.wake()
 
     def lease(self, name: str, points: Sequence[str], period: float, seconds: float) -> None:
-        """Read some points of a device every ``period`` seconds for ``seconds``, before the poll classes."""
+        """Read some points of a device every ``period`` seconds for ``seconds``, with priority over regular polling."""
         wanted = set(points)
         items = [each for each in self.devices[name].book.points() if each.name in wanted]
         now = self._now()
@@ -281,19 +281,19 @@ class LinkPoller:
         return taken
 
     async def wait_for(self, name: str) -> None:
-        """Wait until the pause that a device needs between requests is over, during the turn of a write."""
+        """Wait until the pause that a device needs between requests is over, before a write is sent."""
         device = self.devices[name]
         if device.ready_at > self._now():
             await asyncio.sleep(device.ready_at - self._now())
 
     def note_asked(self, name: str) -> None:
-        """Note that a device was sent a request during the turn of a write, so that its pause begins."""
+        """Begin the pause that a device needs after a request, because one was sent to it to write a point."""
         device = self.devices.get(name)
         if device is not None and device.pause:
             device.ready_at = self._now() + device.pause
 
     def note_reading(self, name: str, point: Point, found: Reading, began: float) -> None:
-        """Pass on the sample of a point that was read during the turn of a write, from ``began`` until now."""
+        """Pass on the sample of a point that was read before or after a write; ``began``: when the read began."""
         device = self.devices.get(name)
         if device is None or point.rollover:  # a counter's sample is its total
             return
@@ -307,13 +307,13 @@ class LinkPoller:
         self._give(device, batch)
 
     def wake(self) -> None:
-        """Make the polling task look again at what is due next."""
+        """Let the polling task check its schedule now, because it has changed."""
         if self._wake is not None:
             self._wake.set()
 
     @property
     def is_finishing(self) -> bool:
-        """Whether its task has ended, or will after the transaction that runs."""
+        """Whether polling has ended, or will end after the transaction in progress."""
         return self._is_finishing or self._has_ended
 
     def finish(self) -> None:
@@ -349,20 +349,20 @@ class LinkPoller:
             pass
 
     def mend(self, shift: int) -> None:
-        """Correct the begin of open intervals that are from before the wall clock was set."""
+        """Correct the begin of current silences and pauses of devices, if it is from before the wall clock was set."""
         for device in self.devices.values():
             begun = device.suspended
             if begun is not None and begun.begin < EARLIEST:
                 device.suspended = replace(begun, begin=begun.begin + shift)
 
     def close(self) -> None:
-        """End the open intervals of silent devices, because polling stops; maintenance goes on."""
+        """Record the end of current silences of devices, because polling stops; maintenance continues."""
         for device in self.devices.values():
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
                 self._end_interval(device)
 
     async def make(self, turn: Turn) -> None:
-        """Send the reads or the write of one turn of the schedule, and note the outcome."""
+        """Send the requests of one turn of the schedule (reads, or a write), and tell the schedule the outcome."""
         device = self.devices.get(turn.device)
         if device is not None:
             await self.wait_for(turn.device)
@@ -466,7 +466,7 @@ class LinkPoller:
         middle: int,
         half: int,
     ) -> TurnOutcome:
-        """Note a read that failed: samples without value, and what the schedule does with the device."""
+        """Handle a failed read: create samples without value, and let the schedule judge the device."""
         reason, result = _judged(error)
         device.last_error = str(error)
         if turn.kind is TurnKind.ROUND:
@@ -516,7 +516,7 @@ class LinkPoller:
         self._intervals(device.suspended)
 
     def _give(self, device: PolledDevice, batch: SampleBatch) -> None:
-        """Hand on the samples of a read, unless it was under way when maintenance began: that has no samples."""
+        """Pass on the samples of a read, unless its device was put into maintenance while it was in flight."""
         begun = device.suspended if self._is_maintained(device) else device.maintained
         if begun is None or not begun.begin <= batch.time < (begun.end or batch.time + 1):
             self._samples(batch)
@@ -533,7 +533,7 @@ class LinkPoller:
 
 
 def _judged(error: ModbusError) -> tuple[int, TurnOutcome]:
-    """Return the reason of samples for an error, and whether the device counts as silent."""
+    """Return the reason code for samples of a read that failed with an error, and whether the device was silent."""
     if isinstance(error, ExceptionReply):
         unreachable = error.code in _GATEWAY_EXCEPTIONS
         return exception_reason(error.code), TurnOutcome.SILENT if unreachable else TurnOutcome.ANSWERED

@@ -54,7 +54,7 @@ class CollectorPreview:
 
 
 def preview(configuration: CollectorConfiguration, knowledge: Knowledge) -> CollectorPreview:
-    """Compute what a collector would do, given what was learnt about its devices."""
+    """Compute what a collector would do (reads, loads), given what was learnt about its devices. Sends nothing."""
     reads: list[PreviewedRead] = []
     unreadable: list[tuple[str, str, str]] = []
     learnt: list[tuple[str, str]] = []

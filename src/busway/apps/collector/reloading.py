@@ -50,7 +50,7 @@ class Reloading:
         self.is_ending: bool = False
 
     async def reload(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
-        """Use another configuration; as `Collector.reload`."""
+        """Use another configuration in the running collector; as `Collector.reload`."""
         return await self._to_its_end(self._use(configuration, by, origin))
 
     async def read_again(self, by: str, origin: str) -> list[str]:
@@ -62,13 +62,13 @@ class Reloading:
         return await self._to_its_end(self._replace(text, by, origin, revision))
 
     async def end(self) -> None:
-        """Refuse further changes, and wait until those that have begun are done."""
+        """Refuse further changes of the configuration, and wait for those in progress."""
         self.is_ending = True
         if self.running:
             await asyncio.wait(self.running)
 
     async def _to_its_end(self, change: Coroutine[Any, Any, list[str]]) -> list[str]:
-        """Make a change to its end, one after the other, also if the caller is cancelled (rule 4)."""
+        """Make one change of the configuration at a time, and complete it even if the caller is cancelled (rule 4)."""
         task = asyncio.create_task(self._in_turn(change), name="busway collector reload")
         self.running.add(task)
         task.add_done_callback(self.running.discard)
@@ -122,7 +122,7 @@ class Reloading:
     def _record(
         self, text: str, done: Sequence[str], is_applied: bool, by: str, origin: str, old: str | None = None
     ) -> None:
-        """Append the audit line of a change that was made or refused (rule 5)."""
+        """Append to the audit log that the configuration was changed, or that a change was refused (rule 5)."""
         audit = self._audit()
         if audit is not None:
             before = self._current().text if old is None else old

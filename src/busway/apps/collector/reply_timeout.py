@@ -36,7 +36,7 @@ class ReplyTimeout:
         self.seconds: float = configured
 
     def answered(self, elapsed: float) -> None:
-        """Note that a reply of the device took ``elapsed`` seconds."""
+        """Adapt the timeout to a reply of the device that took ``elapsed`` seconds."""
         if not self._numbered:
             return
         if self._smoothed is None:
@@ -47,6 +47,6 @@ class ReplyTimeout:
         self.seconds = min(max(self._smoothed + 4 * self._deviation, SHORTEST), self._configured)
 
     def silent(self) -> None:
-        """Note that a reply of the device did not come in time."""
+        """Lengthen the timeout, on TCP only, after a reply of the device did not come in time."""
         if self._numbered:
             self.seconds = min(2 * self.seconds, self._configured)

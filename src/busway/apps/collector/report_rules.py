@@ -19,7 +19,7 @@ _EVERY = "every"
 
 
 def store_rules(configuration: CollectorConfiguration, device: str | None = None) -> RulesByPoint:
-    """Return, by device and point, the rules of points of which the store does not keep every sample.
+    """Return, by device and point, the report rules of those points of which the store keeps only some samples.
 
     Args:
         configuration: of the collector.
@@ -44,14 +44,16 @@ def _of_device(
 
 
 def _first(point: Point, *sections: ReportSection | None) -> ReportRule:
-    """Return the rule of the point, or else of the first section that has one."""
+    """Return the point's own report rule, or else that of the first enclosing section that has one."""
     if point.storing is not None:
         return point.storing
     return next((each.described() for each in sections if each is not None), ReportRule())
 
 
 def sink_rules(configuration: CollectorConfiguration) -> RulesByPoint:
-    """Return, by device and point, the rules of points that hand on not every sample to sinks without a rule."""
+    """Return, by device and point, the report rules of points of which sinks without own rules get only
+    some samples.
+    """
     return {
         (device.name, point.name): point.reporting
         for device in configuration.devices.values()

@@ -41,7 +41,7 @@ class SampleClock:
         return self._wall_is_right and self._behind <= TOLERANCE
 
     def adjust(self, monotonic: float, wall: int) -> int:
-        """Compare with the wall clock: ``wall`` is its time at ``monotonic``. Call it every few seconds.
+        """Follow the computer's wall clock, which shows ``wall`` at ``monotonic``. To be called every few seconds.
 
         Returns:
             Nanoseconds that all times before `EARLIEST` given so far were behind, once that is known,
@@ -64,5 +64,5 @@ class SampleClock:
         return time + self._made_up(monotonic) if self._behind else time
 
     def _made_up(self, monotonic: float) -> int:
-        """Return how much of a step back of the wall clock was caught up since the last `adjust`: 0 or less."""
+        """Return how much of a backward step of the wall clock sample times have absorbed since `adjust`: 0 or less."""
         return -min(self._behind, max(0, int((monotonic - self._since) * NANOSECONDS)) // 2)

@@ -33,7 +33,7 @@ class _Reader:
 
 
 class SampleReaders:
-    """All programs that follow the samples of one collector. For one event loop.
+    """All programs that iterate over the samples of one collector. For one event loop.
 
     Attributes:
         lost: batches that readers which have ended were too slow for.
@@ -48,11 +48,11 @@ class SampleReaders:
         return bool(self._readers)
 
     def begin(self) -> None:
-        """Let readers wait for samples from now on; before, and after `end`, they get what is queued and end."""
+        """Let iterations wait for new samples; before this, and after `end`, they return what is queued and stop."""
         self._has_begun = True
 
     async def read(self, devices: frozenset[str] | None) -> AsyncGenerator[SampleBatch, None]:
-        """Yield the samples of these devices (None: of all) from now on, until `end`."""
+        """Yield the samples of these devices (None: of all devices) from now on, until `end`."""
         reader = _Reader(devices)
         self._readers.append(reader)
         try:
@@ -68,12 +68,12 @@ class SampleReaders:
             self.lost += reader.lost
 
     def take(self, batches: Sequence[SampleBatch]) -> None:
-        """Queue samples for all readers that want them."""
+        """Queue new samples for all iterations that want them."""
         for reader in self._readers:
             reader.take(batches)
 
     def end(self) -> None:
-        """End each reader, once it has taken what is queued for it."""
+        """End each iteration over samples after those already queued for it."""
         self._has_begun = False
         for reader in self._readers:
             reader.arrived.set()

@@ -96,7 +96,7 @@ class PointGroup:
 
 @dataclass(frozen=True, slots=True)
 class CounterState:
-    """The state of an accumulator, from which its total goes on after a restart.
+    """The state of a running total, which is computed from a counter and continues after a restart.
 
     Attributes:
         point: name of the point.
@@ -167,7 +167,7 @@ def failed_batch(group: PointGroup, time: int, half_width: int, reason: int) -> 
 
 @dataclass(frozen=True, slots=True)
 class StateInterval:
-    """A period in which a device was not read, and why; it stands for samples of all its points.
+    """A period in which a device was not read, and why; it replaces samples of all the device's points.
 
     Attributes:
         device: name of the device.

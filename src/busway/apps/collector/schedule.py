@@ -58,7 +58,7 @@ class TurnKind(Enum):
 
 
 class TurnOutcome(Enum):
-    """What a request told about its device: answered, silent, or nothing."""
+    """What a request showed about its device: that it answers, that it is silent, or nothing."""
 
     ANSWERED = "answered"  # also by an exception: the device lives
     SILENT = "silent"
@@ -268,7 +268,7 @@ class LinkSchedule:
     # What is next.
 
     def next(self, now: float) -> Turn | float:
-        """Return the next request to send now, or the time to ask again; a new write or lease may come earlier."""
+        """Return the next request to send, or the time to call this again unless a new write is queued before."""
         self._credit_until(now)
         self._release_due(now)
         if self._writes and self._writes_in_a_row < MOST_WRITES_IN_A_ROW:
@@ -285,7 +285,7 @@ class LinkSchedule:
         return Turn(TurnKind.WRITE, device, write=what)
 
     def _due_read(self, now: float) -> Turn | None:
-        """The next read that is due, or the first contact or probe of a device; None where nothing is."""
+        """Return the next read that is due, or the first request or probe of a device; None if nothing is due."""
         if self._credit >= self.timeout - 1e-9:  # not even overload keeps a device from its first answer for ever
             asked = self._first_contact() or self._probe(now)
             if asked is not None:
@@ -324,7 +324,7 @@ class LinkSchedule:
                 self._release(device, now)
 
     def _release(self, device: ScheduledDevice, now: float) -> None:
-        """Begin a polling round with the classes that are due, or add them to the waiting one (rules 2 and 3)."""
+        """Start a polling round with the poll classes that are due, or add them to one that waits (rules 2 and 3)."""
         if LEASED in device.periods and now >= device.leased_until:
             del device.periods[LEASED], device.due[LEASED]
             device.book.set_class(LEASED, ())
@@ -374,7 +374,7 @@ class LinkSchedule:
     # What became of it.
 
     def done(self, turn: Turn, began: float, now: float, outcome: TurnOutcome) -> None:
-        """Note the end of a request to a device: when it began and ended, and whether the device answered."""
+        """Record when a request to a device began and ended, and whether the device answered."""
         self.busy += now - began
         device = self.devices.get(turn.device)
         if device is None:
@@ -413,7 +413,7 @@ class LinkSchedule:
                 self._push_silent(other)
 
     def _resume(self, device: ScheduledDevice, now: float, *, at_once: bool) -> None:
-        """Go on with a device that answers: poll it at its due times; a silent one is probed first."""
+        """Poll a device at its due times again because it answers; one that was silent is probed first."""
         if not device.lives:
             device.probe_at = now
             self._push_silent(device)
@@ -465,7 +465,7 @@ class LinkSchedule:
         return None
 
     def _first_contact(self) -> Turn | None:
-        """Return a request to a device never asked before, if nothing is due or its share of time allows it."""
+        """Return the first request to a device that was never asked, if nothing is due or its share of time allows."""
         for _ in range(len(self._new)):
             device = self.devices.get(self._new.popleft())
             if device is None or device.lives is not None:
@@ -490,7 +490,7 @@ class LinkSchedule:
         return None if read is None else Turn(TurnKind.PROBE, device.name, (read,))
 
     def _question(self, now: float) -> Turn | None:
-        """Return the next read for learning: at most one per device in its shortest period."""
+        """Return the next test read for learning: at most one per device in its shortest poll period."""
         for _ in range(len(self._asking)):
             device = self.devices.get(self._asking[0])
             if device is None:
@@ -519,7 +519,9 @@ class LinkSchedule:
 
     @property
     def blocking(self) -> float:
-        """Return the seconds that other requests may take before a round begins: longest read and one timeout."""
+        """Return for how long a polling round may be held up by others: the longest read and one
+        timeout, in seconds.
+        """
         longest = (
             read.seconds
             for device in self.devices.values()
@@ -529,7 +531,7 @@ class LinkSchedule:
 
     @property
     def revival_bound(self) -> float:
-        """Return the seconds within which a device that answers again is polled, unless the link is overloaded."""
+        """Return within how many seconds a device that answers again is polled, unless the link is overloaded."""
         silent = sum(not device.lives for device in self.devices.values())
         return LONGEST_BACKOFF + (silent + 1) * self.timeout / self._share + self.blocking
 

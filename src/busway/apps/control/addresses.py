@@ -116,7 +116,7 @@ def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
 
 
 def _problem(path: Path) -> str:
-    """Say why a directory is not private to this user; empty if it is."""
+    """Return why a directory is not private to this user, as a sentence; empty if it is."""
     found = path.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return f"{path} is no directory"

@@ -30,7 +30,7 @@ _CONNECT_SECONDS = 1.0
 
 @dataclass
 class Bound:
-    """The listening socket of a control service, with its file.
+    """The listening socket of a control service, with the file of its socket or token.
 
     Attributes:
         address: its address.

@@ -44,7 +44,7 @@ class Subject(Protocol):
     """Interface of the server or gateway that a control service reports on."""
 
     def status(self) -> Any:
-        """Return the current status: a dataclass with any fields. Called in the subject's event loop."""
+        """Return the current status as a dataclass. Called in the event loop of the server or gateway."""
 
 
 @runtime_checkable
@@ -213,7 +213,9 @@ class Control:
         return _json({"reloaded": plain(self._in_loop(self._reload, RELOAD_SECONDS))})
 
     def _in_loop(self, work: Callable[[], Any], seconds: float = GATHER_SECONDS) -> Any:
-        """Run ``work`` in the server's event loop and return its result. `HttpError` 503 or 504 if it hangs."""
+        """Run the function ``work`` in the server's event loop and return its result. `HttpError` 503 or 504 if it
+        hangs.
+        """
         assert self._loop is not None
 
         async def done() -> Any:

@@ -44,7 +44,7 @@ class Share:
     draining: bool = False
 
     def relative(self, extra: float = 0.0) -> float:
-        """Return the collector's load divided by its capacity, with so much more load added."""
+        """Return the collector's load divided by its capacity, after ``more`` load was added."""
         return (self.load + extra) / self.capacity
 
 

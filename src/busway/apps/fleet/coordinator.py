@@ -34,7 +34,7 @@ class RevisionConflict(ModbusError):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One entry of a coordinator's table, as it was at one revision.
+    """One entry (key, value, revision) of the table that the collectors of a zone share.
 
     Attributes:
         key: letters, digits, ``.``, ``-``, ``_``, at most 200.

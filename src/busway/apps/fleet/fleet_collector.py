@@ -102,7 +102,7 @@ class FleetCollector:
         self._tasks: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
-        """Open the store and take part in the zone. Raises as `Collector.__aenter__`."""
+        """Open the store, and join the collectors that share the plant. Raises as `Collector.__aenter__`."""
         async with AsyncExitStack() as unless_started:
             collector = Collector(restricted(self._configuration, ()), permit=self._permit)
             self.collector = await unless_started.enter_async_context(collector)
@@ -150,14 +150,14 @@ class FleetCollector:
         )
 
     def shard_of(self, link: str) -> str:
-        """Return the name of the shard that a link belongs to; "none" for a link that is not in the file."""
+        """Return the name of the shard (group of links) that a link belongs to; "none" if the file does not have it."""
         return self._shard_of.get(link, "none")
 
     async def _end_tasks(self) -> None:
         await end_tasks(self._tasks)
 
     def _permit(self, link: str) -> None:
-        """Raise `LinkDown` if a transaction on a link may not begin, because its shard is not surely owned (rule 2)."""
+        """Raise `LinkDown` unless this collector owns the link's group and may begin a transaction now (rule 2)."""
         if link not in self._active or not self.member.may_begin(self._shard_of[link], self._now(), self._worst[link]):
             raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent")
 
@@ -177,7 +177,7 @@ class FleetCollector:
             await self._apply(events)
 
     async def _apply(self, events: Sequence[ShardEvent]) -> None:
-        """Stop polling links whose shards are no longer owned, begin with newly owned ones, give stopped ones back."""
+        """Stop polling links that this collector no longer owns, start newly owned ones, and release stopped ones."""
         ended = [event for event in events if event.step is not Step.GAINED]
         for event in ended:
             for link in self._links_of.get(event.shard, ()):
@@ -204,7 +204,7 @@ class FleetCollector:
             await self._poll_active()
 
     def _is_owned(self, event: ShardEvent) -> bool:
-        """Whether this collector still owns a shard under the epoch in which it got it."""
+        """Whether this collector still owns a group of links, without having lost it in between."""
         owned = self.member.owned.get(event.shard)
         is_kept = owned is not None and owned.epoch == event.epoch and owned.leaving is None
         return event.step is Step.GAINED and is_kept

@@ -43,11 +43,11 @@ class LeaseTimes:
             raise ConfigError(f"an answer is waited for up to {self.ttl / 3:g} s, not {self.answer:g}", key="answer")
 
     def deadline(self, asked: float) -> float:
-        """Return when transactions of an owner must have ended that began its last successful renewal at ``asked``."""
+        """Return when an owner must have ended all transactions if its last renewal was sent at ``asked``."""
         return asked + self.ttl - self.guard
 
     def free_at(self, seen: float) -> float:
-        """Return when another collector may take a shard whose lease's revision it first saw at ``seen``."""
+        """Return when a shard may be taken from its owner if its lease has not changed since ``seen``."""
         return seen + self.ttl + self.guard
 
 

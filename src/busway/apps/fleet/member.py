@@ -49,7 +49,7 @@ MOST_LEAVING: Final = 8
 
 
 class Step(Enum):
-    """What happens to a shard of this collector: gained, to be left in order, or lost."""
+    """What happens to a shard (group of links) of this collector: gained, to be given away in order, or lost."""
 
     GAINED = "gained"  # its links may begin
     LEAVE = "leave"  # its links are to stop after what runs; then call `FleetMember.left`
@@ -75,7 +75,7 @@ class ShardEvent:
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """One change of an entry that this collector asks the coordinator for.
+    """One change that this collector asks the coordinator to make in the shared table.
 
     Attributes:
         key, value: the entry.
@@ -90,7 +90,7 @@ class Proposal:
 
 
 class NotConfirmed(Enum):
-    """Why a proposal to the coordinator was not confirmed."""
+    """Why the coordinator did not confirm a change that this collector asked for."""
 
     CONFLICT = "conflict"
     UNKNOWN = "unknown"
@@ -146,7 +146,7 @@ class MemberCounts:
 
 
 class FleetMember:
-    """The state of one collector in its zone: owned shards, leases and members known, proposals to make.
+    """One collector's view of its zone: its shards and leases, the other members, and changes to ask for.
 
     Args:
         name, run, host: as in `MemberRecord`.
@@ -213,19 +213,19 @@ class FleetMember:
         self._me = replace(self._me, revision=revision)
 
     def drain(self, *, draining: bool = True) -> None:
-        """Give all shards to other collectors and take none; or take part again."""
+        """Give all shards (groups of links) to other collectors and take none; or take some again."""
         self._me = replace(self._me, draining=draining)
         self._my_renewal = 0.0
 
     def end(self) -> None:
-        """Give back all shards whose links have stopped, then tell the others that this collector is gone."""
+        """Release all shards whose links have stopped, then tell the others that this collector leaves."""
         self._ends = True
         self._me = replace(self._me, draining=True)
         self._my_renewal = self._look_at = 0.0
 
     @property
     def has_ended(self) -> bool:
-        """Whether all shards are given back after `end`."""
+        """Whether the collector has released all its shards after `end`."""
         return self._ends and not self.owned and self._me.gone and f"{MEMBERS}{self.name}" not in self._open
 
     def deadline(self, shard: str) -> float:
@@ -236,7 +236,7 @@ class FleetMember:
         return self.times.deadline(owned.asked)
 
     def may_begin(self, shard: str, now: float, worst: float) -> bool:
-        """Whether a transaction of a shard that may take ``worst`` seconds may begin now."""
+        """Whether a transaction on a shard's links that may take ``worst`` seconds may begin now."""
         return now + worst < self.deadline(shard)
 
     def members(self, now: float) -> list[MemberRecord]:
@@ -251,15 +251,15 @@ class FleetMember:
     # What comes in.
 
     def begin_snapshot(self) -> None:
-        """Note that the coordinator's watch begins, or begins again: entries that exist follow."""
+        """Prepare for all existing entries, because following the coordinator's table begins (again)."""
         self._complete_at = None
 
     def end_snapshot(self, now: float) -> None:
-        """Note that the watch has given all entries that existed."""
+        """Note that all existing entries of the coordinator's table were received; changes follow."""
         self._complete_at = now
 
     def entry(self, entry: Entry, now: float) -> None:
-        """Take an entry of the coordinator, or a change of one, from the watch."""
+        """Take over an existing or changed entry of the coordinator's table."""
         if entry.key.startswith(LEASES):
             self._lease(entry.key[len(LEASES) :], entry, now)
         elif entry.key.startswith(MEMBERS):
@@ -279,7 +279,7 @@ class FleetMember:
         self._compare(shard)
 
     def _compare(self, shard: str) -> None:
-        """Compare what this collector owns with what the coordinator's entry says, and give up what it lost."""
+        """Compare the shards owned here with an entry of the coordinator's table; give up what was lost."""
         owned, seen = self.owned.get(shard), self._leases.get(shard)
         if owned is None or seen is None or seen.revision <= owned.revision:
             return
@@ -311,7 +311,7 @@ class FleetMember:
             self._members[name] = _SeenMember(record, entry.revision, now)
 
     def outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
-        """Take the coordinator's answer to a proposal: the new revision, or why there is none."""
+        """Take the coordinator's answer to a proposed change: the new revision, or why it was not made."""
         if self._open.pop(proposal.key, None) is None:
             return
         if result is NotConfirmed.CONFLICT:
@@ -370,7 +370,7 @@ class FleetMember:
         self._compare(shard)
 
     def left(self, shard: str) -> None:
-        """Give a shard away: its links have stopped, and their samples are stored."""
+        """Give a shard away, whose links have stopped and whose samples are stored."""
         owned = self.owned.get(shard)
         if owned is not None:
             owned.has_left = True
@@ -379,12 +379,12 @@ class FleetMember:
     # What goes out.
 
     def events(self) -> list[ShardEvent]:
-        """Return what has happened to shards since the last call, in order."""
+        """Return and forget what has happened to shards since the last call, in order."""
         found, self._events = self._events, []
         return found
 
     def turn(self, now: float) -> list[Proposal]:
-        """Return the proposals to send to the coordinator now; takes expired leases into account."""
+        """Return the changes to send to the coordinator now; leases that have run out count as free."""
         for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
             self.counts.lapsed += 1
             self._lose(shard, "it could not be renewed in time")
@@ -398,7 +398,7 @@ class FleetMember:
         return found
 
     def next_turn(self) -> float:
-        """Return when `turn` must be called, by the same clock; earlier after any other call."""
+        """Return when `turn` must be called again, unless another method is called before."""
         due = [self._look_at if self._complete_at is not None else float("inf")]
         if f"{MEMBERS}{self.name}" not in self._open:
             due.append(self._my_renewal)
@@ -479,7 +479,7 @@ class FleetMember:
         return seen.at if record.run == self._me.run else self.times.free_at(seen.at)
 
     def _hand_on(self, now: float) -> None:
-        """Begin to give away the shards that this collector should not own (`balance`)."""
+        """Start to give away the shards that other collectors should own, by `balance`."""
         leaving = sum(each.leaving is not None for each in self.owned.values())
         for shard, owned in self.owned.items():
             unwanted = shard not in self._costs or self._ends
@@ -540,6 +540,6 @@ class FleetMember:
 
 
 def record_epoch(proposal: Proposal) -> Epoch | None:
-    """Return the epoch in the lease of a proposal; None if the proposal takes the shard."""
+    """Return the epoch in the lease that a proposed change writes; None if it takes the shard."""
     record = decode_lease(proposal.value)
     return None if record is None else record.epoch

@@ -27,13 +27,15 @@ _log = logging.getLogger("busway.fleet")
 
 
 def boot_time() -> float:
-    """Return the seconds of a clock that is never set and, if there is such a one, runs while the machine sleeps."""
+    """Return the seconds of a clock that is never set; where possible one that also runs while the machine sleeps."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic() if clock is None else time.clock_gettime(clock)
 
 
 async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:
-    """Cancel tasks until they have ended: on Python 3.11 a wait with a limit can swallow a cancellation."""
+    """Cancel tasks again and again until they have ended: on Python 3.11 `asyncio.wait_for` can swallow
+    a cancellation.
+    """
     left = {task for task in tasks if not task.done()}
     while left:
         for task in left:
@@ -72,7 +74,7 @@ class MemberDriver:
         return self._error
 
     async def run(self) -> None:
-        """Take part in the fleet until cancelled. Raises `ConfigError` if the zone can never be watched."""
+        """Take part in the fleet until cancelled. Raises `ConfigError` if the shared table can never be read."""
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._watch())
@@ -83,11 +85,11 @@ class MemberDriver:
             await asyncio.gather(*self._asking, return_exceptions=True)
 
     def wake(self) -> None:
-        """Let the member work now, because something in it was changed."""
+        """Let the driver ask the member for changes now, because its state was changed from outside."""
         self._wake.set()
 
     async def end(self, seconds: float) -> bool:
-        """Give all shards back, while `run` still runs; returns whether that was done in time.
+        """Release all shards while `run` still runs; returns whether that was done in time.
 
         Args:
             seconds: how long it may take.

@@ -10,7 +10,7 @@ from .lease_times import LeaseTimes
 
 
 def restricted(configuration: CollectorConfiguration, links: Container[str]) -> CollectorConfiguration:
-    """Return a configuration with only some of its links, and their devices; all else stays.
+    """Return a copy of a configuration with only some of its links and their devices; all else stays.
 
     Args:
         configuration: of the whole plant.
@@ -25,7 +25,7 @@ def restricted(configuration: CollectorConfiguration, links: Container[str]) -> 
 
 
 def longest_transaction(configuration: CollectorConfiguration, link: str) -> float:
-    """Return the longest time in seconds from deciding on a transaction until none of it can reach the device.
+    """Return how long a transaction may take, from its permission until none of it can reach the device.
 
     It may have to connect first; a poller repeats nothing. A gateway that keeps requests in a queue of its own adds to
     this: its longest wait belongs to the guard of the leases.

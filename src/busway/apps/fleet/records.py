@@ -37,7 +37,7 @@ class LeaseRecord:
     target: str = ""
 
     def encode(self) -> bytes:
-        """Return the lease as the bytes of its entry."""
+        """Return the lease as bytes for the shared table."""
         epoch = None if self.epoch is None else [self.epoch.generation, self.epoch.revision]
         return json.dumps(
             [self.owner, self.run, int(self.held), self.count, round(self.cost, 6), epoch, self.target],
@@ -47,7 +47,7 @@ class LeaseRecord:
 
 @dataclass(frozen=True, slots=True)
 class MemberRecord:
-    """One running collector, as others see it: name, capacity, configuration.
+    """One running collector as the others see it: name, capacity, configuration.
 
     Attributes:
         name, run: as in `LeaseRecord`.
@@ -69,7 +69,7 @@ class MemberRecord:
     gone: bool = False
 
     def encode(self) -> bytes:
-        """Return the member as the bytes of its entry."""
+        """Return the record of a collector as bytes for the shared table."""
         return json.dumps(
             [
                 self.name,
@@ -86,7 +86,7 @@ class MemberRecord:
 
 
 def decode_lease(value: bytes) -> LeaseRecord | None:
-    """Return the lease that an entry's bytes hold; None if they are none."""
+    """Return the lease in the bytes of a table entry; None if they are not a lease."""
     try:
         owner, run, held, count, cost, epoch, target = _list(value)[:7]
         return LeaseRecord(
@@ -103,7 +103,7 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
 
 
 def decode_member(value: bytes) -> MemberRecord | None:
-    """Return the member that an entry's bytes hold; None if they are none."""
+    """Return the record of a collector in the bytes of a table entry; None if they are none."""
     try:
         name, run, host, count, capacity, draining, revision, gone = _list(value)[:8]
         return MemberRecord(
@@ -121,7 +121,7 @@ def decode_member(value: bytes) -> MemberRecord | None:
 
 
 def decode_generation(value: bytes) -> int:
-    """Return the generation that an entry's bytes hold; 1 if they hold none."""
+    """Return the fleet's generation number in the bytes of a table entry; 1 if they hold none."""
     try:
         return max(1, int(value))
     except ValueError:

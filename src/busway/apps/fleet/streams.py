@@ -114,17 +114,17 @@ class NatsStream:
             raise StreamDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
 
     def kept(self, collector: str, store: str) -> int | None:
-        """Return the commit up to which all sinks have the samples of a store; None if no sink is known."""
+        """Return the number of the last commit that all sinks have received; None if no sink is known."""
         return self._cursors.kept(collector, store)
 
     async def watch_cursors(self, coordinator: Coordinator) -> None:
-        """Follow the cursors of sinks until cancelled."""
+        """Follow, until cancelled, up to which commit each sink has received samples."""
         await self._cursors.watch(coordinator)
 
 
 @dataclass(frozen=True, slots=True)
 class SinkCursors:
-    """How far one sink has the samples of each collector, by commit.
+    """Up to which commit one sink has received the samples of each collector.
 
     Attributes:
         sequence: of the last message of the stream that it has taken; 0 before the first.
@@ -137,19 +137,19 @@ class SinkCursors:
     proved: frozenset[str] = frozenset()
 
     def encode(self) -> bytes:
-        """Return the cursors of the sink as the bytes of their entry."""
+        """Return the positions of a sink as bytes for the shared table."""
         return json.dumps([self.sequence, self.commits, sorted(self.proved)], separators=(",", ":")).encode()
 
 
 class CursorBook:
-    """The cursors of all sinks of a zone, as the coordinator's table has them."""
+    """Up to which commit each sink of a zone has received samples, as the shared table says."""
 
     def __init__(self) -> None:
         self._cursors: dict[str, SinkCursors] = {}
         self._revisions: dict[str, int] = {}
 
     def take(self, entry: Entry) -> None:
-        """Take an entry from the coordinator's watch; ignores others than cursors. An empty value forgets a sink."""
+        """Take over an entry of the shared table if it is a sink's position; an empty value removes the sink."""
         if not entry.key.startswith(CURSORS):
             return
         sink = entry.key[len(CURSORS) :]
@@ -167,16 +167,16 @@ class CursorBook:
             self._cursors[sink] = found
 
     def kept(self, collector: str, store: str) -> int | None:
-        """Return the lowest cursor of all sinks; None without sinks, 0 if one has not begun."""
+        """Return the commit that all sinks have reached; None without sinks, 0 if one has not begun."""
         place = f"{collector}/{store}"
         return min((each.commits.get(place, 0) for each in self._cursors.values()), default=None)
 
     def of(self, sink: str) -> tuple[SinkCursors | None, int]:
-        """Return the cursors of one sink, and the revision of its entry, 0 if it has none."""
+        """Return the positions of one sink, and the revision of its entry, 0 if it has none."""
         return self._cursors.get(sink), self._revisions.get(sink, 0)
 
     async def watch(self, coordinator: Coordinator, told: Callable[[], None] = lambda: None) -> None:
-        """Follow the coordinator's table until cancelled; ``told`` is called once all present entries are known."""
+        """Follow the shared table until cancelled; ``told`` is called once all existing entries are known."""
         async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
             async for entry in entries:
                 if entry is SNAPSHOT_ENDS:
@@ -200,11 +200,11 @@ class SinkProgress:
 
     @property
     def cursors(self) -> SinkCursors:
-        """Return the cursors of the sink as they are now."""
+        """Return up to which commit of each collector the sink has all samples."""
         return SinkCursors(self._sequence, dict(self._commits), frozenset(self._proved))
 
     def take(self, sequence: int, message: SampleMessage | None) -> None:
-        """Note a message that the sink has taken; None for one that could not be read."""
+        """Count a message as received by the sink; None for a message that could not be decoded."""
         if sequence <= self._sequence:
             return  # it came again
         if sequence != self._sequence + 1 or message is None:
@@ -311,7 +311,7 @@ class StreamSink:
                 await subscription.unsubscribe()
 
     async def _take(self, jetstream: Any, stream: str, found: Iterable[Any]) -> None:
-        """Send messages to the sink, write its cursor, then acknowledge; what is interrupted comes again, in order."""
+        """Send messages to the sink, save its position, then acknowledge; if interrupted, they come again in order."""
         messages = sorted(found, key=lambda each: int(each.metadata.sequence.stream))
         ready = await self._following(jetstream, stream, messages)
         try:
@@ -329,7 +329,7 @@ class StreamSink:
         await self._client.flush(timeout=5)
 
     async def _following(self, jetstream: Any, stream: str, messages: list[Any]) -> list[Any]:
-        """Return messages that follow the taken ones without a gap; all, if the stream has dropped what is missing."""
+        """Return the messages that continue without a gap; all of them if the stream has lost what is missing."""
         expected = self._progress.cursors.sequence + 1
         place = 0
         for message in messages:
@@ -343,7 +343,7 @@ class StreamSink:
         return messages if int(info.state.first_seq) > expected else messages[:place]
 
     async def _give_back(self, messages: Iterable[Any]) -> None:
-        """Have the stream deliver messages again soon, after those before them."""
+        """Let the stream deliver messages again soon, after those that come before them."""
         errors = import_module("nats.errors")
         with contextlib.suppress(errors.Error, OSError, TimeoutError):
             for message in messages:

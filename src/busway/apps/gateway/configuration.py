@@ -262,7 +262,7 @@ def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadli
 
 
 def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
-    """Return the listeners with unique names, as two may have the same URL with port 0."""
+    """Return the listeners with unique names, because two may have the same URL with port 0."""
     named: dict[str, PlacedListener] = {}
     for listener in listeners:
         name, number = listener.name, 1

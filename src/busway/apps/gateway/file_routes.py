@@ -45,14 +45,14 @@ class PlacedRoute:
         return (self.section.parameters.request_gap or 0.0) if self.section is not None else 0.0
 
     def key(self, *names: str) -> Place:
-        """Return the path of the first of these keys that the route sets, or else of the route itself."""
+        """Return the path in the file of the first of these keys that the route sets, or else of the route itself."""
         written = set() if self.section is None else self.section.model_fields_set
         return next(((*self.place, name) for name in names if name in written), self.place)
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedListener:
-    """A listener with the path of its URL in the gateway file. ``is_chosen``: the file sets its deadline."""
+    """A listener with the path of its URL in the gateway file. ``is_chosen``: the file sets its client deadline."""
 
     name: str
     endpoint: Endpoint

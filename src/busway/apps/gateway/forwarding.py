@@ -96,21 +96,23 @@ class Batch(Call):
         self.asked = asked
 
     def done(self) -> bool:
-        """Return False always; for the link, which asks a future this before it calls `set_result`."""
+        """Return False always: a link asks futures this before it calls `set_result`, and treats a
+        batch as a future.
+        """
         return False
 
     def set_result(self, result: None) -> None:
-        """Called by the link when all requests of the batch have an outcome, as if this were a future."""
+        """Answer the clients: the link calls this, as on a future, when all requests of the batch have an outcome."""
         self.forwarder.answer(self)
 
     def owed(self, asker: ForwardingClient) -> Iterator[ForwardedRequest]:
-        """Return the requests of a client that have no answer yet."""
+        """Yield the requests of a client in this batch that have no answer yet."""
         for position in range(len(self.tags)):
             if position not in self.told:
                 yield from (asked for waiter, _, asked in self.waiters(position) if waiter is asker)
 
     def asker_gone(self, asker: ForwardingClient) -> None:
-        """Drop the requests of the client that sent the batch, because it has disconnected."""
+        """Withdraw the requests of the client that sent the batch, because it has disconnected."""
         self.forwarder.withdraw(self, asker)
 
     def is_sent(self, position: int) -> bool:
@@ -227,7 +229,7 @@ class ForwardTarget:
         asked: Sequence[ForwardedRequest],
         shared: Mapping[Key, Batch],
     ) -> tuple[Sequence[Any], Sequence[ForwardedRequest], list[tuple[Any, ForwardedRequest]]]:
-        """Let reads wait for equal ones in flight. Returns those to send, and those that wait already."""
+        """Let reads wait for equal reads in flight. Returns which requests to send, and which wait already."""
         left: dict[Key, tuple[Any, ForwardedRequest]] = {}
         twice: list[tuple[Any, ForwardedRequest]] = []
         for tag, one in zip(tags, asked, strict=True):
@@ -303,7 +305,7 @@ class Forwarder:
             await self._all_answered.wait()
 
     def recall(self, unit: int, place: Place, seconds: float) -> bytes | None:
-        """Return the remembered data of a read, if they are not older than ``seconds``; else None."""
+        """Return recently read data that answers a read, if they are not older than ``seconds``; else None."""
         data = self.cache.recall(unit, place, self.upstream.clock(), for_seconds=seconds)
         self.upstream.counters.recalled += data is not None
         return data
@@ -311,7 +313,7 @@ class Forwarder:
     # What comes back.
 
     def look(self, session: object) -> None:
-        """Answer the requests that have an outcome by now, also of incomplete batches."""
+        """Answer the requests that have an outcome by now, even if others of their batch have none."""
         if isinstance(session, TcpClientSession):
             for call in session.in_work():
                 if (
@@ -325,7 +327,7 @@ class Forwarder:
             self.send()
 
     def send(self) -> None:
-        """Transmit the replies that are ready, those of one client together."""
+        """Send the replies that are ready to the clients, those of one client together."""
         answered, self.answered = self.answered, {}
         for asker in answered:
             asker.send()
@@ -355,7 +357,7 @@ class Forwarder:
             self.leave(batch)
 
     def _answer_one(self, batch: Batch, position: int, outcomes: Sequence[Outcome | bytes | None]) -> None:
-        """Answer all clients that wait for one request, whose outcome is complete."""
+        """Answer all clients that wait for one request, once its reply or error is known."""
         batch.told = {*batch.told, position}
         if batch.shared is not None and batch.shared.get(batch.keys[position]) is batch:
             del batch.shared[batch.keys[position]]  # no other client may join it any more
@@ -388,7 +390,7 @@ class Forwarder:
     # Clients that wait no longer.
 
     def give_up_one(self, batch: Batch, waiter: Waiter | None) -> None:
-        """Answer a client whose deadline has passed, for a read that it shares or (None) for its own requests."""
+        """Answer a client whose deadline has passed, for one read that it shares, or (None) for its own requests."""
         asker = batch.asker if waiter is None else waiter[0]
         if asker is None:
             return  # it has disconnected
@@ -436,7 +438,7 @@ class Forwarder:
         batch.link.give_up(batch)
 
     def leave(self, batch: Batch) -> None:
-        """Forget a batch that has ended, or that no client waits for any more."""
+        """Forget a batch that is answered, or for which no client waits any more."""
         del self.open[batch]
         if batch.is_write:
             self.cache.write_ended(batch.unit)

@@ -55,7 +55,7 @@ class _RunningListener:
     server: Server
 
     def follow(self, listener: GatewayListener) -> None:
-        """Apply changed options of a listener that need no restart; connections stay."""
+        """Apply those changed options of a listener that need no restart; its connections stay open."""
         self.listener = listener
         self.responder.deadline = listener.deadline
         self.responder.silent_broadcasts = listener.silent_broadcasts
@@ -202,7 +202,7 @@ class Gateway:
         same_listeners: Mapping[str, _RunningListener],
         policy: Policy | None,
     ) -> tuple[dict[str, Forwarder], dict[str, _RunningListener]]:
-        """Stop the listeners and serial ports that change, and open those of the plan; on an error undo all of that.
+        """Stop listeners and serial ports that change, and open those of the new configuration; undo all on an error.
 
         Returns forwarders and listeners of the plan by name, unchanged ones included. What is closed first may hold
         ports that new ones need.
@@ -281,7 +281,7 @@ class Gateway:
         return sum(each.server.end_unauthorized() for each in self._running.values())
 
     def is_priority(self, listener: str, host: str) -> bool:
-        """Whether a host is a priority host of the listener with a URL, as in ``endpoints``."""
+        """Whether a host is a priority host of the listener with this URL (one of ``endpoints``)."""
         return any(each.server.is_priority(listener, host) for each in self._running.values())
 
     def reset_counters(self) -> None:
@@ -379,7 +379,7 @@ def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
 
 
 def _standard_port(listener: GatewayListener, plan: GatewayPlan) -> bool | None:
-    """Whether a listener also listens on port 502; one of several listeners does."""
+    """Return whether a listener also listens on port 502; only one of several listeners does."""
     choice: bool | None = plan.server.get("standard_port")
     places = {one.name: parse_endpoint(one.settings.endpoint) for one in plan.listeners}
     plain = {name: place for name, place in places.items() if place.scheme == "tcp"}
@@ -412,7 +412,7 @@ def _open(upstream: Upstream, settings: UpstreamSettings) -> None:
 def _changes(
     what: str, old: Mapping[str, GatewayListener | UpstreamSettings], new: Iterable[GatewayListener | UpstreamSettings]
 ) -> Iterator[str]:
-    """Say which listeners or upstreams were added, changed and closed."""
+    """Return sentences that tell which listeners or upstreams were added, changed and closed."""
     names = set()
     for one in new:
         names.add(one.name)

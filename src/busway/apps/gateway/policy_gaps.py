@@ -29,7 +29,8 @@ Access = tuple[type[Request], TouchedRange]
 def policy_gaps(
     policy: Policy, routes: Sequence[PlacedRoute], same_device: Mapping[str, Sequence[frozenset[int]]]
 ) -> Iterator[tuple[Place, str]]:
-    """Return the rules that some route to their device bypasses: path in the file, and a message.
+    """Return the access rules that clients can evade by another route to the same device: path in the file, and a
+    message.
 
     ``same_device``: by name of upstream, the groups of units there that are one device.
     """
@@ -55,7 +56,7 @@ def policy_gaps(
 
 
 def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[Access]:
-    """Return the kinds of access to test: one of those that no rule and no route tells apart."""
+    """Return the kinds of access to test: one example for all that no rule and no route distinguishes."""
     by_rules = [rule for rule in policy.rules if rule.functions is not None]
     found: dict[object, Access] = {}
     for kind in STANDARD:
@@ -81,7 +82,7 @@ def _reached_in_several_ways(
 
 
 def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
-    """Whether one access rule applies to all clients that another applies to."""
+    """Whether one access rule applies to all clients to which another one applies."""
     return (
         other.peers in (None, rule.peers)
         and other.roles in (None, rule.roles)
@@ -90,7 +91,7 @@ def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
 
 
 def _evaded(rule: Rule, rights: Rights, accesses: Sequence[Access], way: Way, other: Way) -> str:
-    """Say how requests by another route do what the rule forbids by its own; empty if they do not."""
+    """Return how a request by another route does what the rule forbids, as a sentence; empty if none does."""
     (near, asked), (far, unit) = way, other
     is_named = rule.units is None or unit in rule.units
     if (rule.units is not None and asked not in rule.units) or (is_named and near.route.shift == far.route.shift):
@@ -127,7 +128,7 @@ def _takes(route: Route, kind: type[Request]) -> bool:
 
 
 def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | None:
-    """Return the part of an address range that a route forwards."""
+    """Return the part of an address range that a route forwards; None if it forwards nothing of it."""
     if isinstance(touched.space, Table):
         low, high = max(low, 0), min(high, 0x10000)
     if route.addresses is not None:
@@ -138,7 +139,7 @@ def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | 
 
 
 def _permits_more(other: Zone, zone: Zone, items: Range) -> bool:
-    """Whether the other route's rule permits some items that this rule refuses or limits."""
+    """Whether requests by the other route may touch items that this route's access rule refuses or limits."""
     if not other.permits or other.end <= items[0] or items[1] <= other.first or other.rule is zone.rule:
         return False
     return not zone.permits or (other.rate, other.limits) != (zone.rate, zone.limits)

@@ -36,7 +36,7 @@ BLOCKS_PER_UNIT = 64
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Values that one read has returned, and the time when it was forwarded."""
+    """The values that one read returned, and the time when that read was sent."""
 
     place: Place
     data: bytes
@@ -45,7 +45,7 @@ class _Block:
 
 @dataclass(slots=True)
 class _Unit(Generic[Shared]):
-    """The shared reads and recently read values of one unit."""
+    """The shared reads and recently read values of one unit identifier."""
 
     open_writes: int = 0
     changes: int = 0
@@ -88,7 +88,7 @@ class ReadCache(Generic[Shared]):
         self._changed(unit, 1)
 
     def write_ended(self, unit: int) -> None:
-        """Note that a write to a unit has ended, successfully or not; its reads may be shared again."""
+        """Allow reads of a unit to be shared again, because a write to it has ended, successfully or not."""
         self._changed(unit, -1)
 
     def _changed(self, unit: int, more_writes: int) -> None:
@@ -110,7 +110,8 @@ class ReadCache(Generic[Shared]):
     # Reads in flight.
 
     def shared(self, unit: int) -> dict[Key, Shared] | None:
-        """Return a unit's reads in flight by key, to which new ones are added; None while a write forbids sharing.
+        """Return a unit's reads in flight by key, to which the caller adds new ones; None while a write forbids
+        sharing.
 
         It is always the same object. A write empties it.
         """
@@ -118,7 +119,7 @@ class ReadCache(Generic[Shared]):
         return state.reading if not self._open_writes or self._is_quiet(unit) else None
 
     def changes(self, unit: int) -> int:
-        """Return a number that changes with every write to a unit; take it before a read, for `remember`."""
+        """Return a number that changes with every write to a unit; pass the one from before a read to `remember`."""
         return self._unit(unit).changes
 
     # Values.

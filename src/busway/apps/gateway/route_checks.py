@@ -36,7 +36,7 @@ _MOST_BITS = 2000
 
 @dataclass(frozen=True, slots=True)
 class WorstCase:
-    """The longest time that an upstream may need for one request once its turn has come, and its parts.
+    """The longest time that an upstream may need for one request from the moment it is sent, and its parts.
 
     Attributes:
         seconds: until the last attempt has failed.
@@ -138,7 +138,7 @@ def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
-    """Say which part of a refusing route an earlier route forwards: units, functions or addresses; or empty."""
+    """Return which units, functions or addresses of a refusing route an earlier route forwards; empty if none."""
     refusal = placed.route
     wider = replace(refusal, units=refusal.units & earlier.units or refusal.units)
     is_for_all = not refusal.listeners and bool(earlier.listeners)

@@ -112,7 +112,7 @@ class ListenerRouter:
         self._targets: dict[tuple[str, int, float | None], ForwardTarget] = {}
 
     def follow(self, routes: ListenerRoutes, forwarders: Mapping[str, Forwarder]) -> None:
-        """Use these routes and forwarders from now on. Requests that are open are still answered."""
+        """Use other routes and forwarders from now on. Requests in progress are still answered."""
         self._routes = routes
         self._forwarders = forwarders
         self._targets = {}
@@ -181,7 +181,7 @@ class ListenerRouter:
 
     @staticmethod
     def _reaches_all(route: Route, unit: int, request: Request, forwarder: Forwarder) -> bool:
-        """Whether a request to one unit becomes a broadcast on the upstream."""
+        """Whether a route turns a request to one unit into a broadcast on the upstream."""
         takes_it = request.broadcast and forwarder.upstream.takes_broadcasts
         return takes_it and route.upstream_unit(unit) == BROADCAST_UNIT
 
@@ -283,14 +283,14 @@ class ListenerRouter:
         return SILENCE
 
     def _takers(self) -> list[str]:
-        """Return the names of this listener's upstreams that take broadcasts."""
+        """Return the names of this listener's upstreams to which broadcasts are forwarded."""
         names = [name for name in self._routes.upstreams if name in self._forwarders]
         return [name for name in names if self._forwarders[name].upstream.takes_broadcasts]
 
     def _way_to_all(
         self, context: RequestContext, upstream: str, request: Request, charged: set[int]
     ) -> Route | int | None:
-        """Return the route of a broadcast to an upstream, an exception code, or None if it is not for that.
+        """Return how a broadcast reaches an upstream: a route, an exception code, or None if it is not forwarded.
 
         Every unit of the upstream hears it: so all of them must permit it, under the same address. ``charged`` as of
         `RefusalOf`.
@@ -335,5 +335,5 @@ def _for_all_units(route: Route) -> Route:
 
 @lru_cache(maxsize=32)
 def as_bytes(kind: type[ReadRegisters] | type[ReadBits]) -> Any:  # Any: a class of the same kind
-    """Return a request class for the same read whose reply is only its data: building a message takes 0.4 µs."""
+    """Return a request class for the same read whose reply stays raw data: decoding a message would take 0.4 µs."""
     return type(kind.__name__, (kind,), {"take": staticmethod(bytes), "__doc__": kind.__doc__})

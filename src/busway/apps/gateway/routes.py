@@ -114,7 +114,7 @@ class Route:
 
     @property
     def names_no_units(self) -> bool:
-        """Whether the route takes every unit unchanged, so that it does not tell which units exist."""
+        """Whether the route applies to every unit number and leaves it unchanged."""
         return self.unit is None and not self.unit_offset and self.units >= SERIAL_UNITS
 
     def covers(self, other: "Route") -> bool:
@@ -124,7 +124,7 @@ class Route:
         return other.units <= self.units and self.covers_beside_units(other)
 
     def covers_beside_units(self, other: "Route") -> bool:
-        """Whether this route takes every request that ``other`` would take, at the units that both have."""
+        """Whether this route takes every request that ``other`` would take to a unit that both routes have."""
         return (
             (not self.listeners or (bool(other.listeners) and other.listeners <= self.listeners))
             and (not self.functions or (bool(other.functions) and other.functions <= self.functions))
@@ -147,7 +147,7 @@ class Route:
 
 @dataclass(frozen=True, slots=True)
 class Straddles:
-    """Result of looking for a route: the request lies only partly in this route's address range."""
+    """Result of looking for a route: only a part of the request's addresses is in this route's range."""
 
     route: Route
 
@@ -240,7 +240,7 @@ def _indexed(routes: Sequence[Route], function: int, table: Table) -> tuple[list
 
 
 def _touched_at_once(request: Request) -> Span | None:
-    """Return the one range that a request touches; None if it touches several ranges, or no item."""
+    """Return the one address range that a request touches; None if it touches several, or none."""
     if isinstance(request, OpaqueRequest):
         return None
     spans = request.spans()
@@ -300,7 +300,7 @@ class RoutingTable:
 
 
 def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], frozenset[int]]:
-    """Return the earlier routes that take all requests to some units of a route, and the units left to it."""
+    """Return the earlier routes that take all requests to some units of a route, and the units left for it."""
     route = routes[position]
     whole = next((one for one in routes[:position] if one.covers(route)), None)
     if whole is not None:

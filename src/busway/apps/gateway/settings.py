@@ -104,7 +104,7 @@ class UpstreamSettings:
 
 @dataclass(frozen=True)
 class GatewayPlan:
-    """The complete configuration of a gateway as objects, checked as a whole.
+    """The complete configuration of a gateway (listeners, upstreams, routes) as objects, checked as a whole.
 
     Attributes:
         listeners, upstreams: each with a unique name.

@@ -107,7 +107,7 @@ def echo(request: Request) -> Message:
 
 
 def _limit(request: Request, route: Route) -> int | None:
-    """Return the most items that one request of this kind may have on a route; None without a limit."""
+    """Return the largest number of items in one request of this kind that a route allows; None without a limit."""
     if isinstance(request, ReadRegisters):
         return route.max_registers
     if isinstance(request, ReadBits):
@@ -131,7 +131,7 @@ def _read_pieces(kind: type[Any], address: int, count: int, limit: int) -> tuple
 
 
 def _wire(request: Request) -> bytes:
-    """Return the PDU of a request, which is encoded only once."""
+    """Return the PDU bytes of a request, encoded at the first use only."""
     return request.wire if hasattr(request, "wire") else request.prepare()
 
 

@@ -194,7 +194,9 @@ class Upstream:
                 await asyncio.sleep(link.next_attempt or 0.01)
 
     def _told(self, event: ConnectionEvent, reason: str) -> None:
-        """Log that a connection was opened, failed or was lost; wake the task that opens a lost port again."""
+        """Log that a connection to the upstream was opened, failed or was lost; if lost, wake the task
+        that reopens it.
+        """
         if event is ConnectionEvent.CONNECTED:
             self.news.is_up()
         elif event is ConnectionEvent.FAILED:
@@ -288,7 +290,7 @@ def _in_doubt(link: AsyncLinkDriver) -> tuple[int, ...]:
 
 
 def _suspended(link: AsyncLinkDriver) -> tuple[SuspendedUnit, ...]:
-    """Return the units of a link that get no requests for now, or only tries."""
+    """Return the units of a link whose circuit breaker is open or half-open."""
     session = link.session
     if session.breakers is None:
         return ()

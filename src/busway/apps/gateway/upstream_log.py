@@ -71,7 +71,7 @@ class UpstreamLog:
             self._tell_count()
 
     def _tell_count(self) -> None:
-        """Log how many requests were answered with 0A since the last such line."""
+        """Log how many requests were answered with exception 0A since this was last logged."""
         if self._no_path:
             now = self._clock()
             _log.warning(

@@ -76,7 +76,7 @@ class ImportedDevice:
 
     @contextmanager
     def reporting(self, where: str, what: str) -> Iterator[None]:
-        """Context manager that notes values of a wrong type or form in the imported file, instead of failing."""
+        """Context manager that reports values of a wrong type or form in the imported file, and goes on."""
         try:
             yield
         except WRONG_VALUE as error:
@@ -110,7 +110,7 @@ class ImportedDevice:
         return self._together(number, kept)
 
     def _together(self, number: int, kept: list[ImportedPoint]) -> SimulatedUnitSection:
-        """Return one unit of points that are valid together; others are reported and left out."""
+        """Return the imported points of one unit that are valid together; report the others and leave them out."""
         groups = self.groups.get(number, [])
         while True:
             data = {"unit": number, "point": [each.keys for each in kept]} | ({"group": groups} if groups else {})
@@ -140,12 +140,12 @@ class ImportedDevice:
 
 
 def tables_in(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:  # Any: what the file has
-    """Return the tables in a list of an imported file, each with its place; empty if it is no list."""
+    """Return the tables in a list of an imported file, each with its position; empty if it is not a list."""
     return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))
 
 
 def _once(name: str, taken: set[str]) -> str:
-    """Return a name that is not taken yet: with a number behind it if necessary."""
+    """Return an unused name: the given one, or the same with a number appended."""
     if name not in taken:
         return name
     number = 2

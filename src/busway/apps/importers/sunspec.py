@@ -85,7 +85,7 @@ def read_sunspec(
 
 
 class _Model:
-    """The points and groups of a SunSpec model, to which addresses are given from its first register on."""
+    """The points and groups of a SunSpec model; gives each its address, counted from the model's first register."""
 
     def __init__(self, found: ImportedDevice, name: str, counts: dict[str, int]) -> None:
         self._found = found

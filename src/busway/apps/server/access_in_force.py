@@ -18,7 +18,7 @@ from .overrides import Overrides
 
 
 class AccessInForce:
-    """The access rules of one running service, and how they reach its server.
+    """The access rules that a running service applies to its server, replaced at a reload.
 
     Args:
         configuration: the one that the service starts with.
@@ -50,7 +50,7 @@ class AccessInForce:
         return self.cautious_policy(self.rules)
 
     def cautious_policy(self, rules: AccessRules | None) -> Policy | None:
-        """Return a policy that takes every listener for reachable, for use until that is known; None if not needed."""
+        """Return a policy as if other hosts could reach every listener, until that is known; None if none is needed."""
         return self._policy(rules, NETWORK_SCHEMES) if self.is_guarded else None
 
     def replace_policy(self, server: RunningServer, rules: AccessRules | None) -> None:
@@ -85,7 +85,9 @@ class AccessInForce:
         return found
 
     def _policy(self, rules: AccessRules | None, exposed: Sequence[str]) -> Policy:
-        """Return the policy of the access rules; without rules, one that makes the exposed listeners read-only."""
+        """Return the policy of the access rules; without rules, one that makes listeners read-only that other hosts
+        reach.
+        """
         if rules is not None:
             return rules.policy
         return read_only_for(() if self._overrides.allow_writes else exposed)

@@ -101,7 +101,7 @@ class Configuration:
         )
 
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Do nothing to a running server beyond its policy and lists: other changes take effect at the next start."""
+        """Do nothing: policy and lists are applied elsewhere, other changes take effect at the next start."""
         return []
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
@@ -186,7 +186,7 @@ def parse_configuration(
 
 
 def _what_reads_it(error: FileError) -> FileError:
-    """Return the error for a file with problems; for a simulation or gateway file, only which command takes it."""
+    """Return the error for an invalid file; if it is a simulation or gateway file, only which command reads it."""
     from ...config.files.simulation import is_only_of_simulations
 
     one = next((each for each in error.problems if is_only_of_simulations(each.key or "")), None)
@@ -247,7 +247,7 @@ def _control(file: SystemFile, name: str) -> str | None:
 
 
 class _Makers:
-    """Builds the listeners of a file: settings of a listener override the general ones."""
+    """Creates the listeners of a file; settings of a listener override the general ones."""
 
     def __init__(self, file: SystemFile, name: str, report: ConfigurationReport, changes: Mapping[str, Any]) -> None:
         self._file = file
@@ -278,7 +278,7 @@ class _Makers:
         )
 
     def listener(self, place: Place, endpoint: Endpoint) -> Listener:
-        """Build the listener whose URL is at a path of the file, without refused options."""
+        """Create the listener whose URL is at a path of the file, without its invalid options."""
         if endpoint.host in ANY_ADDRESS and endpoint.carrier != "serial":
             self._check_options.warn(place, f"{endpoint.url} listens on every interface of this host")
         if endpoint.carrier == "serial":

@@ -134,7 +134,7 @@ class ReloadedConfiguration:
     before: tuple[Rule, ...]
 
     def rule_lists(self) -> list[list[Any]]:
-        """Return the lists of rules, which may be large and are not needed after the reload, for `let_go`."""
+        """Return the lists of access rules, which may be large, so that `let_go` can free them after the reload."""
         policy = self.configuration.file.policy
         read = () if self.rules is None else self.rules.policy.rules
         return [list(self.before), list(read), [] if policy is None else list(policy.rule)]
@@ -165,7 +165,7 @@ def read_again(
 
 
 def _differences(old: DeclaredServer, new: DeclaredServer) -> list[str]:
-    """Return the sections in which two configurations differ, without those that take effect at once."""
+    """Return the sections in which two configurations differ and that need a restart."""
     found = []
     for name in type(old.file).model_fields:
         before, after = getattr(old.file, name), getattr(new.file, name)

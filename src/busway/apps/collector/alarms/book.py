@@ -66,7 +66,9 @@ class AlarmBook:
         return [AlarmEvent(*key, AlarmEventKind.REMOVED, at, text=alarm.text) for key, alarm in alarms.items()]
 
     def take(self, batch: SampleBatch, now: float) -> Sequence[AlarmEvent]:
-        """Return the alarm events that the samples of a read cause; ``now``: monotonic seconds at its middle."""
+        """Return the alarm events (raised, cleared, …) that a read's samples cause; ``now``: monotonic seconds of the
+        read.
+        """
         group = batch.group
         if group.device not in self._devices:
             return ()

@@ -25,7 +25,7 @@ Named = TypeVar("Named", AlarmEvent, RaisedAlarm)
 
 
 class _Changed(Protocol):
-    """Gives an alarm or event as it is to be shown from now on."""
+    """A function that returns an alarm or alarm event with its current name and corrected times."""
 
     def __call__(self, named: Named, /) -> Named: ...
 
@@ -42,7 +42,7 @@ ACKNOWLEDGE_WITHIN: Final = 5.0
 
 
 class _EventReader:
-    """One program that follows alarm events, with the queue of those it has not read."""
+    """One program that follows alarm events, with the queue of events that it has not read."""
 
     def __init__(self) -> None:
         self.waiting: deque[AlarmEvent] = deque(maxlen=MOST_WAITING)
@@ -93,7 +93,7 @@ class CollectorAlarms:
         return [key for key, machine in self._book.machines.items() if machine.state is AlarmState.PENDING]
 
     def reason(self, key: AlarmKey) -> int:
-        """Return the reason code of the last sample of an alarm's point: 0 for a good one."""
+        """Return why the value of an alarm's point is not good: the reason code of its last sample; 0 for good."""
         machine = self._book.machines.get(key)
         return 0 if machine is None else machine.reason
 
@@ -172,14 +172,14 @@ class CollectorAlarms:
         self._tell(self._book.configure(devices, self._wall(), moved=moved))
 
     def take(self, batch: SampleBatch) -> Sequence[AlarmEvent]:
-        """Return the alarm events that the samples of a read cause; the caller stores both together."""
+        """Return the alarm events that a read's samples cause; the caller stores samples and events in one commit."""
         events = self._book.take(batch, self._now() - batch.half_width / NANOSECONDS)
         if events:
             self._note(events)
         return events
 
     def committed(self, events: Sequence[AlarmEvent]) -> None:
-        """Show alarm events, which are in the journal now."""
+        """Hand alarm events to those that follow them; called once the events are in the alarm journal."""
         shown = [self._told.pop(id(event), (event, event))[1] for event in events]
         for event, as_shown in zip(events, shown, strict=True):
             fold_event(self._raised, as_shown)
@@ -191,7 +191,7 @@ class CollectorAlarms:
             reader.take(shown)
 
     def mend(self, shift: int) -> None:
-        """Correct times from before the wall clock was set."""
+        """Correct the times of alarms that were taken before the computer's wall clock was set."""
         self._show_anew(lambda named: _moved(named, shift, self._earlier))
 
     def end(self) -> None:
@@ -206,13 +206,13 @@ class CollectorAlarms:
             self._keep(events)
 
     def _note(self, events: Iterable[AlarmEvent]) -> None:
-        """Remember events that wait for their commit, because names and times may change before it."""
+        """Remember events not yet in the journal, because their names and times may change before they are."""
         self._told.update((id(event), (event, event)) for event in events)
         while len(self._told) > MOST_UNCOMMITTED:
             self._told.pop(next(iter(self._told)))
 
     def _show_anew(self, changed: _Changed) -> None:
-        """Show all alarms and events with other names or times."""
+        """Replace all alarms and remembered events by copies with their new names or corrected times."""
         self._raised = {each.key: each for each in map(changed, self._raised.values())}
         self._journal = deque(map(changed, self._journal), maxlen=RECENT)
         self._told = {key: (event, changed(shown)) for key, (event, shown) in self._told.items()}
@@ -225,7 +225,7 @@ def _renamed(named: Named, moved: Mapping[PointKey, str]) -> Named:
 
 
 def _moved(named: Named, shift: int, earlier: Container[int]) -> Named:
-    """Return an alarm or event whose times from before the wall clock was set are corrected.
+    """Return an alarm or event whose times are corrected, if they are from before the wall clock was set.
 
     ``earlier`` are times that an earlier process gave: they stay as they are.
     """

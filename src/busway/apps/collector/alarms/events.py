@@ -37,7 +37,7 @@ class AlarmState(StrEnum):
 
     @property
     def is_active(self) -> bool:
-        """Whether the value of the alarm is still beyond its limit."""
+        """Whether the point's value is still beyond the limit of the alarm."""
         return self in (AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED)
 
     @property
@@ -96,7 +96,7 @@ class AlarmEvent:
 
     @property
     def key(self) -> AlarmKey:
-        """Device, point and limit of the alarm that had this event."""
+        """The key of the alarm that had this event: device, point and limit."""
         return self.device, self.point, self.limit
 
 

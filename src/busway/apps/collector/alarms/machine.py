@@ -53,7 +53,7 @@ class AlarmMachine:
         return AlarmState.NORMAL if self._beyond_since is None else AlarmState.PENDING
 
     def continue_as(self, point: str, rule: AlarmRule, unit_of_measure: str) -> None:
-        """Go on under another name and another limit, which holds from the next sample on."""
+        """Change the name and the limit of an alarm that keeps its state; the limit holds from the next sample on."""
         self.point, self.rule, self.unit_of_measure = point, rule, unit_of_measure
         if self.alarm is not None:
             self.alarm = replace(self.alarm, point=point)

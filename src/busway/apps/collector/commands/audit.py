@@ -44,7 +44,7 @@ _LONGEST_LINE: Final = 300
 
 
 def command_line(result: CommandResult, time: str, repeated: int = 0) -> str:
-    """Return the audit line of a finished or refused command; ``repeated``: equal ones it stands for, else 0."""
+    """Return the audit line of a finished or refused command; ``repeated``: how many equal ones it counts, else 0."""
     command = result.command
     more = {"repeated": repeated} if repeated else {}
     return _line(

@@ -20,7 +20,7 @@ from .inputs import CommandInput, InputRights, overlap
 
 
 def make_input(section: SinkSection, sink: object = None) -> CommandInput | None:
-    """Make the receiver of commands that a sink's table asks for.
+    """Create the receiver of write commands that a sink's table in the collector file asks for.
 
     Args:
         section: of the sink.

@@ -52,7 +52,7 @@ class InputRights:
     seconds: float = 10.0
 
     def permits(self, device: str, point: str) -> bool:
-        """Whether a point may be written; a ``*`` for the device ends at the slash, which no name of a device has."""
+        """Whether a command may write a point, by patterns such as ``device/*``; ``*`` never matches a slash."""
         for pattern in self.points:
             devices, _, points = pattern.partition("/")
             if fnmatchcase(device, devices) and fnmatchcase(point, points):
@@ -62,7 +62,7 @@ class InputRights:
 
 @dataclass(frozen=True, slots=True)
 class InputMessage:
-    """A message with a command, in a form that all protocols share.
+    """A message that carries a write command, in a form that MQTT, NATS and Sparkplug share.
 
     Attributes:
         where: its topic or subject.
@@ -111,7 +111,7 @@ class DescribedDevice(Protocol):
 
 
 class DescribedPlant(Protocol):
-    """Interface of a collector's configuration as commands need it: the devices with their points."""
+    """Interface of a collector's configuration as commands see it: its devices with their points."""
 
     @property
     def devices(self) -> Mapping[str, DescribedDevice]:
@@ -119,14 +119,14 @@ class DescribedPlant(Protocol):
 
 
 class CommandInput(Protocol):
-    """Interface of what receives commands as messages from one server."""
+    """Interface of a receiver that gets commands as messages from one server, such as an MQTT broker."""
 
     kind: str
     rights: InputRights
     separator: str
 
     def level(self, name: str) -> str:
-        """Return a name as one level of a topic or subject."""
+        """Return a device or point name with the characters that one level of a topic or subject may have."""
 
     async def run(self, receiver: "CommandReceiver") -> None:
         """Receive messages and pass them to `CommandReceiver.take`, until cancelled; reconnects after pauses."""
@@ -170,26 +170,26 @@ class CommandReceiver:
         await self._input.run(self)
 
     def connected(self) -> None:
-        """Note that the connection to the server of commands is open."""
+        """Show in the status that the connection to the server of commands is open."""
         self._error = None
 
     def down(self, error: str) -> None:
-        """Note why there is no connection to the server of commands."""
+        """Show in the status why there is no connection to the server of commands."""
         if self._error != error:
             _log.warning("commands of %s: %s", self._name, error)
         self._error = error
 
     def is_for_commands(self, where: str) -> bool:
-        """Whether a topic is one on which commands come, so that no reply may go there."""
+        """Whether commands arrive on a topic, which therefore must not be used for replies."""
         return overlap(self._input.rights.where, where, self._input.separator)
 
     def drop(self, where: str) -> None:
-        """Note that a message was not read, because too many wait."""
+        """Count a message with a command that was discarded unread, because too many wait."""
         self._taken += 1
         self._refuse(where, "too many messages wait")
 
     async def take(self, message: InputMessage) -> bytes:
-        """Execute the command in a message. Returns the reply as JSON. Raises nothing."""
+        """Execute the command in a message. Returns the reply as JSON; errors are told in the reply."""
         self._taken += 1
         try:
             given = parsed(message.payload)

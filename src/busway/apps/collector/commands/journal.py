@@ -126,7 +126,7 @@ class CommandJournal:
         return None
 
     def known(self, result: CommandResult) -> CommandResult | None:
-        """Return what `take` would return for a command, and record nothing.
+        """Return the recorded result if the command's key was used before, as `take` does; but record nothing.
 
         Raises:
             OSError: the file cannot be read.
@@ -200,7 +200,7 @@ class CommandJournal:
         self._drop_old(result.at)
 
     def _drop_old(self, now: float) -> None:
-        """Delete commands that are too old, or the oldest tenth of too many; keys of callers are remembered."""
+        """Delete records of commands that are too old, or the oldest tenth of too many; keys given by callers stay."""
         surplus = self._kept - self._most + self._most // 10 if self._kept > self._most else 0
         oldest = now - self._keep if self._keep is not None else 0.0
         found = self._database.execute(

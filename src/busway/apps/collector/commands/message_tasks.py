@@ -31,7 +31,7 @@ class MessageTasks:
         self._has_ended = False
 
     def begin(self, handle: Callable[[], Awaitable[None]]) -> bool:
-        """Start a task that handles a message, once there is room; False if too many wait, and it is dropped."""
+        """Start a task that handles a message, after waiting for room; False if too many wait, and it is discarded."""
         if len(self._tasks) >= MOST_AT_ONCE + MOST_WAITING:
             return False
         if not self._has_ended:
@@ -56,7 +56,7 @@ class MessageTasks:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End all tasks that handle messages; one just created takes its first step before (rule 2)."""
+        """Cancel the tasks that handle messages, and wait for their end; a new task runs its first step before."""
         self._has_ended = True
         await asyncio.sleep(0)
         if self._tasks:

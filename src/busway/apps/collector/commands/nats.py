@@ -97,7 +97,7 @@ class NatsCommands:
             wait = min(2 * wait, PAUSE_LIMIT)
 
     async def _note(self, error: Exception) -> None:
-        """Remember why a connection to NATS failed: the error of `connect` does not tell it."""
+        """Remember why a connection to NATS failed, because the error that `connect` raises does not tell it."""
         self._cause = str(error) or type(error).__name__
 
     async def _subscribe(self, client: Any, tasks: MessageTasks, receiver: CommandReceiver) -> None:

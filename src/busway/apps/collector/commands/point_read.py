@@ -42,7 +42,9 @@ class PointRead:
         return _READS[self.point.table](self.span.start, self.span.width)
 
     def own(self, data: bytes) -> bytes:
-        """Return the point's registers or bits from a reply. Raises `InvalidRequest` for a wrong number of bytes."""
+        """Return the bytes of the point's registers or bits in a reply. Raises `InvalidRequest` if their number is
+        wrong.
+        """
         first, bits = self.point.start - self.span.start, self.point.table.holds_bits
         size = (self.span.width + 7) // 8 if bits else 2 * self.span.width
         if len(data) != size:

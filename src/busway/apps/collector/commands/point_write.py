@@ -93,7 +93,7 @@ class PointWrite:
         return self.point.encode(self.value, held, exponent)
 
     def held_value(self, held: bytes) -> CommandValue | None:
-        """Return the value that the point has if its register holds these bytes."""
+        """Return the point's value, decoded from these bytes of its registers."""
         return plain(decode_point(self.point, held, self.exponents).value)
 
     # Confirming.
@@ -108,7 +108,7 @@ class PointWrite:
         return found.value is not None and expected == found.value, found
 
     def reading(self) -> Reading:
-        """Return the value that the point has after the write, as a reading."""
+        """Return the point's value after the write as a reading, an object with value and quality."""
         return decode_point(self.point, self._encoded(b""), self.exponents)
 
 
@@ -183,12 +183,12 @@ def _function_of(point: Point) -> int:
 
 
 def plain(value: Any) -> CommandValue | None:  # what the point's type says
-    """Return a decoded value of a point as commands keep it: number, text, state or list."""
+    """Return a decoded value of a point as commands record it: number, text, state name or list."""
     return list(value) if isinstance(value, tuple) else value
 
 
 def _moved(point: Point, address: Address) -> Point:
-    """Return a point as it would be at another address, where a write is read back."""
+    """Return a copy of a point at another address: the one where its written value is read back."""
     table = address.table or point.table
     if table.holds_bits:
         return Point(point.name, table, address.offset)
@@ -206,8 +206,8 @@ def _own_bits(over_zeros: bytes, over_ones: bytes) -> int:
 
 
 def judged(outcome: object) -> tuple[CommandState, str]:
-    """Return the state of a command after its write: `CommandState.DONE` if the device answered; else with the
-    reason.
+    """Return the state and a text for a command after its write: `CommandState.DONE` if the device answered; else why
+    not.
 
     Args:
         outcome: a reply, or the error that came instead of one.

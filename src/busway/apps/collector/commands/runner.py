@@ -67,7 +67,7 @@ class NoSuchPoint(InvalidRequest):
 
 
 class NotPolledNow(InvalidRequest):
-    """Error: the link of the device is not polled now, because another configuration begins; it may be asked again."""
+    """Error: the device's link is being stopped for a new configuration, so nothing can be sent. Try again."""
 
 
 class NoSuchCommand(InvalidRequest):
@@ -128,7 +128,7 @@ class _LinkEnded(Exception):
 
 @dataclass(slots=True)
 class _Running:
-    """A command that runs; ``has_taken``: its key is its own, and was not another's before."""
+    """A command in execution; ``has_taken``: its key is recorded for it, and not for an earlier command."""
 
     command: PointCommand
     task: "asyncio.Task[CommandResult]"
@@ -178,7 +178,7 @@ class CommandRunner:
         self._subscribers.append(told)
 
     async def close(self) -> None:
-        """Accept no more commands, and record the results of those in progress; their links have ended before."""
+        """Refuse new commands, and record the results of those in progress, whose links have stopped before."""
         self._closed = True
         self._armed.clear()
         await asyncio.gather(*(each.task for each in self._running.values()), return_exceptions=True)
@@ -187,7 +187,7 @@ class CommandRunner:
         self._journal.close()
 
     async def record_again(self) -> None:
-        """Record the results that could not be recorded when their commands ended. For now and then."""
+        """Record results of commands that could not be recorded when they ended. To be called periodically."""
         if self._unrecorded:
             await self._in_thread(self._record_unrecorded)
 
@@ -303,7 +303,7 @@ class CommandRunner:
     # Taking one.
 
     async def _submit(self, command: PointCommand, seconds: float = math.inf) -> CommandResult:
-        """Take a command that may be sent for so many seconds, and until it expires; or join the one with its key."""
+        """Start a command that may be sent for so many seconds, or wait for the running one with the same key."""
         joined = await self._joined(command)
         if joined is not None:
             return joined
@@ -364,11 +364,11 @@ class CommandRunner:
         return self._tell(result)
 
     def _left(self, command: PointCommand, until: float) -> float:
-        """Seconds in which a command may still be sent, by the clock that leaves less (rule 3)."""
+        """Return the seconds in which a command may still be sent: its time limit or its expiry, whichever is first."""
         return min(until - asyncio.get_running_loop().time(), command.expires - self._now())
 
     async def _refused_now(self, command: PointCommand, why: str) -> CommandResult:
-        """Refuse a command without a record; where its key was used, give what became of the first (rule 2)."""
+        """Refuse a command without recording it; if its key was used before, return the first command's result."""
         try:
             known = await self._known(command)
         except OSError as error:
@@ -377,7 +377,7 @@ class CommandRunner:
         return known or self.refused(self._result(command), f"{why}; nothing was sent")
 
     async def _known(self, command: PointCommand) -> CommandResult | None:
-        """What a command with a key of its caller gets where the key was used; None where it was not."""
+        """Return the result for a command whose caller's key was used before; None if the key is new."""
         if command.key.startswith(MADE):
             return None
         while True:
@@ -391,7 +391,7 @@ class CommandRunner:
                 return None
 
     async def _joined(self, command: PointCommand) -> CommandResult | None:
-        """What a command gets from the one with its key that runs; None, without a pause, where none does."""
+        """Wait for a running command with the same key and return its result; None at once if none is running."""
         while (running := self._other_running(command)) is not None:
             if running.command.is_same(command):
                 return await asyncio.shield(running.task)
@@ -405,7 +405,7 @@ class CommandRunner:
         return None if running is None or running.task is asyncio.current_task() else running
 
     def _of_first(self, command: PointCommand, known: CommandResult) -> CommandResult:
-        """What a command gets whose key another has taken: its result, where both are the same."""
+        """Return the recorded result for the same command sent again; a refusal if its key belongs to another one."""
         known = self._unrecorded.get(command.key, known)
         return known if known.command.is_same(command) else self._refused_other(command, known.command)
 
@@ -421,7 +421,7 @@ class CommandRunner:
         self._journal.finish(result)
 
     def _record_unrecorded(self) -> None:
-        """Record results of commands that could not be recorded before. In the journal's thread."""
+        """Record results of commands that could not be recorded before. Runs in the journal's thread."""
         for key, result in list(self._unrecorded.items()):
             try:
                 self._journal.finish(result)
@@ -433,7 +433,7 @@ class CommandRunner:
         return await asyncio.get_running_loop().run_in_executor(self._thread, function, *values)
 
     def _append(self, result: CommandResult) -> None:
-        """Append the line of a command's result to the audit log, at once."""
+        """Append the line of a command's result to the audit log, without queueing it."""
         self._audit.append(command_line(result, self._audit.timestamp()))
         self._audit.flush()
 
@@ -453,7 +453,7 @@ class CommandRunner:
     # Deciding.
 
     def _refusal(self, command: PointCommand) -> str:
-        """Say why a command cannot be sent; empty if it can."""
+        """Return why a command cannot be sent, as a sentence; empty if it can."""
         try:
             self._planned(command)
         except InvalidRequest as error:
@@ -463,7 +463,9 @@ class CommandRunner:
         return ""
 
     def _planned(self, command: PointCommand) -> tuple[PointWrite, LinkPoller]:
-        """Return how a command is written, and the poller that sends it. Raises `InvalidRequest`."""
+        """Return the request that writes a command's value, and the link's poller to send it. Raises
+        `InvalidRequest`.
+        """
         target = self._targets.target(command.device, command.point)
         if target.is_broadcast:
             raise InvalidRequest(f"{command.device} has unit 0, which all devices of a line obey; nothing was sent")
@@ -511,7 +513,7 @@ class CommandRunner:
         return None if turn.before is None else OldValue(turn.before, Quality.GOOD.label, self._now())
 
     async def _confirmed(self, result: CommandResult, write: PointWrite, poller: LinkPoller) -> CommandResult:
-        """Read back whether the device shows the written value (rule 5)."""
+        """Read a written point back, and return the command's result: whether the device shows the value (rule 5)."""
         value: CommandValue | None = None
         problem: ModbusError | None = None
         turn = _ReadTurn(write, poller, result.command.device)
@@ -541,7 +543,7 @@ class CommandRunner:
 
 
 class _WriteTurn:
-    """The poller's turn in which a command's write is sent, after reading a register that is only partly written."""
+    """The turn on a link in which a command's write is sent; a register written only partly is read before."""
 
     def __init__(self, write: PointWrite, poller: LinkPoller, device: str, left: Callable[[], float]) -> None:
         self._write, self._poller, self._device, self._left = write, poller, device, left
@@ -570,13 +572,15 @@ class _WriteTurn:
 
 
 class _ReadTurn:
-    """The poller's turn in which a written point is read back."""
+    """The turn on a link in which a written point is read back."""
 
     def __init__(self, write: PointWrite, poller: LinkPoller, device: str) -> None:
         self._write, self._poller, self._device = write, poller, device
 
     async def make(self) -> tuple[bool, CommandValue | None]:
-        """Return whether the device shows the written value, and what it shows. Raises `ModbusError`."""
+        """Read the written point. Returns whether the device shows the value, and what it shows. Raises
+        `ModbusError`.
+        """
         write = self._write
         assert write.shown is not None
         began = asyncio.get_running_loop().time()
@@ -595,7 +599,7 @@ async def _read(poller: LinkPoller, device: str, read: PointRead, seconds: float
 
 
 async def _asked(poller: LinkPoller, device: str, request: Request, seconds: float) -> Any:  # a reply or an error
-    """Return a device's reply to one request, which is sent once at most and within some seconds."""
+    """Send one request to a device, at most once and within some seconds; return its reply."""
     # `idempotent` with no retries: else `write_retries` of the link would repeat a write.
     options: dict[str, Any] = {"timeout": poller.schedule.timeout, "retries": 0, "idempotent": True}
     if seconds < math.inf:

@@ -26,7 +26,7 @@ PLACE: Final = "{device}/{point}"
 
 
 class _Receiving:
-    """The event loop in which commands are executed, and the tasks that do."""
+    """Where the commands of a Sparkplug host are executed: an event loop, and a task for each command."""
 
     def __init__(self, receiver: CommandReceiver, tasks: MessageTasks, loop: asyncio.AbstractEventLoop) -> None:
         self.receiver, self._tasks, self._loop = receiver, tasks, loop
@@ -37,7 +37,7 @@ class _Receiving:
             self._loop.call_soon_threadsafe(called)
 
     def begin(self, message: InputMessage) -> None:
-        """Execute a command, unless too many wait."""
+        """Start to execute a command in the event loop; discard it if too many wait."""
         if not self._tasks.begin(partial(self._handle, message)):
             self.receiver.drop(message.where)
 
@@ -63,19 +63,19 @@ class SparkplugCommands:
         self._receiving: _Receiving | None = None
 
     def level(self, name: str) -> str:
-        """Return the name itself: metrics are called as points are."""
+        """Return the name unchanged: a Sparkplug metric has the name of its point."""
         return name
 
     # Called by the sink, in its thread.
 
     def take(self, command: SparkplugCommand) -> None:
-        """Queue a command for the event loop of the collector."""
+        """Queue a command of a Sparkplug host for the collector's event loop. Safe from any thread."""
         receiving = self._receiving
         if receiving is not None:
             receiving.call(partial(receiving.begin, self._message(command)))
 
     def note(self, error: str | None) -> None:
-        """Note why no commands can come; None when they can."""
+        """Keep the reason why no commands can arrive, for the status; None if they can."""
         self._error = error
         receiving = self._receiving
         if receiving is not None:
@@ -94,7 +94,7 @@ class SparkplugCommands:
                 self._receiving = None
 
     def _tell(self, receiver: CommandReceiver) -> None:
-        """Set the status of the receiver to that of the sink's connection."""
+        """Copy the state of the sink's connection into the status of the receiver of commands."""
         error = self._error
         if error is None:
             receiver.connected()
@@ -102,7 +102,7 @@ class SparkplugCommands:
             receiver.down(error)
 
     def _message(self, command: SparkplugCommand) -> InputMessage:
-        """Return a command that has just arrived in the form of all protocols (rules 1 and 2)."""
+        """Convert a Sparkplug command that has just arrived to the form that all protocols share (rules 1 and 2)."""
         return InputMessage(
             PLACE.replace("{device}", command.device).replace("{point}", command.point),
             json.dumps({"value": command.value}).encode(),

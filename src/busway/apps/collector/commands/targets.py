@@ -53,7 +53,7 @@ class CollectedTargets:
         )
 
     def last(self, device: str, point: str) -> OldValue | None:
-        """Return the last committed value of a point."""
+        """Return the last sample of a point that is in the store; None if there is none."""
         found = self._values.last(device, point)
         if found is None:
             return None
@@ -62,7 +62,7 @@ class CollectedTargets:
 
 
 def _obeys_broadcasts(configuration: CollectorConfiguration, device: CollectedDevice) -> bool:
-    """Whether a device has unit 0, the broadcast address on a serial line or in a gateway."""
+    """Whether a device has unit identifier 0, so that a write to it is a broadcast to all units."""
     if device.unit != 0:
         return False
     endpoint = configuration.links[device.link].settings.endpoint

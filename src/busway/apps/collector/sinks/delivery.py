@@ -85,7 +85,7 @@ class Delivery:
         monotonic: Callable[[], float] = time.monotonic,
         pause: Callable[[float], Awaitable[object]] = asyncio.sleep,
     ) -> None:
-        """Continue where the sink's cursor is; a new sink begins with the oldest samples of the store.
+        """Continue after the sink's cursor, the last commit it got; a new sink begins with the oldest samples.
 
         Args:
             name: of the sink; its cursor has this name.
@@ -151,7 +151,7 @@ class Delivery:
             await self._sink.close()
 
     async def step(self) -> bool:
-        """Send one batch to the sink. Returns whether there may be more already. Raises `SinkDown`."""
+        """Send the next batch of stored samples to the sink. Returns whether more may wait. Raises `SinkDown`."""
         found = await asyncio.to_thread(self._next)
         if found is None:
             return False
@@ -184,7 +184,7 @@ class Delivery:
         return self._monotonic() - self._unset_since < CLOCK_WAIT
 
     def _next(self) -> CommitRange | None:
-        """Return the commits after the cursor; None where there are none, or where the store cannot be read now."""
+        """Return the commits after the sink's cursor; None if there are none, or if the store cannot be read now."""
         try:
             if self._store_error is not None:
                 self._keep_cursor()
@@ -197,7 +197,9 @@ class Delivery:
         return found
 
     def _move(self, cursor: int, reported: Mapping[tuple[str, str], ReportedSample]) -> None:
-        """Move the cursor. What was sent is not sent again, also while the store cannot keep the cursor (rule 7)."""
+        """Move the sink's cursor past sent samples. They are not sent again, even if the store cannot
+        save it (rule 7).
+        """
         self._cursor = cursor
         self._reported.update(reported)
         self._unkept.update(reported)
@@ -233,7 +235,7 @@ class Delivery:
     def _wanted(
         self, samples: Sequence[CommittedSample]
     ) -> tuple[list[CommittedSample], dict[tuple[str, str], ReportedSample]]:
-        """Return the samples that this sink gets, and the last of each point of which it does not get all (rule 4)."""
+        """Return the samples that this sink gets; and, for points sent only in part, the last one of each (rule 4)."""
         wanted = []
         fresh = dict[tuple[str, str], ReportedSample]()
         for sample in samples:
@@ -258,7 +260,7 @@ class Delivery:
         return named
 
     async def _send(self, samples: Sequence[CommittedSample]) -> None:
-        """Send samples to the sink; those that it refuses are found and set aside."""
+        """Send samples to the sink; those that it refuses for good are found and left out."""
         try:
             await self._sink.send(samples)
             self._sent += len(samples)
@@ -275,7 +277,7 @@ class Delivery:
             await asyncio.to_thread(self._set_aside, samples[0], str(error))
 
     async def _send_alarms(self, sink: AlarmSink, alarms: Sequence[CommittedAlarm]) -> None:
-        """Send alarm events to the sink; those that it refuses are found and set aside."""
+        """Send alarm events to the sink; those that it refuses for good are found and left out."""
         try:
             await sink.send_alarms(alarms)
         except SinkRefused as error:

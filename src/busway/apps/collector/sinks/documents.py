@@ -86,7 +86,7 @@ def sample_document(sample: CommittedSample) -> dict[str, Any]:
 
 
 def sample_key(sample: CommittedSample) -> str:
-    """Return the key by which a receiver recognises the document of one sample that comes twice."""
+    """Return a key that is unique to a sample, by which a receiver recognises one sent twice."""
     return f"{sample.commit}-{sample.device}/{sample.point}-{_digest(sample_document(sample))}"
 
 

@@ -40,7 +40,7 @@ class FileSink:
     """Sink that writes samples and alarm events to files."""
 
     def __init__(self, path: str | os.PathLike[str], kind: FileFormat | str | None = None) -> None:
-        """Set the path of the files to write; nothing is opened yet.
+        """Set where the sink writes its files; nothing is opened yet.
 
         Args:
             path: the file, with ``{date}`` for one a day; for Parquet a folder.
@@ -91,7 +91,7 @@ class FileSink:
             self._append(self._path, samples[0].time, HEADER, lines)
 
     def _remove_repeated(self, first: int, last: int) -> None:
-        """Remove files of an earlier process that begin within a batch: it has their samples, or the next one has."""
+        """Remove an earlier process's files that begin within this batch; it or the next batch has their samples."""
         folder = Path(self._path)
         if self._ahead is None:
             numbers = [int(path.stem) for path in folder.glob("*.parquet") if path.stem.isdecimal()]
@@ -133,7 +133,7 @@ class FileSink:
 
 
 def _write_parquet(folder: Path, name: str, columns: dict[str, Any]) -> None:  # columns of Arrow
-    """Write a Parquet file durably; it is there as a whole or not at all."""
+    """Write a Parquet file durably: after a crash it is complete or does not exist."""
     make_durably(folder)
     target = folder / f"{name}.parquet"
     unfinished = target.with_name(target.name + UNFINISHED)

@@ -39,7 +39,7 @@ class InfluxSink:
         tls: ssl.SSLContext | None = None,
         timeout: float = 10.0,
     ) -> None:
-        """Set the server of the database; nothing is sent yet.
+        """Set the database server and options of the sink; nothing is sent yet.
 
         Args:
             url: where lines are posted, with its query: ``http://host:8086/api/v2/write?org=o&bucket=b`` or

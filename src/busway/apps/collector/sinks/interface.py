@@ -39,14 +39,14 @@ class Sink(Protocol):
 
 @runtime_checkable
 class AlarmSink(Protocol):
-    """Interface of a sink that takes alarm events too: after the samples of their commit, and repeated like these."""
+    """Interface of a sink that takes alarm events too: after the samples of the same commit, repeated if they fail."""
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
         """Send alarm events; when it returns, the receiver has taken them. Raises `SinkDown`, `SinkRefused`."""
 
 
 async def all_taken(sendings: Iterable[Awaitable[object]]) -> None:
-    """Wait until each message was taken or has failed. Raises the first `SinkRefused`, or else the first error."""
+    """Wait until each message was accepted or has failed. Raises the first `SinkRefused`, or else the first error."""
     results = await asyncio.gather(*sendings, return_exceptions=True)
     errors = [each for each in results if isinstance(each, BaseException)]
     for error in sorted(errors, key=lambda each: not isinstance(each, SinkRefused)):

@@ -42,7 +42,7 @@ class _Message:
     retain: bool
 
     def properties(self) -> Any:
-        """Return the properties of the message, which have its key, as paho has them."""
+        """Return the MQTT 5 properties of the message, which carry its key, as an object of the paho library."""
         found = import_module("paho.mqtt.properties").Properties(
             import_module("paho.mqtt.packettypes").PacketTypes.PUBLISH
         )
@@ -68,7 +68,7 @@ class MqttSink:
         client_id: str | None = None,
         timeout: float = 10.0,
     ) -> None:
-        """Set the MQTT broker; nothing is sent yet.
+        """Set the MQTT broker and options of the sink; nothing is sent yet.
 
         Args:
             host, port: the broker.
@@ -140,7 +140,7 @@ class MqttSink:
         )
 
     async def _publish(self, messages: Sequence[_Message]) -> None:
-        """Publish messages; where one cannot be taken, none may have been."""
+        """Publish messages; if one cannot be accepted, those before it may not have arrived either."""
         mqtt = import_module("aiomqtt")
         try:
             publisher = self._connected()
@@ -183,7 +183,7 @@ class MqttSink:
         return self._topic.replace("{device}", topic_level(device)).replace("{point}", topic_level(point))
 
     def _discoveries(self, samples: Sequence[CommittedSample]) -> dict[tuple[str, str], _Message]:
-        """Return the configurations of points that Home Assistant was not told of yet."""
+        """Return the discovery messages for points that Home Assistant does not know yet."""
         found = {}
         for sample in samples:
             key = (sample.device, sample.point)
@@ -195,7 +195,7 @@ class MqttSink:
         return found
 
     def _entity(self, sample: CommittedSample) -> tuple[str, dict[str, Any]]:
-        """Return the kind of Home Assistant entity for a point, and its configuration."""
+        """Return which kind of Home Assistant entity represents a point, and its configuration."""
         topic = self._name(sample.device, sample.point)
         content: dict[str, Any] = {
             "name": sample.point,

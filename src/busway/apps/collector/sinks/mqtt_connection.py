@@ -132,7 +132,7 @@ class MqttPublisher:
 
 
 def _words(answer: int) -> str:
-    """Return in words what a broker's answer to a message says."""
+    """Return what a broker's reason code for a message means, as text."""
     codes = import_module("paho.mqtt.reasoncodes")
     kinds = import_module("paho.mqtt.packettypes").PacketTypes
     try:

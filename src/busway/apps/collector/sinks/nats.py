@@ -46,7 +46,7 @@ class NatsSink:
         tls: ssl.SSLContext | None = None,
         timeout: float = 5.0,
     ) -> None:
-        """Set the NATS server; nothing is sent yet.
+        """Set the NATS server and options of the sink; nothing is sent yet.
 
         Args:
             url: ``nats://host:4222``.
@@ -96,7 +96,7 @@ class NatsSink:
             raise SinkDown(f"the server cannot be used: {self._cause or error or type(error).__name__}") from error
 
     async def _note(self, error: Exception) -> None:
-        """Remember why a connection to NATS failed: the error of `connect` does not tell it."""
+        """Remember why a connection to NATS failed, because the error that `connect` raises does not tell it."""
         self._cause = str(error) or type(error).__name__
 
     async def _make_stream(self, stream: str) -> None:
@@ -137,7 +137,9 @@ class NatsSink:
             raise
 
     async def _publish(self, messages: Sequence[tuple[str, bytes, str]]) -> None:
-        """Publish messages with subject, payload and key; where one cannot be taken, none may have been."""
+        """Publish messages with subject, payload and key; if one is refused, those before it may not have arrived
+        either.
+        """
         nats = import_module("nats")
         if self._client is None or self._jetstream is None:
             raise SinkDown("the server is not connected")

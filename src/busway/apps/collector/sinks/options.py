@@ -36,7 +36,7 @@ _LONGEST_SECRET: Final = 4096
 
 
 def make_sink(section: SentSection, folder: Path | None = None) -> tuple[Sink, DeliveryOptions]:
-    """Make a sink and its delivery options from its table.
+    """Create a sink and the options of its delivery from a table of the collector file.
 
     Args:
         section: of the sink, with paths that can be opened.

@@ -68,7 +68,7 @@ class PostgresqlSink:
         timescale: bool = _USUAL.timescale,
         timeout: float = 30.0,
     ) -> None:
-        """Set the database to write to; nothing is sent yet.
+        """Set the database and options of the sink; nothing is sent yet.
 
         Args:
             url: ``postgresql://user@host:5432/database``, without a password.
@@ -154,7 +154,7 @@ class PostgresqlSink:
 
     @asynccontextmanager
     async def _writing(self) -> AsyncIterator[None]:
-        """Context manager of a transaction. Raises `SinkRefused` for what is wrong with values, else `SinkDown`."""
+        """Context manager of a transaction. Raises `SinkRefused` if the database rejects values, else `SinkDown`."""
         pg = import_module("asyncpg")
         if self._connection is None:
             raise SinkDown("the database is not connected")
@@ -174,7 +174,7 @@ class PostgresqlSink:
 
 
 def _moment(time: int) -> tuple[datetime, int]:
-    """Return a time as microseconds and the nanoseconds that are left."""
+    """Return a time in nanoseconds as whole microseconds, and the remaining nanoseconds."""
     microseconds, rest = divmod(time, 1000)
     return _EPOCH + timedelta(microseconds=microseconds), rest
 
@@ -194,7 +194,9 @@ def _alarm_record(alarm: CommittedAlarm) -> tuple[Any, ...]:  # as asyncpg wants
 
 
 def number_and_text(value: Value | None) -> tuple[float | None, str | None]:
-    """Return a value as float and text: the text of a text, or the digits of an integer that no float holds."""
+    """Return a value as float, None for a text; and as text, None unless it is one, or an integer no float can
+    represent.
+    """
     if value is None or isinstance(value, str):
         return None, value
     number = float(value)

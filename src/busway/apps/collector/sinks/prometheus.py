@@ -28,7 +28,7 @@ _FORGET_ABOVE: Final = 10_000
 
 
 class LastValues:
-    """The last committed sample of each point. A store's committer calls `update`."""
+    """The last stored sample of each point. The store's thread calls `update` after each commit."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -49,7 +49,7 @@ class LastValues:
                 self._forget_above = max(_FORGET_ABOVE, 2 * len(self._batches))
 
     def _forget_covered(self) -> None:
-        """Forget stored batches of which every point has a later sample. The lock is held."""
+        """Drop stored batches of which every point has a newer sample. Call with the lock held."""
         latest = self._latest()
         used = {id(batch) for batch, _ in latest.values()}
         self._batches = {group: batch for group, batch in self._batches.items() if id(batch) in used}
@@ -64,7 +64,9 @@ class LastValues:
         return found
 
     def _reason(self, device: str, reason: int, time: int) -> int:
-        """Return the reason code to show for a last value: bad while its device is not read (rule 3). Lock held."""
+        """Return the reason code to show for a last value; bad while its device is not read (rule 3). With the lock
+        held.
+        """
         interval = self._intervals.get(device)
         if interval is None or (interval.end is not None and time > interval.begin):
             return reason
@@ -78,7 +80,7 @@ class LastValues:
         return 0 if interval is None or interval.end is not None else interval.reason
 
     def intervals(self) -> dict[str, StateInterval]:
-        """Return by device the last interval in which it was not read; it may still last."""
+        """Return the last period in which each device was not read, by device; it may not have ended."""
         with self._lock:
             return dict(self._intervals)
 
@@ -190,7 +192,7 @@ class PrometheusPage:
 
 
 class _Collected:
-    """What the Prometheus client library asks for metric families at each scrape."""
+    """Collector for the Prometheus client library, which asks it for all metrics at each scrape."""
 
     def __init__(self, families: Callable[[], Iterator[Any]]) -> None:
         self._families = families

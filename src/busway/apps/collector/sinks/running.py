@@ -85,7 +85,7 @@ class SinkThread:
 
     @staticmethod
     async def _guarded(delivery: Delivery) -> None:
-        """Run the delivery to one sink; after an unexpected error, which is logged, start it again."""
+        """Run the delivery to one sink; after an unexpected error, which is logged, restart it."""
         while True:
             try:
                 await delivery.run()

@@ -58,7 +58,9 @@ _log = logging.getLogger("busway.sinks")
 
 
 class _Device:
-    """A device as Sparkplug shows it: the last sample and type of each metric, and whether its birth was published."""
+    """A device as a Sparkplug host sees it: last sample and type of each metric, and whether its birth
+    was published.
+    """
 
     def __init__(self) -> None:
         self.last: dict[str, CommittedSample] = {}
@@ -66,7 +68,7 @@ class _Device:
         self.is_born = False
 
     def learn(self, sample: CommittedSample) -> bool:
-        """Take over a sample. Returns whether the device needs a new birth message for it."""
+        """Take over a sample. Returns whether the device's metrics have changed, so that a new birth message is due."""
         known = self.kinds.get(sample.point)
         kind = known or DataType.DOUBLE if sample.value is None else _wider(known, type_of(sample.value))
         self.kinds[sample.point] = kind
@@ -74,7 +76,7 @@ class _Device:
 
 
 def _wider(known: DataType | None, new: DataType) -> DataType:
-    """Return the type of a metric, which stays a floating-point one if it ever had fractions."""
+    """Return the type of a metric for a new value: floating-point for good once a value had fractions."""
     return known if (known, new) == (DataType.DOUBLE, DataType.INT64) and known is not None else new
 
 
@@ -97,13 +99,13 @@ class SparkplugCommand:
 
 
 class SparkplugCommandTaker(Protocol):
-    """Interface of what takes the commands that come over a Sparkplug sink. Called in its thread; must be quick."""
+    """Interface of the receiver of commands from Sparkplug hosts. Called in the sink's thread; must be quick."""
 
     def take(self, command: SparkplugCommand) -> None:
-        """Take a command; what becomes of it is not told to the host."""
+        """Take a command to write a point; the Sparkplug host gets no reply."""
 
     def note(self, error: str | None) -> None:
-        """Note why no commands can come; None when they can."""
+        """Tell why no commands can arrive; None if they can."""
 
 
 class SparkplugSink:
@@ -126,7 +128,7 @@ class SparkplugSink:
         now: Callable[[], int] = time.time_ns,
         commands: SparkplugCommandTaker | None = None,
     ) -> None:
-        """Set the broker and the edge node's names; nothing is sent yet.
+        """Set the broker, the names of the edge node and other options; nothing is sent yet.
 
         Args:
             host, port: the broker.
@@ -251,7 +253,7 @@ class SparkplugSink:
         self._check_host()
 
     async def _publish_acknowledged(self) -> None:
-        """Wait until the broker has taken all messages so far: it acknowledges one that came after them."""
+        """Wait until the broker has accepted all messages so far, shown by the acknowledgement of a last one."""
         topic = f"busway/sparkplug/{self._group}/{self._node}/delivered"
         await self._connected().publish(topic, b"")  # any answer, also that this topic is not permitted
 
@@ -336,7 +338,7 @@ class SparkplugSink:
         return encode_payload([Metric("bdSeq", now, DataType.INT64, self._number)], now, None)
 
     def _next_number(self) -> int:
-        """Return the number of this connection (bdSeq), one more than the last, which a file keeps."""
+        """Return the sequence number of this connection (bdSeq), one more than the last one, which a file keeps."""
         file = self._number_file
         if file is None:
             return (self._number + 1) % _NUMBERS
@@ -447,7 +449,7 @@ def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
 
 
 def _metric(sample: CommittedSample, kind: DataType, *, is_historical: bool = False, unit: bool = False) -> Metric:
-    """Return a sample as a Sparkplug metric; properties tell that it is not good."""
+    """Return a sample as a Sparkplug metric, with properties that tell if its quality is not good."""
     properties: list[tuple[str, str | SparkplugQuality]] = []
     if sample.quality is not Quality.GOOD:
         properties += [("Quality", _QUALITIES[sample.quality]), ("reason", reason_text(sample.reason))]

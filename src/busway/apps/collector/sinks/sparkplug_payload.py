@@ -117,7 +117,7 @@ class CommandPayload:
 
 
 def decode_command(content: bytes, kinds: Mapping[str, DataType] | None = None) -> CommandPayload:
-    """Return what a command says.
+    """Return the values that a command's payload sets, by metric.
 
     Args:
         content: its payload.
@@ -148,7 +148,7 @@ def _value_in(metric: Any, born: DataType | None) -> Value | None:  # a message 
 
 
 def _signed(value: int, bits: int) -> int:
-    """Return a number that was sent as two's complement."""
+    """Return a number that was sent as two's complement as a signed integer."""
     return value - (1 << bits) if value >= 1 << (bits - 1) else value
 
 

@@ -26,7 +26,7 @@ _TRIES: Final = 10
 
 
 def back_up(folder: Path, target: Path) -> int:
-    """Copy a store into a new folder, also while it is being written. Returns the number of parts.
+    """Copy a store into a new folder, also while it is being written. Returns the number of copied sample files.
 
     Raises:
         ConfigError: there is no store, or the target exists or cannot be written.
@@ -53,7 +53,7 @@ def back_up(folder: Path, target: Path) -> int:
 
 
 def _copied(folder: Path, target: Path) -> int | None:
-    """Copy the manifest and the files it lists; returns None if one was removed meanwhile."""
+    """Copy the store's manifest and the files it lists; returns None if a file was removed meanwhile."""
     _copy_database(folder / MANIFEST, target / MANIFEST)
     with closing(Manifest(target)) as manifest:
         parts = manifest.parts()
@@ -78,7 +78,9 @@ def _copied(folder: Path, target: Path) -> int | None:
 
 
 def _is_listed(folder: Path, part: StorePart) -> bool:
-    """Whether a segment whose file is missing is still to be made; otherwise it was sealed meanwhile."""
+    """Whether the manifest still lists a missing segment, so that it will be created; else it was
+    turned into Parquet.
+    """
     with closing(Manifest(folder)) as manifest:
         return part in manifest.parts()
 
@@ -91,7 +93,7 @@ def _copy_database(source: Path, target: Path) -> None:
 
 
 def restore(backup: Path, folder: Path) -> int:
-    """Restore a store from a backup into a new or empty folder. Returns the number of parts.
+    """Restore a store from a backup into a new or empty folder. Returns the number of restored sample files.
 
     Raises:
         ConfigError: the backup is none or is damaged, or the folder is in use.

@@ -97,7 +97,7 @@ def _problems_of_segment(path: Path, part: StorePart, manifest: Manifest) -> Ite
 
 
 def _unlisted(part: StorePart, found: set[int], manifest: Manifest) -> Iterator[str]:
-    """Return points with samples that the manifest does not list; it is read last, as points are listed first."""
+    """Return points that have samples but are missing in the manifest, the store's list; it is read last."""
     unlisted = found - {point.id for point in manifest.points()}
     if unlisted:
         yield f"{part.file} has samples of points that are not listed: {sorted(unlisted)[:5]}"

@@ -19,7 +19,7 @@ _MOVED: Final = "CASE WHEN {0} < :earliest THEN {0} + :shift ELSE {0} END"
 
 
 def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
-    """Correct times before `EARLIEST` from commit ``first`` on; returns how many samples. Raises `sqlite3.Error`."""
+    """Correct times before `EARLIEST` in a segment (SQLite file), from commit ``first`` on. Returns how many."""
     known = {"earliest": EARLIEST, "shift": shift, "first": first, "clock": int(Reason.CLOCK)}
     with transaction(database):
         moved = database.execute(

@@ -130,7 +130,7 @@ class Committer:
             thread.start()
 
     def subscribe(self, told: Callable[[Commit], None]) -> None:
-        """Have a function called after each commit, in the committer's thread; its errors are logged and counted."""
+        """Register a function to be called after each commit, in this thread; its errors are logged and counted."""
         self._subscribers.append(told)
 
     def add(self, batch: SampleBatch, alarms: Sequence[AlarmEvent] = ()) -> None:
@@ -217,13 +217,13 @@ class Committer:
                 self._ended.wait(self._retry)
 
     def mend(self, shift: int) -> None:
-        """Correct times from before the wall clock was set, by ``shift`` nanoseconds, in all that was queued so far."""
+        """Add ``shift`` nanoseconds to all queued times that are from before the wall clock was set."""
         with self._changed:
             self._shift = shift
             self._changed.notify_all()
 
     def _mend(self) -> bool:
-        """Correct times in the next segment, once all samples from before are committed; False if that failed."""
+        """Correct times in the next segment file, after all earlier samples are stored; False if that failed."""
         with self._changed:
             shift = self._shift
             if shift is None or self._holds_early_times():
@@ -246,7 +246,7 @@ class Committer:
         return True
 
     def _holds_early_times(self) -> bool:
-        """Whether something queued has a time from before the wall clock was set. The lock is held."""
+        """Whether a queued sample has a time from before the wall clock was set. Call with the lock held."""
         return (
             any(batch.time < EARLIEST for batch in self._batches)
             or any(each.begin < EARLIEST for each in self._intervals)
@@ -272,26 +272,26 @@ class Committer:
             return not self._ending
 
     def _is_due(self) -> bool:
-        """Whether anything waits to be committed or corrected. The lock is held."""
+        """Whether anything waits to be stored or corrected. Call with the lock held."""
         return self._has_queued() or self._shift is not None
 
     def _has_queued(self) -> bool:
         return bool(self._batches or self._intervals or self._descriptions or self._alarms)
 
     def _note_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
-        """Queue alarm events with the number of the point descriptions that apply to them. The lock is held."""
+        """Queue alarm events, each with the version of the point names that it uses. Call with the lock held."""
         known = self._described + len(self._descriptions)
         self._alarms.extend((known, event) for event in alarms)
 
     def _next_alarms(self) -> list[tuple[int, AlarmEvent]]:
-        """Return the queued alarm events before the next change of point names. The lock is held."""
+        """Return the queued alarm events before the next change of point names. Call with the lock held."""
         taken = []
         while self._alarms and self._alarms[0][0] <= self._described:
             taken.append(self._alarms.popleft())
         return taken
 
     def _describe_what_is_due(self) -> None:
-        """Write the point descriptions that apply from the next sample on."""
+        """Write the descriptions of points (name, unit of measure, …) that apply from the next sample on."""
         while self._descriptions and self._descriptions[0][0] <= self._taken:
             _, descriptions, rules = self._descriptions[0]
             self.writer.describe_points(descriptions)
@@ -301,7 +301,7 @@ class Committer:
                 self._described += 1
 
     def _next_batches(self) -> list[SampleBatch]:
-        """Return the queued samples before the next change of point names. The lock is held."""
+        """Return the queued samples before the next change of point names. Call with the lock held."""
         count = len(self._batches)
         if self._descriptions:
             count = min(count, max(0, self._descriptions[0][0] - self._taken))
@@ -309,7 +309,7 @@ class Committer:
         return [self._batches.popleft() for _ in range(count)]
 
     def _commit_once(self) -> bool:
-        """Commit queued data; returns False if the store could not be written, and queues all of it again."""
+        """Write queued samples to the store; returns False, and queues them again, if it could not be written."""
         batches: list[SampleBatch] = []
         intervals: list[StateInterval | Gap] = []
         alarms: list[tuple[int, AlarmEvent]] = []
@@ -349,7 +349,7 @@ class Committer:
     def _committed(
         self, batches: list[SampleBatch], told: list[StateInterval | Gap], alarms: list[AlarmEvent]
     ) -> tuple[Commit, int]:
-        """Commit the samples that are kept; returns the commit, and how many samples were passed over (rule 7)."""
+        """Write those samples that the report rules keep; returns the commit, and how many were dropped (rule 7)."""
         choice, now = self._kept.choose(batches, told, alarms), time.monotonic()
         is_empty = not (choice.batches or choice.counters or told or alarms)
         if is_empty and batches and self._error is None and now - self._committed_at < ALIVE:
@@ -406,7 +406,7 @@ class Committer:
             self._drop_oldest()
 
     def _drop_oldest(self) -> None:
-        """Drop the oldest queued samples above the limit of the queue. The lock is held."""
+        """Drop the oldest queued samples beyond the limit of the queue. Call with the lock held."""
         while self._waiting > self._most and self._batches:
             batch = self._batches.popleft()
             self._taken += 1
@@ -415,7 +415,7 @@ class Committer:
             self._note_loss(Gap(batch.time, batch.time + 1, Reason.LOST, len(batch)))
 
     def _drop_whole_intervals(self) -> None:
-        """Drop the older half of the intervals whose begin and end are both queued. The lock is held.
+        """Drop the older half of queued periods of silence that are complete. Call with the lock held.
 
         Rows of others stay, few for each device: without them it would be shown as silent for ever, or not at all.
         """
@@ -453,5 +453,5 @@ class Committer:
 
 
 def _key_of(interval: StateInterval | Gap) -> tuple[str, int, int]:
-    """Return what the rows of an interval's begin and of its end have in common, to match them."""
+    """Return what identifies a period in which a device was not read, to match its begin with its end."""
     return "" if isinstance(interval, Gap) else interval.device, interval.begin, interval.reason

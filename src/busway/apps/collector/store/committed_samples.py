@@ -91,7 +91,7 @@ class CommitRange:
 
 
 class CommitReader:
-    """Reads what was committed to a store after a commit number. For one thread at a time."""
+    """Reads samples in the order in which they were stored, from a commit number on. For one thread at a time."""
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:
         self._folder = folder
@@ -115,11 +115,11 @@ class CommitReader:
         return self._tried(lambda: self._count(after, last))
 
     def last_before(self, moment: int, after: int) -> int:
-        """Return the last commit before a time, as far as known; ``after`` if there is none after that."""
+        """Return the number of the last commit before a time, as far as known; ``after`` if there is none."""
         return self._tried(lambda: self._last_before(moment, after))
 
     def _tried(self, ask: Callable[[], Result]) -> Result:
-        """Return the result of ``ask``, repeated if a file was sealed or dropped meanwhile."""
+        """Return the result of the function ``ask``, called again if a file was replaced or deleted meanwhile."""
         for _ in range(_TRIES):
             try:
                 return ask()
@@ -157,7 +157,7 @@ class CommitReader:
         return last
 
     def _parts(self, after: int) -> list[StorePart]:
-        """Return the files that have commits after a number, in order; late rows come with their segment."""
+        """Return the store's files that have commits after a number, in the order to read them."""
         found = []
         for part in self._manifest.parts():
             known = self._facts_of_open(part) if part.kind == "open" else part
@@ -207,7 +207,7 @@ class CommitReader:
         return self._name_at(self._points[row.point], row.commit_number)
 
     def _of_intervals_alone(self, after: int) -> CommitRange | None:
-        """Return intervals and alarms of segments without samples, which left no file when they were sealed."""
+        """Return silences and alarms of segments without any sample, for which no Parquet file was made."""
         intervals = self._manifest.intervals(after)
         alarms = self._manifest.alarms(after)
         numbers = [row.commit_number for row in intervals] + [row.commit_number for row in alarms]
@@ -252,14 +252,16 @@ class CommitReader:
         return last, rows
 
     def _table(self, part: StorePart) -> Any:
-        """Return a sealed file in memory; the last one is cached, because a slow sink reads it piece by piece."""
+        """Return a Parquet file of the store in memory; the last one is cached for slow sinks, which
+        read it in pieces.
+        """
         if self._sealed is None or self._sealed[0] != part.file:
             path = self._folder / SEGMENTS / part.file
             self._sealed = (part.file, arrow("parquet").read_table(path, columns=_COLUMNS))
         return self._sealed[1]
 
     def _intervals(self, parts: Sequence[StorePart], after: int) -> Iterable[IntervalRow]:
-        """Return the intervals of a segment, and those of sealed ones before it that came after their last sample."""
+        """Return the silences of devices in a segment, and those of earlier segments stored after their last sample."""
         own = [] if parts[0].kind == "sealed" else part_intervals(self._folder, parts[0])
         # The manifest last: a segment that is sealed meanwhile has moved its intervals there.
         return dict.fromkeys([*own, *self._manifest.intervals(after)])

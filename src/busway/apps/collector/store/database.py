@@ -16,8 +16,7 @@ _TIMEOUT: Final = 10.0
 
 
 def open_database(path: Path, *statements: str, script: str = "", makes: bool = True) -> sqlite3.Connection:
-    """Return a SQLite connection that several threads may use in turn; each statement commits unless in a
-    transaction.
+    """Open a SQLite database that several threads may use in turn; each statement commits unless in a transaction.
 
     Args:
         path: the file.

@@ -24,10 +24,10 @@ _ENDING: Final = 2.0
 
 
 class StoreLock:
-    """The right to write a store: held by one process, released by the system however that process ends."""
+    """The exclusive right of one process to write a store; the system releases it however that process ends."""
 
     def __init__(self, folder: Path) -> None:
-        """Take the right to write a store. Raises `ConfigError` if another process has it.
+        """Take the exclusive right to write a store. Raises `ConfigError` if another process has it.
 
         Raises:
             ConfigError: another process holds it, and which; or the file cannot be opened.
@@ -147,13 +147,13 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def unlink_part(path: Path) -> None:
-    """Delete a file of samples and SQLite's files beside it; missing ones are ignored."""
+    """Delete one of the store's files with samples, and SQLite's files beside it; missing ones are ignored."""
     for name in (path, path.with_name(path.name + "-wal"), path.with_name(path.name + "-shm")):
         name.unlink(missing_ok=True)
 
 
 def size_of(path: Path) -> int:
-    """Return the size of a file of samples on disk in bytes, with its write-ahead log."""
+    """Return the bytes on disk of one of the store's files with samples, its write-ahead log included."""
     total = 0
     for name in (path, path.with_name(path.name + "-wal")):
         with contextlib.suppress(FileNotFoundError):

@@ -22,7 +22,7 @@ MOST_EVENTS: Final = 100_000
 
 
 def alarm_rows(folder: Path, manifest: Manifest, after: int = 0) -> list[AlarmRow]:
-    """Return the alarm events after a commit, in the order of their commits, as they are stored."""
+    """Return the alarm events stored after a commit number, as database rows in the order of their commits."""
     rows: dict[tuple[int, int], AlarmRow] = {}
     for part in manifest.parts():
         if part.kind == "open":
@@ -67,7 +67,7 @@ def alarm_events(rows: Iterable[AlarmRow], manifest: Manifest) -> list[AlarmEven
 
 
 def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) -> int:
-    """Delete alarm events before a time, and the oldest above a number; those of active alarms stay."""
+    """Delete alarm events before a time, and the oldest beyond a number; those of active alarms stay."""
     rows = manifest.alarms()
     excess = max(0, len(rows) - most)
     old = {place for place, at in _known_times(rows) if at < before or place < excess}
@@ -80,7 +80,7 @@ def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) 
 
 
 def _places_of_active(journal: Sequence[AlarmEvent]) -> set[int]:
-    """Return the places of events that say how an alarm is that is active or not acknowledged."""
+    """Return the positions in the journal of the events of alarms that are active or not acknowledged."""
     alarms: dict[AlarmKey, RaisedAlarm] = {}
     places: dict[AlarmKey, list[int]] = {}
     for place, event in enumerate(journal):
@@ -92,7 +92,7 @@ def _places_of_active(journal: Sequence[AlarmEvent]) -> set[int]:
 
 
 def _known_times(rows: Sequence[AlarmRow]) -> Iterator[tuple[int, int]]:
-    """Yield the place of each event, the last first, and the time by which its age can be told.
+    """Yield the position of each event, the last first, and the time that decides how old it is.
 
     An event from a time when the clock was not set is as old as the next that has a time.
     """
@@ -103,7 +103,7 @@ def _known_times(rows: Sequence[AlarmRow]) -> Iterator[tuple[int, int]]:
 
 
 def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:
-    """Return by device the states of accumulators that were committed before the open segment began."""
+    """Return the states of running totals before the open segment began, by device."""
     points = {point.id: point for point in manifest.points()}
     found: dict[str, list[CounterState]] = {}
     for row in manifest.counters():

@@ -27,7 +27,7 @@ MOST_PARTS: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """The last sample of a point that is in the store."""
+    """The last sample of a point that the store has kept."""
 
     time: int
     value: Value | None
@@ -55,7 +55,7 @@ class Choice:
 
 
 class KeptSamples:
-    """Chooses which samples the store keeps. `choose` changes nothing until `committed`."""
+    """Chooses by report rules which samples the store keeps. `choose` changes nothing until `committed` is called."""
 
     def __init__(self, rules: StoreRules | None = None) -> None:
         self._rules: StoreRules = rules or {}
@@ -68,7 +68,7 @@ class KeptSamples:
         )
 
     def begin_anew(self, rules: StoreRules | None = None) -> None:
-        """Keep the next sample of each point, whatever it is; None for the rules so far."""
+        """Keep the next sample of each point whatever its value; ``rules``: new report rules, None for the same."""
         self._rules = self._rules if rules is None else rules
         self._by_group.clear()
         self._last.clear()
@@ -97,7 +97,7 @@ class KeptSamples:
         return choice
 
     def committed(self, choice: Choice) -> None:
-        """Compare later samples with those of a choice from now on: they are in the store."""
+        """Compare later samples with those of this choice, because the store has them now."""
         if choice.has_gap:
             self._last.clear()
         for device in choice.unread:
@@ -106,7 +106,7 @@ class KeptSamples:
             self._last.setdefault(device, {}).update(points)
 
     def _rules_of(self, group: PointGroup) -> tuple[ReportRule | None, ...] | None:
-        """Return the rules of the points of a group; None if all samples of all of them are kept."""
+        """Return the report rules of the points of one read; None if every sample of them is kept."""
         if group not in self._by_group:
             found = tuple(self._rules.get((group.device, point)) for point in group.points)
             self._by_group[group] = found if any(found) else None
@@ -153,7 +153,7 @@ class KeptSamples:
                     choice.counters[device, each.point] = each
 
     def _part(self, batch: SampleBatch, places: tuple[int, ...]) -> SampleBatch:
-        """Return the samples of a read at some positions."""
+        """Return those samples of a read that are at some positions of it."""
         parts = self._parts.setdefault(batch.group, {})
         group = parts.get(places)
         if group is None:

@@ -154,7 +154,7 @@ class MaintenanceRow:
 
 @dataclass(frozen=True, slots=True)
 class ReportedSample:
-    """The last sample of a point that was sent to a sink."""
+    """The last sample of a point that a sink got, to which the point's report rule compares the next one."""
 
     device: str
     point: str
@@ -235,12 +235,12 @@ class Manifest:
     # Facts
 
     def fact(self, name: str) -> int | None:
-        """Return the number that the manifest keeps under a name; None if there is none."""
+        """Return a number that the manifest stores under a name; None if there is none."""
         rows = self._all("SELECT value FROM facts WHERE name = ?", name)
         return None if not rows else rows[0][0]
 
     def set_fact(self, name: str, value: int | None) -> None:
-        """Keep a number under a name in the manifest, or delete it."""
+        """Store a number under a name in the manifest; None deletes it."""
         with self.transaction() as database:
             if value is None:
                 database.execute("DELETE FROM facts WHERE name = ?", (name,))
@@ -262,7 +262,7 @@ class Manifest:
         return [StorePart(*row) for row in self._all("SELECT * FROM parts ORDER BY id")]
 
     def add_segment(self) -> StorePart:
-        """Enter a new segment into the list of files; its file does not exist yet."""
+        """Add a new segment (SQLite file of samples) to the list of files; the file does not exist yet."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'segment'").fetchone()
             number = 1 if row is None else row[0] + 1
@@ -307,7 +307,7 @@ class Manifest:
             )
 
     def replace_part(self, old: StorePart, new: Sequence[StorePart], intervals: Iterable[IntervalRow]) -> None:
-        """List sealed files instead of a finished segment, whose file is to be deleted then."""
+        """List Parquet files in place of the segment that they were made from, whose file is to be deleted then."""
         with self.transaction() as database:
             database.execute("DELETE FROM parts WHERE id = ?", (old.id,))
             for part in new:
@@ -323,7 +323,7 @@ class Manifest:
             database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (old.file,))
 
     def drop_parts(self, parts: Iterable[StorePart], before: int) -> None:
-        """Take files off the list, and intervals that ended before a time; the files are to be deleted then.
+        """Remove files, and silences that ended before a time, from the list; the caller then deletes the files.
 
         Samples that a sink does not have are lost for it, and counted: all of a part that it has not finished.
         """
@@ -342,12 +342,12 @@ class Manifest:
         return [row[0] for row in self._all("SELECT file FROM unlinks")]
 
     def unlinked(self, file: str) -> None:
-        """Note that a file that was taken off the list is deleted."""
+        """Record that a file that is no longer listed was deleted."""
         with self.transaction() as database:
             database.execute("DELETE FROM unlinks WHERE file = ?", (file,))
 
     def intervals(self, after: int = 0) -> list[IntervalRow]:
-        """Return the intervals of sealed files in which devices were not read, told by commits after a number."""
+        """Return the silences of devices in finished files that were stored after a commit number."""
         rows = self._all("SELECT * FROM intervals WHERE commit_number > ? ORDER BY commit_number", after)
         return [IntervalRow(*row) for row in rows]
 
@@ -375,22 +375,22 @@ class Manifest:
         return [MaintenanceRow(*row) for row in self._all("SELECT * FROM maintenance ORDER BY device")]
 
     def begin_maintenance(self, row: MaintenanceRow) -> None:
-        """Note in the store that a device is in maintenance."""
+        """Record in the store that a device is in maintenance."""
         with self.transaction() as database:
             database.execute("INSERT OR REPLACE INTO maintenance VALUES (?, ?, ?, ?)", astuple(row))
 
     def end_maintenance(self, device: str) -> None:
-        """Note in the store that a device is no longer in maintenance."""
+        """Record in the store that a device is no longer in maintenance."""
         with self.transaction() as database:
             database.execute("DELETE FROM maintenance WHERE device = ?", (device,))
 
     def begin_maintenance_again(self, earliest: int, now: int) -> None:
-        """Let maintenance begin now where its begin is unknown: an earlier process noted it without the time."""
+        """Set the begin of maintenance to now if it is unknown, because it was recorded without the time."""
         with self.transaction() as database:
             database.execute("UPDATE maintenance SET begin = ? WHERE begin < ?", (now, earliest))
 
     def begin_mending(self, first: int, shift: int, earliest: int) -> None:
-        """Note that times before ``earliest`` are to be corrected, from a commit on; those of maintenance are."""
+        """Record that times before ``earliest`` are to be corrected from a commit on; correct those of maintenance."""
         with self.transaction() as database:
             database.execute("DELETE FROM facts WHERE name = 'mended'")
             database.execute("INSERT OR REPLACE INTO facts VALUES ('mend_by', ?), ('mend_from', ?)", (shift, first))
@@ -399,7 +399,7 @@ class Manifest:
     # Points
 
     def points(self) -> list[StoredPoint]:
-        """Return all points of the store, also those that are no longer read."""
+        """Return all points that the store ever had samples of."""
         rows = self._all("SELECT id, device, point, unit_of_measure, is_state FROM points ORDER BY id")
         return [StoredPoint(number, device, point, unit, bool(state)) for number, device, point, unit, state in rows]
 
@@ -465,18 +465,18 @@ class Manifest:
     # Cursors
 
     def cursors(self) -> dict[str, tuple[int, int]]:
-        """Return the cursor of each sink: its last commit, and the number of samples dropped for it."""
+        """Return by sink its cursor: the last commit that it got, and the number of samples dropped for it."""
         return {sink: (number, lost) for sink, number, lost in self._all("SELECT * FROM cursors")}
 
     def set_cursor(self, sink: str, number: int, lost: int, reported: Iterable[ReportedSample] = ()) -> None:
-        """Note the last commit that a sink has received, and its last samples of points that it gets not all of."""
+        """Record the last commit that a sink got, and the last sent samples of points that it gets only in part."""
         rows = [(sink, each.device, each.point, each.time, json.dumps(each.value), each.reason) for each in reported]
         with self.transaction() as database:
             database.execute("INSERT OR REPLACE INTO cursors VALUES (?, ?, ?)", (sink, number, lost))
             database.executemany("INSERT OR REPLACE INTO reported VALUES (?, ?, ?, ?, ?, ?)", rows)
 
     def reported(self, sink: str) -> list[ReportedSample]:
-        """Return the last samples up to its cursor that a sink got of points of which it does not get all."""
+        """Return the last samples that a sink got of points of which it gets only some, by its report rules."""
         rows = self._all("SELECT device, point, time, value, reason FROM reported WHERE sink = ?", sink)
         return [
             ReportedSample(device, point, time, json.loads(value), reason)
@@ -500,7 +500,7 @@ def _names_of(database: sqlite3.Connection) -> PointNames:
 
 
 def _give_new_names(database: sqlite3.Connection, described: Sequence[PointDescription], last_commit: int) -> None:
-    """Rename points to their current names, unless another point has that name and keeps it."""
+    """Rename points to their current names, unless another point still has such a name."""
     moves = _names_of(database).moves(described)
     for old, one in moves.items():
         database.execute("INSERT INTO renames VALUES (?, ?, ?)", (old, one.was, last_commit))

@@ -81,7 +81,7 @@ def open_part_facts(folder: Path, part: StorePart) -> StorePart:
 
 
 def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
-    """Return the intervals in a segment that is not sealed yet in which devices were not read."""
+    """Return the silences of devices that a segment file holds, while it is still being written."""
     try:
         with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
             return intervals_of(database)
@@ -92,7 +92,9 @@ def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
 
 
 def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int) -> list[Row]:
-    """Return the samples of a file from time ``low`` up to ``high``, of some points or of all; unordered."""
+    """Return the samples in one file of the store from time ``low`` up to ``high``, of some points or
+    all; unordered.
+    """
     if part.kind == "sealed":
         return rows_of_table(_sealed(folder, part, ids, low, high, _COLUMNS))
     with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
@@ -116,7 +118,7 @@ def part_sums(
 
 
 def _sealed(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int, columns: list[str]) -> Any:
-    """Return columns of a Parquet file; row groups without a wanted point or time are skipped."""
+    """Return columns of a Parquet file of the store, without the row groups that have no wanted point or time."""
     pa = arrow()
 
     def moment(nanoseconds: int) -> Any:
@@ -129,7 +131,7 @@ def _sealed(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, 
 
 
 def rows_of_table(table: Any) -> list[Row]:
-    """Return the samples of a sealed file in the form of those of a segment."""
+    """Return the samples of a Parquet file as rows, as those of a SQLite segment are read."""
     if not table.num_rows:
         return []
     columns = {name: table[name] for name in _COLUMNS if name != "time"}
@@ -179,7 +181,7 @@ def _sealed_sums(table: Any, bucket: int) -> SumsByBucket:
 
 
 def sums_of_rows(rows: Sequence[Row], bucket: int) -> SumsByBucket:
-    """Return the sums of samples, for files that overlap in time and have to be merged first."""
+    """Return the sums of samples by bucket; used where files overlap in time and were merged first."""
     found: SumsByBucket = {}
     for time, point, value, reason, _, _ in rows:
         usable = reason < Reason.TIMEOUT and type(value) in (int, float)

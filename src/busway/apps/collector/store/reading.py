@@ -49,7 +49,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class TimePiece:
-    """A period of time from ``low`` up to ``high``, with the store's files that have samples in it."""
+    """A part of a queried period, from ``low`` up to ``high``, with the store's files that have samples in it."""
 
     low: int
     high: int
@@ -203,7 +203,9 @@ class Store:
         return self._unless_unmade(part, lambda: open_part_facts(self.folder, part), part)
 
     def _unless_unmade(self, part: StorePart, ask: Callable[[], Result], otherwise: Result) -> Result:
-        """Return the result of ``ask``; ``otherwise`` for a listed segment whose file does not exist yet."""
+        """Return the result of ``ask``, or ``otherwise`` if the file was announced in the manifest but
+        not created yet.
+        """
         try:
             return ask()
         except FileNotFoundError:
@@ -212,7 +214,7 @@ class Store:
             raise
 
     def _tried(self, ask: Callable[[], Result]) -> Result:
-        """Return the result of ``ask``, repeated if a file was sealed or dropped meanwhile."""
+        """Return the result of ``ask``, called again if a file was replaced or deleted meanwhile."""
         for _ in range(_TRIES):
             try:
                 return ask()
@@ -221,13 +223,13 @@ class Store:
         return ask()
 
     def _rows_in_piece(self, chosen: list[StoredPoint]) -> int:
-        """Return a number of samples per piece, such that about `_PIECE` of them belong to the chosen points."""
+        """Return the number of samples per piece for which about `_PIECE` belong to the chosen points."""
         return _PIECE * max(1, self._from_manifest(Manifest.count_points)) // max(1, len(chosen))
 
     def _walk(
         self, stretch: tuple[int, int, int], ask: Callable[[TimePiece], Result]
     ) -> Iterator[tuple[TimePiece, Result]]:
-        """Apply ``ask`` to each piece of a period; if its file has vanished, to those that replaced it."""
+        """Call ``ask`` for each piece of a period; if a piece's file has vanished, for the files that replaced it."""
         reached, high, most = stretch
         tries = 0
         while True:
@@ -303,7 +305,7 @@ def _share(part: StorePart, begin: int, end: int) -> float:
 
 
 def _marks(intervals: list[IntervalRow], points: list[StoredPoint], low: int) -> list[Row]:
-    """Return rows without a value at the begin of each interval, one for each point that it concerns."""
+    """Return rows without a value for the begin of each silence, one for each point that was not read."""
     found = [
         (max(row.begin, low), point.id, None, row.reason, 0, row.commit_number)
         for row in intervals
@@ -354,7 +356,7 @@ def _add_up(sums: SumsByBucket, found: SumsByBucket) -> None:
 def _add_gaps(
     sums: SumsByBucket, intervals: list[IntervalRow], points: list[StoredPoint], stretch: tuple[int, int], bucket: int
 ) -> None:
-    """Add the reason of each interval to the buckets that it overlaps and that have no samples."""
+    """Add to time buckets without samples the reason why devices were not read then."""
     low, high = stretch
     for row in intervals:
         end = high if row.end is None else min(row.end, high)

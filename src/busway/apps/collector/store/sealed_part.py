@@ -97,7 +97,9 @@ def _facts(table: Any) -> dict[str, int]:
 
 
 def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int, int]]:
-    """Return names and periods of the files to write: late samples by ten minutes each, then the rest."""
+    """Return the Parquet files to write, with their names and periods: late samples by ten minutes
+    each, then the rest.
+    """
     begin = first_time_of(database)
     if begin is None:
         return
@@ -109,7 +111,7 @@ def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int,
 
 
 def first_time_of(database: sqlite3.Connection) -> int | None:
-    """Return the time from which on samples of a segment are not late; None if it has none."""
+    """Return the time before which samples of a segment count as late; None if it has none."""
     row = database.execute("SELECT min(at) FROM commits").fetchone()
     if row[0] is None or database.execute("SELECT 1 FROM samples LIMIT 1").fetchone() is None:
         return None
@@ -160,7 +162,7 @@ def _query(kinds: set[str], low: int, high: int) -> str:
 
 
 def _named(table: Any, points: PointTexts) -> Any:
-    """Return a table with timestamps and the names of its points, for people who read the file elsewhere."""
+    """Return a table with time stamps and point names added, for people who open the Parquet file elsewhere."""
     pa = arrow()
     known = pa.array([id for id, *_ in points], pa.int32())
     indices = arrow("compute").index_in(table["point"].combine_chunks(), value_set=known)
@@ -174,7 +176,7 @@ class _NotNeeded(MetaPathFinder):
     """Import hook that reports packages as not installed that pyarrow loads only to know their objects (rule 3)."""
 
     def find_spec(self, fullname: str, path: object, target: object = None) -> None:
-        """Raise `ModuleNotFoundError` for these packages; leave every other to Python."""
+        """Raise `ModuleNotFoundError` for packages that pyarrow can do without; leave every other to Python."""
         if fullname in ("numpy", "pandas"):
             raise ModuleNotFoundError(f"{fullname} is not needed here", name=fullname)
 

@@ -33,7 +33,7 @@ _LONGEST: Final = 1800
 
 
 class SealingFailed(OSError):
-    """Error: the process that should turn a segment into Parquet failed; the segment stays as it is."""
+    """Error: the process that converts a finished segment to Parquet failed; the segment is unchanged."""
 
 
 def can_seal() -> bool:
@@ -68,7 +68,7 @@ def seal(folder: Path, manifest: Manifest, part: StorePart, step: Step) -> list[
 
 
 def _written(source: Path, points: list[StoredPoint], step: Step) -> list[tuple[Path, dict[str, Any]]]:
-    """Have another process write the Parquet files; returns where each is, and its entry for the manifest."""
+    """Let another process write the Parquet files; returns the path of each, and its entry for the manifest."""
     asked = {
         "segment": os.fspath(source),
         "parent": os.getpid(),
@@ -104,7 +104,7 @@ def remove_unlisted(folder: Path, manifest: Manifest) -> None:
 
 
 def remove_unfinished(folder: Path, manifest: Manifest) -> None:
-    """Delete Parquet files that a process left unfinished: their samples are still in the segment."""
+    """Delete incomplete Parquet files that a crash left; their samples are still in the segment."""
     parts = manifest.parts()
     listed = {part.file for part in parts}
     segments = {part.file.removesuffix(".sqlite") for part in parts if part.kind != "sealed"}

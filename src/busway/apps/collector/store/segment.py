@@ -95,7 +95,7 @@ class Segment:
         alarms: Sequence[KeyedAlarm] = (),
         counters: Sequence[KeyedCounter] = (),
     ) -> None:
-        """Write a commit of samples without ending its transaction; `commit` or `rollback` follows."""
+        """Write samples to the segment without ending the transaction; `commit` or `rollback` follows."""
         database = self._database
         database.execute("BEGIN IMMEDIATE")
         for ids, batch in batches:
@@ -142,7 +142,7 @@ class Segment:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the write-ahead log keeps growing because a reader uses it."""
+        """Whether the segment's write-ahead log keeps growing because a reader holds it open."""
         return self.log_size() > LOG_STUCK
 
     def size(self) -> int:
@@ -168,7 +168,7 @@ class Segment:
 
 
 def insert_batch(database: sqlite3.Connection, ids: Sequence[int], batch: SampleBatch, number: int) -> None:
-    """Insert the samples of one read into the segment, in a loop in C as long as SQLite takes the values."""
+    """Insert the samples of one read into the segment; values that SQLite takes as they are need no Python loop."""
     reasons = repeat(batch.reasons) if isinstance(batch.reasons, int) else batch.reasons
     try:
         _insert(database, ids, batch, batch.values, reasons, number)
@@ -198,14 +198,14 @@ def _insert(
 
 
 def is_storable(value: object) -> bool:
-    """Whether a store can keep a value as it is: a state, a number, a text, an integer of at most 64 bits."""
+    """Whether the store can keep a value unchanged: a state, a number, a text, an integer of at most 64 bits."""
     if isinstance(value, int):
         return -(2**63) <= value < 2**64
     return value is None or isinstance(value, float | str)
 
 
 def stored_value(value: object) -> object:
-    """Return a value as SQLite takes it; None for one that no store can keep."""
+    """Return a value as SQLite stores it; None for a value that cannot be stored."""
     if not is_storable(value):
         return None
     if isinstance(value, int) and value >= 2**63:
@@ -281,7 +281,7 @@ def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StoreP
 
 
 def is_unmade(error: sqlite3.OperationalError) -> bool:
-    """Whether an error means that a segment is listed but its tables do not exist yet, so that it is empty."""
+    """Whether an error means that a segment's tables do not exist yet, so that it has no samples."""
     return "no such table" in str(error)
 
 
@@ -297,7 +297,7 @@ def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
 
 
 def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
-    """Return the latest total of each accumulator in a segment, with its counter."""
+    """Return the latest running total of each counter point in a segment, with the counter value it continues from."""
     try:
         rows = database.execute("SELECT point, total, last, commit_number FROM counters")
     except sqlite3.OperationalError as error:

@@ -53,7 +53,7 @@ def span(given: str | float) -> int:
 def chosen_points(
     patterns: str | Sequence[str], points: Iterable[StoredPoint], former: Iterable[tuple[str, int]]
 ) -> list[StoredPoint]:
-    """Return the points that patterns such as ``meter-7/*`` name, also by names that they had before.
+    """Return the stored points that match patterns such as ``meter-7/*``, also under names they had before.
 
     Raises:
         InvalidRequest: a pattern names no point of the store.

@@ -83,7 +83,7 @@ class Commit:
 
     @property
     def last_values(self) -> Sequence[SampleBatch]:
-        """The reads from which last values are shown, also those that the store does not keep."""
+        """The samples from which last values are shown, including those that the report rules do not keep."""
         return self.batches if self.shown is None else self.shown
 
 
@@ -154,7 +154,7 @@ class StoreWriter:
     # Start
 
     def _begin_again(self, now: int) -> None:
-        """Close what an earlier process left open, and record the time in between as a gap."""
+        """Finish what an earlier process left unfinished, and record the time since its end as a gap."""
         meant = self.manifest.fact("ended") is not None
         left: list[StateInterval | Gap] = []
         for part in self.manifest.parts():
@@ -173,7 +173,7 @@ class StoreWriter:
         self.manifest.set_fact("ended", None)
 
     def _begin_of_gap(self, alive: int, now: int) -> int:
-        """Return when the gap before a start begins, by the clock of the start as far as that can be said."""
+        """Return when the gap before this start began, by the present clock as far as that is known."""
         if alive >= EARLIEST or alive <= now < EARLIEST:
             return alive
         if now < EARLIEST:  # the machine was started again, and counts from 1970 anew
@@ -182,7 +182,7 @@ class StoreWriter:
         return max((at for at in right if at is not None and at <= now), default=now)
 
     def _finish_listing(self, part: StorePart) -> None:
-        """Record what a segment contains, from its commits; an empty one is taken off the list."""
+        """Record in the manifest what a segment contains; an empty segment is removed from the list."""
         path = self.folder / SEGMENTS / part.file
         found = part
         alarms: list[AlarmRow] = []
@@ -203,7 +203,7 @@ class StoreWriter:
         self.manifest.drop_parts([part], before=0)
 
     def _open_intervals(self) -> list[StateInterval]:
-        """Return the stored intervals without polling that have no end yet."""
+        """Return the stored silences of devices that have no end yet."""
         rows = list(self.manifest.intervals())
         for part in self.manifest.parts():
             if part.kind == "closed":
@@ -264,7 +264,7 @@ class StoreWriter:
         self.manifest.begin_mending(self._first, shift, EARLIEST)
 
     def mend_next(self) -> bool:
-        """Correct times in one segment; returns whether there may be more. Goes on after a crash in between.
+        """Correct times in one segment; returns whether more may follow. Continues after a crash where it was.
 
         Raises:
             sqlite3.Error, OSError: the segment is as it was.
@@ -299,7 +299,7 @@ class StoreWriter:
             self.manifest.close_segment(found, alarms_of(database), is_mended=True)
 
     def _is_to_be_mended(self, part: StorePart) -> bool:
-        """Whether times in a file may still be corrected: it is neither sealed nor dropped for its age.
+        """Whether times in a file may still be corrected: it is not Parquet yet, nor deleted for its age.
 
         A segment without samples has intervals and alarms, whose times may be early too.
         """
@@ -307,7 +307,7 @@ class StoreWriter:
         return self._awaits_clock and is_early and (part.last_commit or 0) >= self._first
 
     def sync(self) -> None:
-        """Make earlier commits survive a power failure, if not every commit does so. Raises `OSError`."""
+        """Make earlier commits survive a power failure, where commits alone do not. Raises `OSError`."""
         if self._segment is not None:
             self._segment.sync()
 
@@ -323,7 +323,7 @@ class StoreWriter:
 
     @property
     def newest_commit(self) -> int:
-        """The number of the last commit; before the first one since the start, some number below the next."""
+        """The number of the last commit; before the first one since the start, a number below that of the next."""
         return self._next - 1
 
     def _take_number(self) -> int:
@@ -424,7 +424,7 @@ class StoreWriter:
 
 
 def _aged(parts: Sequence[StorePart], may_be_mended: Callable[[StorePart], bool]) -> Iterator[StorePart]:
-    """Yield parts, the last first, with times by which their age can be told.
+    """Yield the store's files, the last first, with the times that decide how old they are.
 
     What a process wrote without ever knowing the time is as old as what was written next by one that did.
     """
@@ -441,6 +441,6 @@ def _aged(parts: Sequence[StorePart], may_be_mended: Callable[[StorePart], bool]
 
 
 def _end_of(interval: StateInterval, alive: int) -> int:
-    """Return when an interval ended that a process left open, which was alive until then."""
+    """Return when a silence ended that a crashed process left open; ``alive``: when that process last wrote."""
     is_known = (interval.begin < EARLIEST) is (alive < EARLIEST)  # else the clock was set in between, and not mended
     return max(alive, interval.begin) if is_known else interval.begin
