@@ -64,7 +64,7 @@ def who_text(client: Requester) -> str:
 def audit_line(
     context: RequestContext, request: AnyRequest, when: str, outcome: str, code: int | None, repeated: int = 0
 ) -> str:
-    """Return the audit line of one request as JSON. ``repeated``: number of denials it stands for, else 0."""
+    """Return the audit line of one request as JSON. ``repeated``: how many equal denials it counts, else 0."""
     judged = context.judged
     assert judged is not None  # or there would be no line
     what, old, new = _facts(request, None if outcome == DENIED else judged.replaced)
@@ -77,8 +77,7 @@ def audit_line(
 
 
 def done_line(unit: int, function: int, rule: str) -> tuple[str, str]:
-    """Return the fixed parts of the audit line of an executed write: what stands between time and values, and the
-    end.
+    """Return the fixed parts of an executed write's audit line: the text between time and values, and the text after.
 
     Between the two comes the text from `DONE` for the function. The line then equals that of `audit_line`, to the byte.
     """

@@ -270,7 +270,9 @@ class AuditLog:
     # ---- denials
 
     def _append_denied(self, line: DenialLine, repeated: int) -> None:
-        """Append the line of a denied request if the file has room; ``repeated``: denials it stands for, else 0."""
+        """Append the line of a denied request if the file has room; ``repeated``: how many denials it
+        counts, else 0.
+        """
         if self._has_room_for_denials():
             self._tell_left_out()
             self.append(line(repeated))
@@ -279,7 +281,7 @@ class AuditLog:
             self._left_out += repeated or 1
 
     def _tell_repeated(self) -> None:
-        """Append one audit line for each client whose denials were counted, and arrange the next such time."""
+        """Append an audit line for each client whose denials were only counted, and schedule the next call of this."""
         with self._lock:
             self._repeated_due = None
             for line, count in self._repeated.take():
@@ -336,7 +338,7 @@ class AuditLog:
             self._recovered()
 
     def _keep(self, data: bytes, at: int) -> None:
-        """Count the buffered lines that the file has taken, its first ``at`` bytes, and keep the rest."""
+        """Count the buffered audit lines that were written (the first ``at`` bytes), and keep the others buffered."""
         if at == len(data):
             self.written += len(self._lines) + bool(self._begun)
             self._lines, self._size, self._begun = [], 0, b""

@@ -77,7 +77,7 @@ _ANYBODY: Final = Asker()
 
 
 class _InForce:
-    """The policy that a server uses now, with the rights of clients compiled from it; replaced as a whole."""
+    """The policy in use, with the rights compiled from it for each kind of client; replaced as a whole."""
 
     __slots__ = ("of_askers", "of_clients", "of_rules", "policy")
 
@@ -255,7 +255,7 @@ class PolicyAuthorizer:
         return None
 
     def _known(self, client: ClientIdentity) -> tuple[Asker, PolicyRights]:
-        """Return the client of a request as rules see it (host, role, listener), and its rights, both from a cache."""
+        """Return, from a cache, who sent a request (host, role, listener) and the rights of this client."""
         in_force = self._in_force
         found = in_force.of_clients.get(client)
         if found is None:
@@ -267,7 +267,7 @@ class PolicyAuthorizer:
 
 
 def _denied_to_all(rights: Rights, question: Question) -> Decision | None:
-    """Return the refusal of a broadcast that a rule for unit 0 denies; None where no such rule denies it.
+    """Return the refusal of a broadcast if a rule for unit 0 denies it; else None.
 
     A broadcast of a line is judged for each unit that hears it. A rule that permits unit 0 gives no right to these.
     """
@@ -294,5 +294,5 @@ def _rights_of(asker: Asker, in_force: _InForce, audit: AuditLog | None) -> Poli
 
 
 def _busy(rule: Rule) -> Decision:
-    """Return the refusal (exception code 06) of a permitted request above the rate of its rule."""
+    """Return the refusal (exception code 06) of a permitted request because its rule's rate is exceeded."""
     return Decision(False, int(ExceptionCode.SERVER_DEVICE_BUSY), rule, f"more than {rule.rate:g} requests a second")

@@ -93,7 +93,7 @@ def _unlimited(zones: tuple[Zone, ...]) -> tuple[Zone, ...]:
 
 
 def _is_plain(kind: type[Request], touch: Touch) -> bool:
-    """Whether requests of a function begin with the address and, if it has one, the count of the touched items."""
+    """Whether requests of a function begin with the address, followed by the count of items if there is one."""
     names = ("address",) if touch.count is None else ("address", "count")
     fields = kind.layout.fields[: len(names)]
     return (

@@ -73,7 +73,7 @@ def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Functio
 
 
 def parse_whole_functions(value: str | int | Iterable[str | int], what: str) -> frozenset[int]:
-    """Parse function codes or names without sub-functions, which ``what`` cannot have. Raises `ConfigError`."""
+    """Parse function codes or names; sub-functions are refused, with ``what`` in the error. Raises `ConfigError`."""
     found = parse_functions(value)
     for code, sub_code in found:
         if sub_code is not None:
@@ -207,7 +207,7 @@ def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
 
 
 def _with_notation_of(first: str, last: str) -> str:
-    """Complete the end of an item range: ``199`` in ``holding:100-199`` becomes ``holding:199``."""
+    """Complete the end of an item range from its start: ``199`` in ``holding:100-199`` becomes ``holding:199``."""
     prefix = re.match(r"[0134][xX]|[A-Za-z _-]+:|%[mM][wW]?", first.strip())
     if prefix is None or not (last.isdecimal() or (prefix[0].endswith(":") and _NUMBER.fullmatch(last))):
         return last

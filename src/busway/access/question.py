@@ -151,7 +151,7 @@ def masked(current: int, and_mask: int, or_mask: int) -> int:
 
 
 def counts_as_write(kind: type[Request]) -> bool:
-    """Whether a function counts as a write, by its declaration; unknown effects do (rule 2 of this file)."""
+    """Whether a function counts as a write, as it declares; a function whose effect is unknown does (rule 2)."""
     if kind.is_write or kind.writes is not None:
         return True
     return kind.code not in _PUBLIC and kind.reads is None
@@ -179,7 +179,7 @@ def _pieces_of_malformed(request: MalformedRequest, sub_function: int | None) ->
 
 
 def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
-    """Return all items that requests of a function could read or write: the whole table for each kind of access."""
+    """Return everything that requests of a function could read or write: whole tables, by kind of access."""
     if issubclass(kind, _OF_FILES):
         return (TouchedRange(FILES, 0, END, issubclass(kind, WriteFileRecord)),)
     found = [

@@ -27,7 +27,7 @@ class Repeats:
         self._said: OrderedDict[str, _Said] = OrderedDict()
 
     def again(self, name: str, now: float) -> int | None:
-        """Return how many messages about ``name`` were left out if one may be logged now; None if it may not.
+        """Return how many messages about ``name`` were suppressed if one may be logged now; None if it may not.
 
         Args:
             name: what the message is about, such as a host.
@@ -45,5 +45,5 @@ class Repeats:
 
 
 def so_often(repeated: int) -> str:
-    """Return the end of a log line that says how many equal messages were left out; empty if none were."""
+    """Return a suffix for a log line that says how many equal messages were suppressed; empty if none were."""
     return f" ({repeated} more since the last line)" if repeated else ""

@@ -52,7 +52,7 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """An address range in which the same rule decides about one kind of access.
+    """An address range in which one access rule decides about one kind of request.
 
     Attributes:
         first, end: the items, to before ``end``.
@@ -83,7 +83,7 @@ class Zone:
 
 
 class UnitAccess(NamedTuple):
-    """A kind of access for which rights are compiled: the unit, the function code and whether it writes.
+    """A kind of request for which rights are compiled: the unit, the function code and whether it writes.
 
     Attributes:
         unit: the unit asked, 0…255.
@@ -125,7 +125,7 @@ class Rights:
         return self._compiled(access)[1]
 
     def permitted(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """Return the address ranges where an access is always permitted, whatever its values, without a rate limit."""
+        """Return the address ranges where a kind of request is always permitted, whatever its values and rate."""
         return tuple(zone for zone in self.zones(access) if zone.permits and zone.rate is None)
 
     def decide(self, question: Question) -> Decision:
@@ -153,7 +153,7 @@ class Rights:
         return Decision(True, rule=first_rule, rates=tuple(rates))
 
     def _touched(self, question: Question, piece: TouchedRange) -> list[Zone]:
-        """Return the address ranges, each with its rule, that a part of a request touches, in the order of rules."""
+        """Return the address ranges that a request touches, each with its rule, in the order of the rules."""
         access = UnitAccess(
             question.unit, question.listed, question.function, question.sub_function, piece.space, piece.writes
         )
@@ -228,7 +228,7 @@ def decision_of(policy: Policy, question: Question) -> Decision:
 
 
 def ranges_of(zones: tuple[Zone, ...]) -> tuple[Range, ...]:
-    """Return plain address ranges for ranges with rules, adjacent ones joined."""
+    """Return address ranges without their rules, adjacent ones joined."""
     return merged([(zone.first, zone.end) for zone in zones])
 
 

@@ -52,7 +52,7 @@ class Action(Enum):
 
 
 class AccessKind(Enum):
-    """Which accesses an access rule applies to: reads, writes or both."""
+    """Which requests an access rule applies to: reads, writes or both."""
 
     READ = "read"
     WRITE = "write"
@@ -99,7 +99,7 @@ class Limits:
         return self.low <= least and most <= self.high
 
     def permit_masks(self, and_mask: int, or_mask: int) -> bool:
-        """Whether a mask write (function 22) stays within the limits whatever value the register holds."""
+        """Whether the result of a mask write (function 22) is within the limits, whatever the register holds."""
         fixed = or_mask & ~and_mask & 0xFFFF
         least, most = fixed, fixed | and_mask
         if self.signed and and_mask & 0x8000:  # the sign is free: least with it, most without
@@ -247,7 +247,7 @@ class Rule:
         )
 
     def names(self, function: int, sub_function: int | None) -> bool:
-        """Whether the rule applies to a function code and sub-function."""
+        """Whether the rule lists a function code and sub-function, or all."""
         if self.functions is None:
             return True
         return (function, None) in self.functions or (

@@ -593,7 +593,7 @@ class BlockingUnit:
         return reply.data
 
     def _perform(self, operation: Operation, call_options: CallOptions) -> Any:
-        """Run an operation of `client.operations`: send the requests it yields, pass it replies, return its result."""
+        """Run an operation of `client.operations`: send each request that it yields, and pass it the reply."""
         try:
             requests = next(operation)
             while True:
@@ -618,7 +618,7 @@ class BlockingLink:
         self._closed = False
 
     def _bound(self) -> BlockingLinkDriver:
-        """The driver that sends the next request: this link's own, or the one that ``select`` chooses among links."""
+        """The driver that sends the next request: this link's own, or one that the option ``select`` chooses."""
         if self._closed:
             raise closed_error(self._settings)
         if self._link is not None:
@@ -626,7 +626,7 @@ class BlockingLink:
         return BLOCKING_POOL.choose(self._settings, self._rule or LinkSelection.FIRST)
 
     def _looked_at(self) -> BlockingLinkDriver | None:
-        """The driver of this link if there is one now, for reading its status."""
+        """The driver of this link, for reading its status; None if there is none now."""
         try:
             return self._link or self._bound()
         except ModbusError:
@@ -695,7 +695,7 @@ class BlockingLink:
         self.close()
 
     def run(self, unit: int, requests: Sequence[Request], call_options: CallOptions) -> list[Any]:
-        """Send requests and return replies or errors in their order; all methods of a unit end here."""
+        """Send requests and return a reply or error for each, in order; all methods of a unit use this."""
         link = self._link
         if link is None or self._closed:
             link = self._bound()

@@ -55,7 +55,7 @@ _SPIN: Final = 0.0003
 
 
 class BlockingLinkDriver:
-    """The blocking driver of one link: threads that wait for replies send and receive for all. From `BlockingPool`.
+    """The blocking driver of one link: one of the threads that wait for replies sends and receives for all.
 
     Attributes:
         shared: whether all users of the endpoint share it.
@@ -215,14 +215,16 @@ class BlockingLinkDriver:
             self._turn.release()
 
     def serve(self, now: float) -> None:
-        """Send waiting requests because another link of the client has freed a shared slot. The lock is held."""
+        """Send waiting requests, because another link of the client has freed a shared slot. Call with
+        the lock held.
+        """
         if self.session.has_calls and self._connection is not None:
             self._transmit(now)
 
     # Turns.
 
     def _wait_for_turn(self, call: Call) -> bool:
-        """Wait until the call is complete or this thread must do the sending and receiving; the lock is held."""
+        """Wait until the call is complete, or until this thread must send and receive. Call with the lock held."""
         while not call.ended:
             if not self._leading:
                 self._leading = True
@@ -264,7 +266,7 @@ class BlockingLinkDriver:
                         self._receive(connected)
 
     def _pause(self, now: float) -> float:
-        """Return the seconds until the session must send or time something out; the lock is held."""
+        """Return the seconds until the session has something to send or to time out. Call with the lock held."""
         deadline = self.session.deadline()
         if self._connection is None:
             if self._life.may_dial(now):
@@ -279,18 +281,18 @@ class BlockingLinkDriver:
     # Under the lock.
 
     def _is_used(self) -> bool:
-        """Whether a thread is waiting for a reply of this link or to take over its work."""
+        """Whether a thread waits for a reply of this link."""
         return self._leading or self._waiting > 0
 
     def _used(self) -> None:
-        """Work after each call: let other links use free slots; close the connection with ``hold=request``."""
+        """Finish a call: let other links use free slots; with ``hold=request``, close the connection."""
         if self._scope is not None:
             self._scope.serve(time.monotonic())
         if not self._hold:
             self._let_go(time.monotonic())
 
     def _let_go(self, now: float) -> None:
-        """Close the connection if it was unused for the time of the option ``hold``."""
+        """Close the connection if it was unused for the time that the option ``hold`` gives."""
         if self._connection is not None and not self._is_used():
             reason = self._life.spent(now, self.last_used)
             if reason:
@@ -336,7 +338,7 @@ class BlockingLinkDriver:
             self._end_if_stuck(time.monotonic())
 
     def _end_if_stuck(self, now: float) -> None:
-        """After a call ended: drop the connection if frames of it are unsent, because they would be sent later."""
+        """Drop the connection after a call if frames of the call are unsent, because they would be sent later."""
         if self._connection is not None and self._connection.unsent:
             self._drop(now, "a call ended before the connection had taken its request")
 
@@ -388,7 +390,7 @@ class BlockingLinkDriver:
         self._done()
 
     def _done(self) -> None:
-        """Wake the threads whose calls have all their outcomes."""
+        """Wake the threads whose calls are complete."""
         if self._line is not None and self._line.notes:
             self._tell_notes(self._line.notes)
         if self.session.finished:
@@ -397,7 +399,7 @@ class BlockingLinkDriver:
                 self._turn.notify_all()
 
     def _look_at_line(self) -> None:
-        """Process bytes that a serial line carried while no call ran, and the silence since then."""
+        """Process bytes and silence that a serial line had while no call ran."""
         if not self._leading and self._connection is not None:
             self._receive(self._connection)
             self._tick(time.monotonic())
@@ -432,7 +434,7 @@ class BlockingLinkDriver:
         self._done()
 
     def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
-        """Log an event of the connection, such as connected or lost, and report it to the user's callback."""
+        """Log a connection event, such as connected or lost, and report it to the user's callback."""
         if news:
             # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
@@ -464,7 +466,7 @@ class BlockingLinkDriver:
     # By the leader, without the lock where it waits.
 
     def _make_connection(self) -> LinkDown | None:
-        """Open a connection; return None, or the error with which all waiting calls have ended."""
+        """Open a connection. Returns None, or the error with which all waiting calls were ended."""
         with self._turn:
             self._life.dialled(time.monotonic())
         try:

@@ -12,14 +12,14 @@ from .shared_links import SharedLinks
 
 
 class BlockingPool:
-    """All blocking links of this process by endpoint; safe from any thread."""
+    """All blocking links of this process by endpoint, shared by their users; safe from any thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._links: SharedLinks[BlockingLinkDriver] = SharedLinks(_made)
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> BlockingLinkDriver:
-        """Return the link to an endpoint for one more user, made if necessary. Raises `ConfigError`, `Overloaded`."""
+        """Return the shared link to an endpoint, created if necessary. Raises `ConfigError`, `Overloaded`."""
         with self._lock:
             return self._links.acquire(settings, shared=shared)
 
@@ -29,7 +29,7 @@ class BlockingPool:
             return self._links.choose(settings, rule)
 
     def release(self, settings: LinkSettings, link: BlockingLinkDriver) -> None:
-        """Give a link back after use; the last user's release closes its connection."""
+        """Give a link back after use; when its last user does, its connection is closed."""
         with self._lock:
             is_last = self._links.release(settings, link)
         if is_last:

@@ -7,7 +7,7 @@ from typing import Protocol
 
 
 class LinkEnd(Protocol):
-    """What a serial port calls when something happens on it: the asyncio driver's side of the connection."""
+    """Interface of the asyncio driver as a serial port calls it when something happens."""
 
     def arrived(self, data: bytes) -> None:
         """Process bytes that the serial port has received."""

@@ -41,7 +41,7 @@ def default_unit(endpoint: Endpoint, unit: int | None) -> int:
 
 
 def with_assumed_unit(outcome: object, unit: int) -> None:
-    """Add to an error of a request that its unit was not given, where naming a unit may help.
+    """Add to an error the remark that no unit was given, if naming a unit may help.
 
     That is so if a gateway answered or nothing did, and if a function was refused (01): the default unit may be
     a gateway itself, which has no registers.
@@ -56,7 +56,7 @@ def with_assumed_unit(outcome: object, unit: int) -> None:
 
 
 def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusError]:
-    """Make one error for each request of a call that was refused before anything was sent."""
+    """Return one error for each request of a call that was refused before anything was sent."""
     errors = []
     for request in requests:
         error = type(refusal).__new__(type(refusal), *refusal.args)
@@ -70,7 +70,7 @@ def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusErr
 
 
 def closed_error(settings: LinkSettings) -> LinkClosed:
-    """Make the error for a call on a link that the program has closed."""
+    """Return the error for a call on a link that the program has closed."""
     return LinkClosed("this link was closed by its user; nothing was sent", endpoint=settings.endpoint.url)
 
 

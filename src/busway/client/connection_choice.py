@@ -12,7 +12,7 @@ from .settings import LinkSettings
 
 
 class Choosable(Protocol):
-    """Interface of a link among several to one endpoint, from which the option ``select`` chooses.
+    """Interface of one of several links to an endpoint, among which the option ``select`` chooses.
 
     Attributes:
         shared: whether all users of the endpoint share it.
@@ -31,7 +31,7 @@ AnyLink = TypeVar("AnyLink", bound=Choosable)
 
 
 def check_room(links: Iterable[Choosable], settings: LinkSettings) -> None:
-    """Raise `Overloaded` if an endpoint already has ``max_connections`` connections of explicit management."""
+    """Raise `Overloaded` if an endpoint already has ``max_connections`` explicitly managed connections."""
     limit = settings.management.max_connections
     held = sum(not link.shared for link in links)
     if held >= limit:

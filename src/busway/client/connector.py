@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Connector(Protocol):
-    """Interface of what opens the connections of a link to one endpoint."""
+    """Interface of the object that opens the connections of a link to one endpoint."""
 
     async def connect(self, protocol: Callable[[], Any]) -> Any:  # an asyncio.Transport with its protocol, or alike
         """Open a connection for an asyncio link; return its transport, which calls ``protocol``. Raises `LinkDown`."""
@@ -32,7 +32,7 @@ class Connector(Protocol):
         """Open a connection for a blocking link and return its socket or port. Raises `LinkDown`."""
 
     def release(self) -> None:
-        """Free what the connector holds, such as a serial port, because its link was closed for good."""
+        """Free what the connector holds, such as a serial port, because its link is closed for good."""
 
 
 class TcpConnector:
@@ -138,7 +138,7 @@ class UdpConnector:
 
 
 def connector_for(settings: LinkSettings, session: TcpClientSession | SerialClientSession, *, user: str) -> Connector:
-    """Create the connector of an endpoint; ``user`` is who holds a serial port, for the errors that other users get.
+    """Create the connector of an endpoint; ``user`` names the holder of a serial port in errors for others.
 
     Raises:
         ConfigError: a carrier that a client cannot use, or a serial port that this process uses already.

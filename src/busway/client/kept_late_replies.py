@@ -18,14 +18,14 @@ KEPT_AT_MOST: Final = 1024
 
 
 class KeptDoubts:
-    """The late replies that may still come on lines whose links were closed, by URL; thread-safe."""
+    """The late replies that may still come on serial lines whose links were closed, by URL; thread-safe."""
 
     def __init__(self) -> None:
         self._by_url: OrderedDict[str, Doubts] = OrderedDict()
         self._lock = threading.Lock()
 
     def keep(self, url: str, doubts: Doubts) -> None:
-        """Remember the late replies that may still come on the line of a closed link to ``url``."""
+        """Store the late replies that may still come on the line of a closed link to ``url``."""
         if not doubts.is_owed:
             return
         with self._lock:
@@ -38,7 +38,7 @@ class KeptDoubts:
                 self._by_url.popitem(last=False)
 
     def hand_over(self, url: str, doubts: Doubts) -> None:
-        """Add to ``doubts`` of a new link to ``url`` the late replies remembered for that line; forget them here."""
+        """Move the late replies stored for ``url`` to ``doubts``, the record of a new link to it."""
         if not self._by_url:
             return
         with self._lock:

@@ -50,7 +50,9 @@ COARSE_SPIN: Final = 0.0015
 
 
 class _LinkProtocol(asyncio.BufferedProtocol):
-    """The asyncio protocol of one connection of a link; a new one each time, so that late events are recognised."""
+    """The asyncio protocol of one connection of a link; each connection has its own, so that late events are
+    recognised.
+    """
 
     __slots__ = ("_buffer", "_link")
 
@@ -85,7 +87,7 @@ class _LinkProtocol(asyncio.BufferedProtocol):
 
 
 class AsyncLinkDriver:
-    """The asyncio driver of one link: connects, sends, receives and keeps time for its session. From `LinkPool`.
+    """The asyncio driver of one link: connects, sends, receives and runs the timers of its session.
 
     Attributes:
         shared: whether all users of the endpoint share it.
@@ -205,7 +207,7 @@ class AsyncLinkDriver:
         return future
 
     def begin(self, call: Call, now: float) -> None:
-        """Begin a call that reports its end to its ``owner``: a future, or an object with the same two methods.
+        """Start a call that reports its end to ``owner``: a future, or an object with ``done`` and ``set_result``.
 
         ``set_result`` is called as soon as the call has all its outcomes, directly from the handling of the last one.
 
@@ -243,7 +245,7 @@ class AsyncLinkDriver:
             self._arm(soonest)
 
     def give_up(self, call: Call) -> None:
-        """Cancel a call because its caller no longer waits."""
+        """Cancel a call, because its caller no longer waits."""
         self._write_outgoing()
         now = self._clock()
         if self.session.cancel(call):
@@ -294,12 +296,12 @@ class AsyncLinkDriver:
         return self._transport is not None
 
     def call_at(self, when: float, callback: Callable[[], None]) -> asyncio.TimerHandle:
-        """Have the event loop call a function at a time of the clock that deadlines use. Returns the timer."""
+        """Let the event loop call a function at a time by the clock that deadlines use. Returns the timer."""
         return self._loop.call_later(max(when - self._clock(), 0.0), callback)
 
     @property
     def down_because(self) -> str:
-        """Say why the last attempt to connect failed; empty while connected and before the first attempt."""
+        """Return why the last attempt to connect failed; empty while connected and before the first attempt."""
         return self._life.down_because
 
     @property
@@ -446,13 +448,13 @@ class AsyncLinkDriver:
                 self._rearm()
 
     def _recycle(self, now: float) -> None:
-        """Close a connection whose replies no longer match its requests; what remains to be sent opens a new one."""
+        """Close a connection whose replies no longer match its requests; unsent requests open a new one."""
         if self._protocol is not None:
             self._abort()
             self.lost(self._protocol, f"reconnecting after {self.session.recycle}")
 
     def _end_if_stuck(self) -> None:
-        """After a call ended: abort the connection if bytes of it are unsent, because they would be sent later."""
+        """Abort the connection after a call if bytes of the call are unsent, because they would be sent later."""
         if self._held is None or not self._held() or self._protocol is None:
             return
         if self._writes_late and takes_bytes(self._transport.get_extra_info("socket")):
@@ -476,13 +478,13 @@ class AsyncLinkDriver:
         self._transport.abort()
 
     def _forget_connection(self) -> None:
-        """Clear all that belonged to the connection that has ended, above all its unsent bytes."""
+        """Clear everything that belongs to the ended connection, above all its unsent bytes."""
         self._transport = self._protocol = self._frame_leaves = self._held = None
         self._outgoing.clear()
         self._paused = False
 
     def _after_use(self, now: float) -> None:
-        """Work after each call: let other links use free slots; close the connection when its hold time is over."""
+        """Finish a call: let other links use free slots; close the connection when its hold time is over."""
         if self._scope is not None:
             self._scope.serve(now)
         if self._hold == math.inf or self._transport is None or self._is_used() or self.session.deadline() is not None:
@@ -503,7 +505,7 @@ class AsyncLinkDriver:
         self._life.released(now, reason)
 
     def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
-        """Log an event of the connection, such as connected or lost, and report it to the user's callback."""
+        """Log a connection event, such as connected or lost, and report it to the user's callback."""
         if news:
             # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
@@ -561,7 +563,7 @@ class AsyncLinkDriver:
         self._wake()
 
     def _wake(self) -> None:
-        """Wake the callers whose calls have all their outcomes."""
+        """Wake the callers whose calls are complete."""
         session = self.session
         finished = session.finished[:]
         session.finished.clear()
@@ -620,7 +622,7 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _on_line_timer(self, now: float) -> float:
-        """Send waiting frames at the exact end of a gap; while a frame is being sent, note when its end leaves."""
+        """Send waiting frames exactly at the end of a silent time; while a frame is being sent, record when it ends."""
         if self._spin and now < self._timer_at <= now + 2 * self._spin:
             self._pump(self._timer_at)  # preparing the frame takes a tenth of a millisecond
             now = self._clock()

@@ -143,7 +143,7 @@ def read_identification(level: str, object_id: int | None) -> Operation:
 
 
 def place_of(address: int | str | Address) -> Address:
-    """Parse a data address such as ``4x101`` that must name its table. Raises `InvalidRequest`."""
+    """Parse a data address such as ``4x101``, which must name its table. Raises `InvalidRequest`."""
     place = parse_address(address)
     if place.table is None:
         raise InvalidRequest(f"address {address} names no table; {_hint_of_number(place)}")
@@ -151,7 +151,7 @@ def place_of(address: int | str | Address) -> Address:
 
 
 def _hint_of_number(place: Address) -> str:
-    """Return a suggestion for a bare number given as an address, as manuals call the first holding register 40001."""
+    """Return a suggestion for an error about an address that is a bare number, as in manuals (40001)."""
     offset = place.offset
     with contextlib.suppress(InvalidRequest):
         meant = parse_address(str(offset))
@@ -169,7 +169,7 @@ READ: dict[Table, type[ReadBits] | type[ReadRegisters]] = {
 
 
 def _natural_type(place: Address, width: int) -> str:
-    """Return the value type used if none is given, for registers that are ``width`` bytes wide."""
+    """Return the value type for registers of ``width`` bytes that is used if none is given."""
     if width not in (2, 4, 8):
         raise InvalidRequest(f"{place}: a register of {width} bytes is no number by itself; name a type")
     return f"uint{8 * width}"

@@ -14,13 +14,13 @@ from .shared_links import SharedLinks
 
 
 class LinkPool:
-    """All asyncio links of one event loop, by endpoint."""
+    """All asyncio links of one event loop by endpoint, shared by their users."""
 
     def __init__(self) -> None:
         self._links: SharedLinks[AsyncLinkDriver] = SharedLinks(_made)
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AsyncLinkDriver:
-        """Return the link to an endpoint for one more user, made if necessary. Raises `ConfigError`, `Overloaded`."""
+        """Return the shared link to an endpoint, created if necessary. Raises `ConfigError`, `Overloaded`."""
         return self._links.acquire(settings, shared=shared)
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AsyncLinkDriver:
@@ -28,7 +28,7 @@ class LinkPool:
         return self._links.choose(settings, rule)
 
     async def release(self, settings: LinkSettings, link: AsyncLinkDriver) -> None:
-        """Give a link back after use; the last user's release closes its connection."""
+        """Give a link back after use; when its last user does, its connection is closed."""
         if self._links.release(settings, link):
             await link.close()
 

@@ -44,7 +44,7 @@ class _Item:
 
 @dataclass(slots=True)
 class _Range:
-    """The addresses that one read request asks for, and the named values that lie in them."""
+    """The addresses of one read request, and the named values in them."""
 
     table: Table
     offset: int

@@ -70,7 +70,7 @@ class LocalConnectionStatus:
 
 
 class LocalLink(Protocol):
-    """Interface of a link that is entered in the registry of the process.
+    """Interface of a link as the registry of the process's links uses it.
 
     Attributes:
         home: the event loop it lives on; None of a blocking link.
@@ -110,7 +110,7 @@ class LocalConnections:
         self._lock = threading.Lock()
 
     def add(self, link: LocalLink) -> None:
-        """Enter a new link in the registry."""
+        """Add a new link to the registry."""
         with self._lock:
             self._links.add(link)
 
@@ -130,7 +130,7 @@ class LocalConnections:
         return sum(link.is_connected for link in self.links())
 
     def limit(self, supported: int) -> None:
-        """Set how many connections the process may have open. Raises `ConfigError` outside 1…65535."""
+        """Set the limit of open client connections of the process. Raises `ConfigError` outside 1…65535."""
         if not 1 <= supported <= 65_535:
             raise ConfigError(f"must be 1…65535, not {supported}", key="supported")
         self.supported = supported
@@ -180,7 +180,7 @@ def limit_local_connections(supported: int) -> None:
 def status_of(
     link: LocalLink, session: ClientSession, life: ConnectionLife, now: float, local: object
 ) -> LocalConnectionStatus:
-    """The status of a link, put together from its session and connection.
+    """Return the status of a link, put together from its session and connection.
 
     Args:
         link, session, life: the driver, its session, and the life of its connections.

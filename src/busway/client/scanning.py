@@ -86,7 +86,7 @@ def scan(
 
 
 def units_to_ask(endpoint: Endpoint, units: Iterable[int] | None) -> list[int]:
-    """Return the units that a scan asks, ascending. Raises `ConfigError`; on a line unit 0 (broadcast) is no device."""
+    """Return the units that a scan asks, ascending; on a serial line never unit 0 (broadcast). Raises `ConfigError`."""
     is_line = endpoint.framing != "mbap"
     if units is None:
         return [*range(1, LAST_SERIAL_UNIT + 1), *([] if is_line else [TCP_DEVICE_UNIT])]
@@ -132,7 +132,7 @@ def refuse_busy_line(
 
 
 def _for_listening(endpoint: Endpoint) -> Endpoint:
-    """Return an endpoint without the options that have no effect when a serial line is only listened to."""
+    """Return an endpoint without options that have no effect when a serial line is only listened to."""
     taken = Offer.at(endpoint, "monitor", MONITORS).options
     kept = {name: text for name, text in endpoint.options.items() if aliases().get(name, name) in taken}
     return replace(endpoint, options=kept)

@@ -19,7 +19,7 @@ from ..session.call import FreeSlots, free_slots
 
 
 class ScopedLink(Protocol):
-    """A link whose requests in flight are counted together with those of other links (`ClientScope`)."""
+    """Interface of a link whose requests in flight count towards a limit that several links share."""
 
     def serve(self, now: float) -> None:
         """Send waiting requests of the link, because a shared slot is free."""
@@ -42,19 +42,19 @@ class ClientScope:
 
     @property
     def is_used(self) -> bool:
-        """Whether any link still counts its requests in this common limit."""
+        """Whether any link still counts its requests towards this common limit."""
         return any(link() is not None for link in self._links)
 
     def enter(self, link: ScopedLink) -> None:
-        """Let a new link count its requests in this common limit."""
+        """Add a new link to those whose requests count towards this common limit."""
         self._links.append(weakref.ref(link))
 
     def leave(self, link: ScopedLink) -> None:
-        """Take a closed link out of this common limit."""
+        """Remove a closed link from those whose requests count towards this common limit."""
         self._links = deque(one for one in self._links if one() not in (None, link))
 
     def serve(self, now: float) -> None:
-        """Let the links that have waiting requests send them as far as the common limit allows, in turn."""
+        """Let the links send waiting requests, in turn, as far as the common limit allows."""
         for _ in range(len(self._links)):
             if not self.slots:
                 return

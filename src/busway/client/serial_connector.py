@@ -80,14 +80,14 @@ class SerialConnector:
         self._claim.release()
 
     def _named(self, error: LinkDown | ConfigError) -> LinkDown:
-        """Raise `LinkDown` for an error of opening the port; a setting that the port cannot have is raised at once."""
+        """Return `LinkDown` for an error of opening the port, with that error as its cause."""
         down = LinkDown(error.message, endpoint=self._endpoint.url)
         down.__cause__ = error
         return down
 
 
 class _Waited:
-    """The time for which a link waits for a serial port that is not there."""
+    """How long a link has waited for a missing serial port, and may still wait."""
 
     def __init__(self, opening: OpeningParameters) -> None:
         self._policy = reopen_policy(opening)
@@ -152,7 +152,7 @@ class SerialStream:
             asyncio.get_running_loop().call_soon(self._end.connection_lost, error)
 
     def still_sending(self) -> None:
-        """Tell the session if characters of a frame are still unsent, so that the timeout does not start too early."""
+        """Tell the session if the port still holds characters of a frame, so that the timeout starts later."""
         if self._connection is None or self._puts_off >= HOLDS_AT_MOST:
             return
         try:
@@ -217,7 +217,7 @@ class SerialChannel:
         return len(data)
 
     def still_sending(self) -> None:
-        """Tell the session if characters of a frame are still unsent, so that the timeout does not start too early."""
+        """Tell the session if the port still holds characters of a frame, so that the timeout starts later."""
         if self._puts_off >= HOLDS_AT_MOST:
             return
         try:

@@ -63,7 +63,7 @@ class ClientSession(Protocol):
         """Return the frame of a call that can be sent at once; None if it has to be queued with `submit`."""
 
     def serve_units_in_turn(self) -> None:
-        """Send requests to the units in turn, not in the order of the calls, so that a slow unit holds up no other."""
+        """Send requests to the units in turn, not in call order, so that a slow unit does not hold up others."""
 
     def cancel(self, call: Call) -> bool:
         """Cancel a call. Returns whether requests of it were sent and are unanswered."""
@@ -130,7 +130,7 @@ def client_session_for(
 
 
 def reconnect_for(settings: LinkSettings) -> Reconnect:
-    """Create the state that decides when a link connects again; a serial port has pauses of its own."""
+    """Create the object that decides when a link connects again; serial ports have other pauses."""
     if settings.line is not None and settings.line.port is not None:
         opening = settings.line.opening
         return Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)

@@ -89,7 +89,7 @@ _NEVER: Final = BreakerParameters(open_after=0)
 
 
 def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSettings:
-    """Make settings from a URL with its options and from keywords, which override them. Raises `ConfigError`."""
+    """Create link settings from a URL with options and from keywords, which override them. Raises `ConfigError`."""
     endpoint = parse_endpoint(url)
     offer = Offer.at(endpoint, "client", LINKS)
     chosen = offer.chosen({**canonical(endpoint.options), **canonical(options)}, of=endpoint.url)
@@ -116,5 +116,5 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
 
 
 def options_of(endpoint: Endpoint) -> frozenset[str]:
-    """Return the names of the options that a link to an endpoint may have; others have no effect with its scheme."""
+    """Return the names of the options that have an effect on a link to this endpoint."""
     return Offer.at(endpoint, "client", LINKS).names

@@ -41,7 +41,7 @@ class SharedLinks(Generic[AnyLink]):
         self._scope: ClientScope | None = None
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AnyLink:
-        """Return the link to an endpoint for one more user, made if necessary. Raises `ConfigError`, `Overloaded`."""
+        """Return the shared link to an endpoint, created if necessary. Raises `ConfigError`, `Overloaded`."""
         name = settings.endpoint.url
         if not shared:
             check_room(list(self._links.get(name, ())), settings)

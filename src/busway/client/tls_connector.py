@@ -71,7 +71,9 @@ class TlsConnector:
             raise self._down(error) from error
 
     async def _agree(self, context: ssl.SSLContext, protocol: Callable[[], "asyncio.BufferedProtocol"]) -> "TlsLayer":
-        """Connect under asyncio and complete the TLS handshake. Raises `TlsFailure`, `OSError`, `ValueError`."""
+        """Connect under asyncio, with TLS handshake, and return the transport. Raises `TlsFailure`, `OSError`,
+        `ValueError`.
+        """
         import asyncio  # here: blocking programs, and every start of the command line, do without it
 
         from ..transport.tls.layer import TlsLayer
@@ -111,7 +113,9 @@ class TlsConnector:
         return layer
 
     async def _look_at_date(self, failure: TlsFailure) -> TlsFailure:
-        """Add the dates of the server's certificate to an error about them, if a second handshake shows it (rule 4)."""
+        """If a certificate's date is the problem, add the server's dates to the error, from a second handshake (rule
+        4).
+        """
         try:
             layer = await self._agree(timeless_context(self._security), _silent_protocol)
         except (OSError, ValueError):
@@ -132,7 +136,9 @@ class TlsConnector:
             raise self._down(error) from error
 
     def _agree_now(self, context: ssl.SSLContext) -> "TlsSocket":
-        """Connect, blocking, and complete the TLS handshake. Raises `TlsFailure`, `OSError`, `ValueError`."""
+        """Connect, blocking, with TLS handshake, and return the socket. Raises `TlsFailure`, `OSError`,
+        `ValueError`.
+        """
         from ..transport.tls.socket import TlsSocket
 
         connection = socket.create_connection((self._host, self._port), self._sockets.connect_timeout, self._local)
@@ -141,7 +147,7 @@ class TlsConnector:
         return TlsSocket(connection, context, server_name=self._server_name, timeout=self._security.handshake_timeout)
 
     def _look_at_date_now(self, failure: TlsFailure) -> TlsFailure:
-        """Add the dates of the server's certificate to an error about them, blocking (as `_look_at_date`)."""
+        """If a certificate's date is the problem, add the server's dates to the error; blocking."""
         try:
             connection = self._agree_now(timeless_context(self._security))
         except (OSError, ValueError):
@@ -165,7 +171,7 @@ class TlsConnector:
         return context
 
     def _look_at_own(self) -> None:
-        """Log a warning if the client's own certificate has expired or expires soon."""
+        """Log a warning if the client's certificate has expired or expires soon."""
         name = self._security.certificate
         if name is None or self._looked_at == self._context.generation:
             return

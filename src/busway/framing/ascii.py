@@ -155,15 +155,15 @@ class AsciiReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """Note that a master has asked ``unit`` and expects a reply with ``function``."""
+        """Prepare for the reply to a request of this master: from ``unit``, with ``function``."""
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:
-        """Note that the master no longer waits for a reply."""
+        """Stop expecting a reply, because the master no longer waits for one."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Note that a frame of this station occupies the line until ``ends``; its echo will be removed."""
+        """Tell the receiver that this station sends a frame until ``ends``, whose echo is to be removed."""
         self._sent_until = ends
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 

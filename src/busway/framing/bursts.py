@@ -38,7 +38,9 @@ class Bursts:
         return self._bursts[-1].began
 
     def add(self, place: int, began: float, each: float) -> None:
-        """Note a read whose first byte has position ``place`` and began at ``began``; ``each``: seconds per byte."""
+        """Record a read of bytes: the first has position ``place`` and began at ``began``; ``each``:
+        seconds per byte.
+        """
         self._bursts.append(_Burst(self._forgotten + place, began, each))
 
     def forget(self, count: int) -> None:

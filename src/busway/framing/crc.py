@@ -89,7 +89,7 @@ def span_check(length: int) -> SpanCheck:
 
 @cache
 def _images(length: int) -> list[int]:
-    """Return what the CRC register becomes after ``length`` zero bytes, for each single bit set at the start."""
+    """Return, for each single bit set in the CRC register, the register's value after ``length`` zero bytes."""
     if length == 0:
         return [1 << bit for bit in range(16)]
     if length > 1:
@@ -107,7 +107,7 @@ def _apply(images: list[int], state: int) -> int:
 
 
 def _combinations(images: list[int]) -> list[int]:
-    """Return what the CRC register becomes for each start value 0…255, combined from that of its bits."""
+    """Return the CRC register for each start value 0…255, combined from the results for its single bits."""
     values = [0]
     for image in images:
         values += [value ^ image for value in values]

@@ -57,7 +57,7 @@ class EchoFilter:
         return self._until if self._held and len(self._held) < len(self._awaited) else None
 
     def sent(self, raw: bytes, ends: float, *, may_be_reply: bool) -> None:
-        """Note that a frame of this station is sent until ``ends``; ``may_be_reply``: its reply may look the same."""
+        """Expect the echo of a frame that is sent until ``ends``; ``may_be_reply``: its reply may look the same."""
         if self.mode is Echo.OFF:
             return
         self._awaited, self._held, self._until = raw, b"", ends + self.window

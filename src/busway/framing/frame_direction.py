@@ -94,7 +94,7 @@ class Conversation:
         return self.role is LineRole.SERVER and unit in self.units
 
     def follow(self, unit: int, code: int, direction: Direction, now: float) -> None:
-        """Note a frame that ended on the line at ``now``, to predict the direction of the next one."""
+        """Take over a frame that ended on the line at ``now``, to predict the direction of the next one."""
         if self.role is LineRole.MASTER:
             return
         if direction is Direction.REPLY or unit == BROADCAST_UNIT or self.is_own(unit):

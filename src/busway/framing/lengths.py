@@ -82,7 +82,7 @@ class FrameLengths:
 
 
 class AskedLengths:
-    """Frame lengths, of requests or replies, that depend on more than one byte; computed for each frame.
+    """Lengths of frames that depend on more than one byte; computed for each frame from its beginning.
 
     Attributes:
         answers: what it said lately, by the first three bytes of the PDU.
@@ -98,7 +98,7 @@ class AskedLengths:
         self._rules: dict[int, LengthRule] = {}
 
     def length(self, data: bytearray, at: int, end: int) -> int:
-        """Return the length of the frame whose PDU starts at ``at``, in the way of `FrameLengths.length`.
+        """Return the length of the frame whose PDU starts at ``at``, as `FrameLengths.length` does.
 
         Three bytes decide for all but the objects of function 43. There the rule is kept instead of the answer: a line
         full of what looks like such replies is asked at every one of them.
@@ -143,7 +143,7 @@ def shape_of(rule: int) -> tuple[int, int] | None:
 
 
 def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
-    """Find the length rule of one function code by asking its class with longer and longer beginnings of a message."""
+    """Find the length rule of a function code by giving its message class longer and longer beginnings."""
     if code & 0x7F == 0:
         return 0
     known = code in functions

@@ -42,7 +42,7 @@ class LostBytes:
             self._raw += data[:room]
 
     def mark(self, reason: Damage, now: float) -> None:
-        """Add an error, such as wrong parity, that the port marked in the received bytes."""
+        """Add an error to the disturbance that the port reported, such as wrong parity."""
         if self._began == _NEVER:
             self._began = now
         self._ended = now
@@ -51,7 +51,7 @@ class LostBytes:
         self.is_marked = True
 
     def report(self) -> Damaged:
-        """Return the whole disturbance as one `Damaged`, and begin anew."""
+        """Return the whole disturbance as one `Damaged`, and forget its bytes."""
         reason = self.reason
         if reason is None:
             reason = Damage.TOO_LONG if self.size > RTU_ADU_LIMIT else Damage.CHECKSUM

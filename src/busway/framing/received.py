@@ -100,16 +100,18 @@ class SerialReceiver(Receiver[Received], Protocol):
     """Interface of the receivers of serial lines: RTU, strict RTU and ASCII."""
 
     def expect(self, unit: int, function: int, size: int) -> None:
-        """Note that a master has asked ``unit`` and expects a reply PDU of ``size`` bytes (or `UNKNOWN_LENGTH`)."""
+        """Prepare for the reply to a request of this master: from ``unit``, ``size`` bytes long (or
+        `UNKNOWN_LENGTH`).
+        """
 
     def expect_nothing(self) -> None:
-        """Note that the master no longer waits for a reply."""
+        """Stop expecting a reply, because the master no longer waits for one."""
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Note that bytes sent by this station occupy the line until ``ends``."""
+        """Tell the receiver that this station sends bytes until ``ends``."""
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Note that the port reported an error at this position of the received bytes (S14)."""
+        """Tell the receiver that the port reported an error at this position of the received bytes (S14)."""
 
     def flush(self, now: float) -> list[Received]:
         """Return what can be decided about unfinished bytes now, as after a long silence."""

@@ -172,7 +172,7 @@ class RtuReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """Note that a master has asked ``unit`` 0…255 and expects a reply with ``function`` 1…127.
+        """Prepare for the reply to a request of this master: from ``unit`` 0…255, with ``function`` 1…127.
 
         ``size`` is the length of its PDU in bytes where the request tells it (`Request.reply_shape`), which is also
         what makes replies of functions with unknown length end at once; otherwise `UNKNOWN_LENGTH`.
@@ -181,18 +181,20 @@ class RtuReceiver:
         self._scan = self._at + 1  # what was rejected was rejected for another reply
 
     def expect_nothing(self) -> None:
-        """Note that the master no longer waits for a reply."""
+        """Stop expecting a reply, because the master no longer waits for one."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Note that bytes of this station are sent until ``ends``: their echo is removed; t3.5 counts from there."""
+        """Tell the receiver that this station sends bytes until ``ends``; their echo is removed, t3.5 counts from
+        there.
+        """
         self._sent_until = ends
         code = raw[1] if len(raw) > 1 else 0
         may_be_reply = self.conversation.role is LineRole.MASTER and self._answers_itself(code)
         self.echo.sent(raw, ends, may_be_reply=may_be_reply)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Note that the port reported an error or lost characters at this position of the received bytes (S14).
+        """Tell the receiver that the port reported an error or lost characters at this position of the bytes (S14).
 
         The frame in progress is discarded; it is reported with the rest of the disturbance. Gives what the silence
         before the mark decided.
@@ -229,7 +231,7 @@ class RtuReceiver:
         return self._at < len(self._buffer) or self._skipping or self._lost.size > 0 or self._lost.is_marked
 
     def _pass_time(self, until: float, found: list[Received]) -> None:
-        """Decide what the silences between received bytes complete, up to the time ``until``."""
+        """Add to ``found`` the frames and damaged bytes that the silences up to ``until`` complete."""
         if self._undecided:
             if not self._quiet and until >= self._last + self.timing.t3_5:
                 self._quiet = True
@@ -294,7 +296,9 @@ class RtuReceiver:
                 self._give_up_beginning(found)
 
     def _look(self, at: int) -> tuple[int, Direction]:
-        """Return the end of the frame at ``at``, or `WAITS` while it may become one, or `DEAD`; and its direction."""
+        """Return the end and direction of the frame at ``at``; `WAITS` while it may become a frame, `DEAD` if it
+        cannot.
+        """
         buffer = self._buffer
         size = len(buffer)
         if size - at < 2:
@@ -325,7 +329,7 @@ class RtuReceiver:
         return span_check(end - at).fits(self._states[at], self._states[end])
 
     def _give_up_beginning(self, found: list[Received]) -> None:
-        """Drop the first of more bytes than a frame can have: no frame begins there."""
+        """Drop the first bytes when there are more than a frame can have: no frame begins there."""
         if self.conversation.role is LineRole.SERVER:
             later = next((place for place in self._silences if place > self._at), None)
             self._lose(len(self._buffer) if later is None else later)
@@ -402,7 +406,7 @@ class RtuReceiver:
         return 0
 
     def _end_of_unknown(self, at: int, size: int) -> int:
-        """Return the first position where the CRC fits, for a function without length rule; 0 if none does."""
+        """Return the first position where the CRC fits, for a function of unknown length; 0 if there is none."""
         if size - at < SHORTEST or self._look(at)[0] == WAITS:
             return 0
         first = self._prefix_end if at == self._at else SHORTEST
@@ -441,7 +445,7 @@ class RtuReceiver:
     # Looking for a frame inside a damaged chunk (rules 5 and 6).
 
     def _search(self, *, at_limit: bool) -> tuple[int, Direction]:
-        """Find the first later position where a frame begins or may begin, and go on there.
+        """Find the first later position where a frame begins or may begin, and move the scan position there.
 
         Gives the frame's end and direction; `WAITS` where it may become one; `DEAD` with ``_scan`` at the end of the
         buffer. ``at_limit``: what is unfinished is rejected too.
@@ -458,7 +462,7 @@ class RtuReceiver:
     # Giving and losing.
 
     def _give(self, end: int, direction: Direction, found: list[Received], *, recovered: bool) -> None:
-        """Report the lost bytes before a frame, then the frame; what follows begins anew."""
+        """Report a frame, and before it the lost bytes in front of it; then look for the next frame."""
         self._report_lost(found)
         raw = bytes(self._buffer[self._at : end])
         ended = self._bursts.ended(end)
@@ -468,7 +472,7 @@ class RtuReceiver:
         self._in_step = True
 
     def _lose(self, end: int) -> None:
-        """Keep the bytes up to ``end``, which are no frame, to report them with the rest of the disturbance."""
+        """Record the bytes up to ``end`` as no frame, to report them with the rest of the disturbance."""
         if end > self._at:
             self._lost.add(self._buffer[self._at : end], self._bursts.began(self._at), self._bursts.ended(end))
             self._move_to(end)

@@ -95,13 +95,13 @@ def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: Fram
 
 
 def _to_end(start: int, size: int, *, at_limit: bool) -> Place:
-    """Return the result if no position fits: the last bytes, too few to decide, may still begin a frame."""
+    """Return the result of a search without a hit: the last bytes, too few to decide, may still begin a frame."""
     place = max(start, size if at_limit else size - SHORTEST + 1)
     return place, DEAD if place == size else WAITS
 
 
 def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
-    """Return where the expected reply and its exception have their length; (0, 0) if that needs more than a look-up."""
+    """Return how the expected reply and its exception tell their length; (0, 0) if that needs more than a look-up."""
     function, exception = due.function, due.function | 0x80
     shapes = {code: shape_of(lengths.replies[code]) for code in (function, exception)}
     if due.size > 0:

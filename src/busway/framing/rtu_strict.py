@@ -129,7 +129,7 @@ class StrictRtuReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """Note that a master has asked ``unit`` and expects a reply with ``function``."""
+        """Prepare for the reply to a request of this master; as `RtuReceiver.expect`."""
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:

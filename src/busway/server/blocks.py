@@ -27,28 +27,30 @@ _UNPACK: Final = tuple(copy.unpack_from for copy in _COPIES)
 
 
 class Run(Protocol):
-    """Registers or bits at consecutive addresses of a device: the memory that Modbus and the application share."""
+    """Interface of registers or bits at consecutive addresses of a device, in memory shared by Modbus and the
+    application.
+    """
 
     @property
     def first(self) -> int:
-        """Address of the first item of the run."""
+        """Address of the first register or bit."""
 
     @property
     def count(self) -> int:
-        """Number of registers or bits that the run has."""
+        """Number of registers or bits."""
 
     @property
     def memory(self) -> "RegisterRun | BitRun":
-        """The run that stores the bytes: this one, or the run of registers that this one shows as bits."""
+        """The object that stores the bytes: this one, or the registers that this one shows as bits."""
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy items out of ``data``: the bytes of this run's ``memory``, or a copy of them in a group of changes."""
+        """Copy items out of ``data``, which is the bytes of ``memory`` or a copy of them."""
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write items into ``data`` in one assignment: the bytes of this run's ``memory``, or a copy of them."""
+        """Write items into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
 
     def get(self, position: int, count: int) -> bytes:
-        """Return the current items of a range as bytes of a reply. ``position`` counts from the run's first item."""
+        """Return a range of items as the bytes of a reply. ``position`` counts from the first item."""
 
     def put(self, position: int, count: int, data: bytes) -> None:
         """Replace the items of a range by bytes of a write; ``position`` as for `get`. Safe from any thread."""
@@ -73,15 +75,15 @@ class RegisterRun:
 
     @property
     def memory(self) -> "RegisterRun":
-        """The run that stores the bytes: for registers always this run itself."""
+        """The object that stores the bytes of these registers: always this one itself."""
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy registers out of ``data``: the bytes of ``memory``, or a copy of them in a group of changes."""
+        """Copy registers out of ``data``, which is the bytes of ``memory`` or a copy of them."""
         return bytes(data[2 * position : 2 * (position + count)])
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write registers into ``data`` in one assignment: the bytes of ``memory``, or a copy of them."""
+        """Write registers into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
         data[2 * position : 2 * (position + count)] = items
 
     def get(self, position: int, count: int) -> bytes:
@@ -128,15 +130,15 @@ class BitRun:
 
     @property
     def memory(self) -> "BitRun":
-        """The run that stores the bytes: for these bits always this run itself."""
+        """The object that stores the bytes of these bits: always this one itself."""
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy bits out of ``data``: the bytes of ``memory``, or a copy of them in a group of changes."""
+        """Copy bits out of ``data``, which is the bytes of ``memory`` or a copy of them."""
         return slice_bits(data, position, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write bits into ``data`` in one assignment: the bytes of ``memory``, or a copy of them."""
+        """Write bits into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
         splice_bits(data, position, count, items)
 
     def get(self, position: int, count: int) -> bytes:
@@ -157,7 +159,7 @@ class BitRun:
 
 
 class RegisterBits:
-    """A run of registers shown as bits: bit ``n`` is bit ``n % 16`` of register ``n // 16``.
+    """Registers shown as bits: bit ``n`` is bit ``n % 16`` of register ``n // 16``.
 
     Bit 0 of a register is its least significant (Application Protocol V1.1b3 §4.3, figure 7: one block for all).
 
@@ -178,12 +180,12 @@ class RegisterBits:
         self._lock = lock
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy bits out of ``data``: the bytes of the registers, or a copy of them in a group of changes."""
+        """Copy bits out of ``data``, which is the bytes of the registers or a copy of them."""
         low, high = self._bytes_of(position, count)
         return slice_bits(_bytes_swapped(data[low:high]), position & 15, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write bits into ``data`` in one assignment: the bytes of the registers, or a copy of them."""
+        """Write bits into ``data``, which is the bytes of the registers or a copy of them, in one assignment."""
         low, high = self._bytes_of(position, count)
         words = _bytes_swapped(data[low:high])
         splice_bits(words, position & 15, count, items)

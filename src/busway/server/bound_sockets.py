@@ -13,7 +13,7 @@ from .listener_settings import ListenerSettings
 
 
 async def listening_sockets(loop: asyncio.AbstractEventLoop, settings: ListenerSettings) -> list[socket.socket]:
-    """Open and bind the sockets of a listener's endpoint, one for each address that its host name stands for.
+    """Open and bind the sockets of a listener's endpoint, one for each address of its host name.
 
     Raises:
         OSError: one cannot be had, or the host is not known; then none is bound.
@@ -36,12 +36,12 @@ def bound_name(scheme: str, bound: socket.socket) -> str:
 
 
 def is_everywhere(url: str) -> bool:
-    """Whether a bound URL means every address of this host, such as ``0.0.0.0``."""
+    """Whether a listener's URL means every address of this host, as ``0.0.0.0`` does."""
     return urlsplit(url).hostname in ("0.0.0.0", "::")
 
 
 def is_loopback(url: str) -> bool:
-    """Whether a bound URL can be reached only by programs of this host."""
+    """Whether only programs on this host can reach a listener's URL."""
     host = urlsplit(url).hostname or ""
     try:
         return ipaddress.ip_address(host.partition("%")[0]).is_loopback

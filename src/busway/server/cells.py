@@ -21,7 +21,7 @@ Ranges = Iterable[tuple[int, int]]
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """A user's declaration of the items of one table, or of the records of one file: values by address, or a count.
+    """A user's declaration of a table's items or a file's records: initial values by address, or just their number.
 
     Args:
         first: address of the first item, 0-based.
@@ -51,7 +51,7 @@ class Piece:
 
     @property
     def end(self) -> int:
-        """The address after the last of these items."""
+        """The address after the last item of this piece."""
         return self.first + len(self.values)
 
 
@@ -64,7 +64,7 @@ class CellLayout:
 
 
 def lay_out(declared: TableLike, *, key: str, bits: bool = False, size: int = TABLE_SIZE) -> CellLayout:
-    """Check the declaration of a table or file and turn it into pieces and read-only ranges.
+    """Check the declaration of a table or file, and turn it into initial values and read-only ranges.
 
     Args:
         declared: the items.
@@ -144,7 +144,7 @@ def _piece(address: int, values: int | Sequence[int], key: str, bits: bool) -> P
 
 
 def _value(address: int, value: object, key: str, bits: bool) -> int:
-    """Return one declared value as ``int``, from any integer or bool type that the user gave."""
+    """Return one declared initial value as ``int``, given as any integer or bool type."""
     try:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError:

@@ -137,7 +137,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         return self._window
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Process received bytes and send the replies, as far as the connection's share of a turn goes."""
+        """Process received bytes and send the replies, up to the connection's share of time."""
         session = self.session
         if session is None:
             return
@@ -155,7 +155,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._look_at_share(session, nbytes)
 
     def _finish(self, session: Session, size: int) -> None:
-        """After ``size`` received bytes were answered: start late replies and timeouts, report failures."""
+        """After received bytes were answered: start late replies and timeouts, report failures of responders."""
         if session.deferred:
             self._start_waiting(session)
         if session.failures:
@@ -213,7 +213,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         return True
 
     def _look_at_share(self, session: Session, nbytes: int) -> None:
-        """Queue the connection for its next turn if it has used its share of the event loop's time."""
+        """Put the connection into the queue for a turn if it has used up its share of the event loop's time."""
         session.spent = 0
         self._management.turns.worked()
         self.is_greedy = bool(session.rest) or nbytes == len(self._window)
@@ -285,7 +285,7 @@ class ServerConnection(asyncio.BufferedProtocol):
                 self._transport.close()
 
     def attend(self) -> None:
-        """Handle what the session has to report without new bytes, such as a frame that ended by silence."""
+        """Handle what the session reports without new bytes, such as a late reply or a frame that silence ended."""
         session = self.session
         if session is not None and session.deferred:
             self._start_waiting(session)
@@ -322,7 +322,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def make_room(self) -> None:
-        """Close the connection because a new connection has got its slot."""
+        """Close the connection, because a new connection gets its slot."""
         self._management.evict(self)
 
     @property
@@ -339,7 +339,7 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     @property
     def is_idle(self) -> bool:
-        """Whether the connection is quiet, so that the idle timeout may close it: no request or reply is pending."""
+        """Whether the idle timeout may close the connection: no request is in progress, no reply unsent."""
         return not (self.is_priority or self.is_busy or self.unfinished or self._management.is_held(self))
 
     @property
@@ -366,7 +366,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     # Inside.
 
     def _limit_receiving(self) -> None:
-        """Receive at most about a second's worth of requests at once if the host has a request rate."""
+        """If the host has a request rate, receive at most about a second's worth of requests at once."""
         rates = self._management.rates
         if rates is not None and not self.is_priority:
             self._is_rated = True

@@ -64,11 +64,11 @@ class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
         """Close the connection at once; unsent replies are lost."""
 
     def make_room(self) -> None:
-        """Close the connection because a new connection has got its slot."""
+        """Close the connection, because a new connection gets its slot."""
 
 
 class HandshakeAcceptor(Protocol):
-    """Interface of what runs a listener's TLS handshakes, as connection management needs it."""
+    """Interface of the object that runs a listener's TLS handshakes, as connection management uses it."""
 
     def end_unauthorized(self) -> int:
         """Abort the handshakes of hosts that may no longer connect; returns their number."""
@@ -146,7 +146,7 @@ class ConnectionManagement:
 
     @property
     def diagnosis(self) -> Diagnosis:
-        """The times of traffic and faults from which the listener's status indicators follow."""
+        """When the listener last had traffic and faults; its status indicators follow from that."""
         return self.listener_context.diagnosis
 
     @property
@@ -197,7 +197,7 @@ class ConnectionManagement:
         return listener_context.session_for(connection, share=REQUESTS_OF_A_TURN)
 
     def evict(self, connection: ManagedConnection) -> None:
-        """Close a connection because a new connection has got its slot."""
+        """Close a connection, because a new connection gets its slot."""
         self.counters.evicted += 1
         self.listener_context.say(
             logging.WARNING,
@@ -223,7 +223,7 @@ class ConnectionManagement:
             _log.info("%s: the connection ended: %s", connection.peer, network_reason(error))
 
     def broken(self, connection: ManagedConnection, reason: str) -> None:
-        """Count and log a connection whose byte stream is no valid sequence of frames."""
+        """Count and log a connection that sent bytes which are no valid sequence of frames."""
         self.counters.broken_streams += 1
         self.listener_context.broken()
         self.listener_context.say(logging.WARNING, connection.host, "%s: closed: %s", connection.peer, reason)
@@ -245,14 +245,14 @@ class ConnectionManagement:
         self._set_timer_by(self._deadlines.frame_begun(connection, now, anew=begun_now), now)
 
     def stuck(self, connection: ManagedConnection) -> None:
-        """Start the write timeout of a connection whose client does not read its replies."""
+        """Start the write timeout of a connection whose client has stopped reading its replies."""
         self.counters.reading_paused += 1
         if not connection.is_priority:
             now = time.monotonic()
             self._set_timer_by(self._deadlines.stuck(connection, now), now)
 
     def taken(self, connection: ManagedConnection) -> None:
-        """Stop the write timeout: the client reads its replies again."""
+        """Stop the write timeout of a connection, because its client reads its replies again."""
         self._deadlines.taken(connection)
 
     def charge(self, connection: ManagedConnection, session: Session) -> None:
@@ -294,7 +294,7 @@ class ConnectionManagement:
             self._timer = None
 
     def _look(self) -> None:
-        """Close connections whose timeout is over, resume paused ones, and set the timer for the next timeout."""
+        """Close connections whose timeout is over, resume paused ones, and set the timer for the next one."""
         self._timer = None
         now = time.monotonic()
         for connection, what in self._deadlines.due(self._connections, now):
@@ -332,7 +332,7 @@ class ConnectionManagement:
         return self.listener_context.status(pools.count, security=security)
 
     def add_living(self, counters: ServerCounters) -> None:
-        """Add the counters of open connections to totals that contain the closed ones already."""
+        """Add the counters of open connections to totals, which contain those of closed ones already."""
         for one in self._connections:
             if one.session is not None:
                 add_living(counters, one, one.session)

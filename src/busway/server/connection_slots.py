@@ -60,7 +60,7 @@ class PoolMember(Protocol):
 
     @property
     def has_ended(self) -> bool:
-        """Whether its client is known to have closed it, with nothing left to read."""
+        """Whether the client is known to have closed the connection, with nothing left to read."""
 
 
 One = TypeVar("One", bound=PoolMember)
@@ -84,7 +84,7 @@ class PoolLimits:
 
     @classmethod
     def of(cls, parameters: ListenerParameters) -> "PoolLimits":
-        """Return the limits of slots that the options of a listener set."""
+        """Return the limits of connection slots that a listener's options set."""
         return cls(
             priority=parameters.max_priority_connections,
             other=parameters.max_connections,
@@ -166,7 +166,9 @@ class Pools(Generic[One]):
         return next(iter(own)) if len(own) >= limit else None
 
     def _silent_one(self, candidate: One) -> One | None:
-        """Return a connection to close first: it never sent a byte, and has ended or outlived `SECONDS_TO_SPEAK`."""
+        """Return a connection to close first: one that never sent a byte and has ended or outlived
+        `SECONDS_TO_SPEAK`.
+        """
         for member in list(islice(self._silent, _LOOKS)):
             if member.received:
                 del self._silent[member]
@@ -202,7 +204,9 @@ class Pools(Generic[One]):
         return found
 
     def _oldest_priority(self, candidate: One) -> One | None:
-        """Return the oldest priority connection in the other pool if that pool has no others to close (rule 4)."""
+        """Return the oldest priority connection in the other pool, if only such ones are there to be
+        closed (rule 4).
+        """
         if not candidate.is_priority:
             return None
         own = (member for member in self._other if member.host == candidate.host)

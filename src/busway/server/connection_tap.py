@@ -38,11 +38,11 @@ class ConnectionTap(Protocol):
     """Observer of a server's opened and closed connections, called in the thread of the server's event loop."""
 
     def connection_opened(self, connection: TappedConnection) -> None:
-        """Note that a connection was admitted, a UDP peer sent its first datagram, or a serial port was opened."""
+        """Called when a connection was admitted, a UDP peer sent its first datagram, or a serial port was opened."""
 
     def connection_closed(self, connection: TappedConnection) -> None:
-        """Note that a connection or port was closed, or a UDP peer was forgotten."""
+        """Called when a connection or port was closed, or a UDP peer was forgotten."""
 
 
 def stay() -> None:
-    """Do nothing where a tap asks to close a UDP peer or serial port, which it cannot (`TappedConnection.close`)."""
+    """Do nothing when asked to close a UDP peer or serial port, which cannot be closed (`TappedConnection.close`)."""

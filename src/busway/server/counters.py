@@ -60,11 +60,11 @@ class ServerCounters:
     other: ClassCounters = field(default_factory=ClassCounters)
 
     def of_class(self, *, is_priority: bool) -> ClassCounters:
-        """Return the counters of priority hosts' connections, or those of all other hosts."""
+        """Return the counters of priority hosts' connections, or those of all other hosts' connections."""
         return self.priority if is_priority else self.other
 
     def take_off(self, counted: "ServerCounters") -> None:
-        """Subtract earlier counts from these, so that only later events remain."""
+        """Subtract the counts of an earlier moment, so that only later events remain."""
         for mine, theirs in ((self, counted), (self.priority, counted.priority), (self.other, counted.other)):
             for one in fields(mine):
                 value = getattr(mine, one.name)

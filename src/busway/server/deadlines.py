@@ -43,7 +43,7 @@ One = TypeVar("One", bound=Timed)
 
 
 class Overdue(Enum):
-    """Which time is over for a connection: its frame, write or idle timeout, or its pause."""
+    """What is over for a connection: its frame, write or idle timeout, or its pause."""
 
     HEADER = "header_timeout"
     FRAME = "frame_timeout"
@@ -71,7 +71,7 @@ class Deadlines(Generic[One]):
     # What happens.
 
     def frame_begun(self, one: One, now: float, *, anew: bool) -> float | None:
-        """Note that a connection holds part of a frame; returns its deadline. ``anew``: the frame is a new one."""
+        """Start the timeout of a partly received frame; returns its deadline. ``anew``: the frame is a new one."""
         since = self._begun[one] = now if anew else self._begun.get(one, now)
         return self._frame_deadline(one, since)
 
@@ -116,7 +116,7 @@ class Deadlines(Generic[One]):
         return min((one for one in times if one is not None), default=None)
 
     def due(self, allow_all: Iterable[One], now: float) -> list[tuple[One, Overdue]]:
-        """Return the connections whose timeout or pause is over at ``now``, each once, with which of them it is."""
+        """Return each connection whose timeout or pause is over at ``now``, and which of them it is."""
         found = [*self._frames(now), *self._writes(now)]
         for one, until in list(self._held.items()):
             if now >= until:

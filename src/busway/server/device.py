@@ -336,7 +336,7 @@ class Device:
         self._exception_status = status_source(status)
 
     def _hook_maker(self, hooks: Hooks, when: str, address: int | None, count: int | None) -> Callable[[Any], Any]:
-        """Return a decorator that adds a function to ``hooks`` and returns it unchanged: of any type, hence Any."""
+        """Return a decorator that adds a function to ``hooks`` and returns it unchanged (of any type, hence Any)."""
         moment = _moment(when)
         first, end = _hooked_range(address, count)
 
@@ -352,7 +352,9 @@ class Device:
 
     @property
     def generation(self) -> int:
-        """A number that changes when a block given by ``plain_block``, or an enabled function, is no longer valid."""
+        """A number that changes when memory got from ``plain_block``, or the set of enabled functions,
+        is out of date.
+        """
         return self._generation
 
     def watch(self, changed: Callable[[], object]) -> None:
@@ -369,9 +371,7 @@ class Device:
                 changed()
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """Return a table's memory for direct access; None if it has several runs, a hook, or read-only items to
-        write.
-        """
+        """Return a table's memory for direct access; None if it is in several pieces, hooked, or partly read-only."""
         store = self._stores[table]
         if len(store.runs) != 1 or (self._write_hooks if writes else self._read_hooks)[table]:
             return None
@@ -381,7 +381,7 @@ class Device:
         return run
 
     def find_run(self, table: Table, address: int, count: int) -> Run | None:
-        """Return the memory that holds a range of items, for applications that change many items by their bytes.
+        """Return the memory that holds a range of items, for applications that change many items as bytes.
 
         It does so as `busway.server.blocks` says: under ``lock``, and by `replace_all`. None unless all items exist.
         """
@@ -537,7 +537,7 @@ def _moment(when: str) -> When:
 
 
 def _hooked_range(address: int | None, count: int | None) -> tuple[int, int]:
-    """Return first address, and address after the last, of the range of a table that a hook is registered for."""
+    """Return the address range of a table that a hook is registered for: first address, and the one after the last."""
     if address is None:
         if count is not None:
             raise ConfigError("a count of items needs their first address", key="address")

@@ -67,7 +67,7 @@ class Groups:
         self._lock = lock
 
     def get(self, run: Run, position: int, count: int) -> bytes:
-        """Return the current items of a range; inside an open group, with the changes of that group."""
+        """Return the current items of a range, including the changes of an open group."""
         group = self._current()
         if group is None:
             return run.get(position, count)
@@ -86,7 +86,7 @@ class Groups:
 
     @contextmanager
     def update(self) -> Iterator[None]:
-        """Open a group of changes; one that is opened inside another of the same device becomes a part of it."""
+        """Open a group of changes that become visible together; one opened inside another joins it."""
         if self._current() is not None:
             yield
             return

@@ -89,7 +89,7 @@ class Hook:
 
 
 class Hooks:
-    """The read hooks or the write hooks of one table. Changes replace the whole tuple, so readers need no lock."""
+    """The read hooks or the write hooks of one table, as a tuple that is replaced whole, so readers need no lock."""
 
     __slots__ = ("_all",)
 
@@ -111,16 +111,14 @@ class Hooks:
         return found
 
     def wanted(self, address: int, count: int) -> tuple[Hook, ...]:
-        """Return the hooks to call for an access to this range, in the order in which they were added."""
+        """Return the hooks to call for an access to this address range, in the order in which they were added."""
         if not self._all:
             return ()
         return tuple(hook for hook in self._all if hook.first < address + count and address < hook.end)
 
 
 def call(hooks: tuple[Hook, ...], when: When, access: Access | Change) -> None:
-    """Call the hooks registered for before or after an access, in order; an exception of one is raised and skips the
-    rest.
-    """
+    """Call the hooks for an access in order, those before or those after it; the first exception is raised."""
     for hook in hooks:
         if hook.when is when:
             hook.function(access)

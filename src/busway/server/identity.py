@@ -46,7 +46,7 @@ def server_id_data(declared: bytes) -> bytes:
 
 
 def status_source(declared: ExceptionStatus) -> Callable[[], int]:
-    """Return a function that gives the status bits of function 07; `ConfigError` for a number outside 0…255."""
+    """Return a function that returns the status bits of function 07; `ConfigError` for a number outside 0…255."""
     if callable(declared):
         return declared
     if isinstance(declared, bool) or not isinstance(declared, int) or not 0 <= declared <= 255:

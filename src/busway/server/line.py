@@ -250,7 +250,7 @@ class SerialListener:
         self._follow(emissions)
 
     def _follow(self, emissions: list[FrameToSend]) -> None:
-        """Do what the session asks for: send replies, await responders, log failures, set the timer."""
+        """Carry out what the session asks for: send replies, await responders, log failures, set the timer."""
         session = self._session
         if emissions:
             # Who sends a second request has given up the first; the session has counted that.
@@ -298,7 +298,7 @@ class SerialListener:
             self._emit()
 
     def _drop_pending(self) -> None:
-        """Discard a reply that was not sent before another station sent something; the session counts it."""
+        """Discard an unsent reply, because another station has sent something; the session counts it."""
         self._pending = None
         if self._emission_alarm is not None:
             self._emission_alarm.cancel()

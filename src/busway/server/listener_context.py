@@ -39,7 +39,7 @@ _log = logging.getLogger("busway.server")
 
 
 class ConnectedPeer(Protocol):
-    """Interface of a connection, or of a peer over UDP, as its listener uses it.
+    """Interface of a connection, or of a UDP peer, as its listener uses it.
 
     Attributes:
         peer: ``host:port``.
@@ -64,7 +64,7 @@ class ConnectedPeer(Protocol):
 
     @property
     def session(self) -> Session | None:
-        """The server session of this connection; None before it begins and after it has ended."""
+        """The server session of this connection; None before it begins and after it ended."""
 
     @property
     def state(self) -> ServedConnectionState:
@@ -84,7 +84,7 @@ class ConnectedPeer(Protocol):
 
 
 class ListenerContext:
-    """State that all connections of one network listener share, whatever their transport.
+    """What all connections of one network listener share: access list, sessions, counters, log.
 
     Attributes:
         loop: the event loop it lives on.
@@ -139,7 +139,7 @@ class ListenerContext:
         self._tapped_connections: dict[ConnectedPeer, TappedConnection] = {}
 
     def bound_as(self, names: Sequence[str]) -> None:
-        """Note the URLs of the bound sockets: access rules may name the listener by them, or as it was configured."""
+        """Store the URLs of the bound sockets: access rules may name the listener by them, or as configured."""
         configured = (self.settings.endpoint.url, self.settings.beside)
         self.listener = names[0]
         self.listener_names = tuple(dict.fromkeys(name for name in (*configured, *names[1:]) if name))
@@ -171,7 +171,7 @@ class ListenerContext:
         return host in self.parameters.priority
 
     def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> Session:
-        """Make the session of a new connection; ``share``: most requests processed in one go, on TCP."""
+        """Create the session of a new connection; ``share``: how many requests it processes in one go, on TCP."""
         client = ClientIdentity(
             connected_peer.peer, self.listener, connected_peer.role, connected_peer.is_priority, self.listener_names
         )
@@ -241,7 +241,7 @@ class ListenerContext:
         report_failures(peer, failures)
 
     def say(self, level: int, about: str, message: str, *arguments: object) -> None:
-        """Log a message at most once a minute for the same ``about``, with the number of those left out."""
+        """Log a message, at most once a minute for the same ``about``; the next line says how many were left out."""
         repeated = self._repeats.again(f"{about} {message}", time.monotonic())
         if repeated is not None:
             _log.log(level, f"{message}%s", *arguments, so_often(repeated))
@@ -249,7 +249,7 @@ class ListenerContext:
     # What is shown.
 
     def connected_peer_status(self, connected_peer: ConnectedPeer, now: float) -> ConnectionStatus:
-        """Return the status of one connection or UDP peer."""
+        """Return the status of one TCP connection or UDP peer of the listener."""
         session = connected_peer.session
         return ConnectionStatus(
             peer=connected_peer.peer,

@@ -110,7 +110,7 @@ class DeviceResponder:
 
 
 def _replaced(device: Device, request: Request) -> Replaced:
-    """Return the values that a write will replace, for each written range; the caller holds the device's lock."""
+    """Return the values that a write will replace, for each range it writes. Call with the device's lock held."""
     if isinstance(request, WriteFileRecord):
         return tuple(device.peek_file(group.file, group.record, group.count) for group in request.groups)
     return tuple(device.peek(span.table, span.address, span.count) for span in request.spans() if span.writes)

@@ -34,7 +34,7 @@ _log = logging.getLogger("busway.server")
 
 @dataclass(slots=True)
 class Opening:
-    """Opens all listeners of a server at its start; holds what they share.
+    """Opens all listeners of a server when it starts; holds what they share.
 
     Attributes:
         loop: the event loop they live on.
@@ -71,7 +71,9 @@ class Opening:
         self.turns = Turns(self.loop)
 
     async def streams(self, settings: ListenerSettings) -> TcpListener | None:
-        """Open a TCP or TLS listener; returns None for an optional one that fails. Raises `OSError`, `ConfigError`."""
+        """Open a TCP or TLS listener; returns None if that fails and the listener is optional. Raises `OSError`,
+        `ConfigError`.
+        """
         limits = settings.limits
         shares = limits.shared_slots and limits is self.limits
         management = ConnectionManagement(

@@ -32,7 +32,7 @@ def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
 def begin_late_answers(
     deferred: Iterable[Deferred], loop: asyncio.AbstractEventLoop, *holders: set[asyncio.Task[None]]
 ) -> None:
-    """Start a task for each reply that a responder gives later; ``holders`` get those that have not ended."""
+    """Start a task for each reply that a responder gives later; ``holders`` keeps the tasks until they end."""
     for one in deferred:
         task = loop.create_task(answer_later(one))
         for holder in holders:
@@ -41,7 +41,7 @@ def begin_late_answers(
 
 
 async def answer_later(deferred: Deferred) -> None:
-    """Await the reply of a responder that needs time, and hand it to the connection."""
+    """Await a responder's late reply and pass it to the connection."""
     context = deferred.context
     try:
         reply: Message = await deferred.awaitable

@@ -87,7 +87,9 @@ class FramedSession:
 
     @property
     def unfinished(self) -> int:
-        """Number of bytes of an incomplete frame; always 0, since the RTU/ASCII receiver discards these itself."""
+        """Number of bytes of an incomplete frame; always 0, because the receiver of RTU or ASCII
+        discards them itself.
+        """
         return 0
 
     @property
@@ -130,7 +132,7 @@ class FramedSession:
         return [one.frame for one in emissions]
 
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
-        """Queue the first ``size`` bytes of ``buffer``, to be processed by `go_on`."""
+        """Queue the first ``size`` bytes of ``buffer`` unprocessed, until `go_on`."""
         self._stop_timer()  # they came before the silence was over
         self._came = time.monotonic()
         self.rest += bytes(memoryview(buffer)[:size])

@@ -156,7 +156,7 @@ class Server:
         self._observers.append(observer)
 
     def use_tap(self, tap: ConnectionTap) -> None:
-        """Register an observer of opened and closed connections. Only while stopped.
+        """Register an observer of opened and closed connections, which can also send on them. Only while stopped.
 
         Raises:
             ConfigError: the server is running.

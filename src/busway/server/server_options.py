@@ -15,7 +15,7 @@ Place = str | Endpoint | Listener
 
 
 def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -> tuple[list[Place], ChosenOptions]:
-    """Return listeners and options after the preset named among the options was applied to them.
+    """Return listeners and options changed by the preset that the options name.
 
     Args:
         places: where the server listens.

@@ -215,7 +215,7 @@ def serve_in_thread(
 
 
 class _Ready:
-    """What the server thread reports when it has started: the running server, or the error that stopped it."""
+    """What the server thread reports at its start: the running server, or the error that stopped it."""
 
     def __init__(self) -> None:
         self.event = threading.Event()

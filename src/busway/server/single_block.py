@@ -22,7 +22,7 @@ from .stores import ItemStore, register_store
 
 @dataclass(frozen=True, slots=True)
 class SingleBlock:
-    """A declaration of one block of registers that several tables of a device show.
+    """A declaration of one block of registers that several tables of a device share.
 
     Args:
         registers: the registers, in one run: a number of them from 0 on, their values, or `Cells`.
@@ -38,7 +38,7 @@ class SingleBlock:
 
 
 def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, ItemStore]:
-    """Return the store of each table that shows the block; `ConfigError` if the block is declared wrongly."""
+    """Return the memory of each table that shares the block; `ConfigError` if the block is declared wrongly."""
     words = register_store(lay_out(block.registers, key="block.registers"), lock)
     if len(words.runs) != 1:
         raise ConfigError(f"a block is one run of registers, not {len(words.runs)}", key="block.registers")

@@ -20,7 +20,7 @@ _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
 def with_standard_port(wanted: Sequence[ListenerSettings], choice: bool | None) -> list[ListenerSettings]:
-    """Return the listeners with those on port 502 added that the option and the rules of this file ask for.
+    """Return the listeners, and those on port 502 that the option ``standard_port`` adds by the rules of this file.
 
     Args:
         wanted: as they were asked for.

@@ -16,7 +16,7 @@ from .cells import CellLayout
 
 
 class ItemStore:
-    """The registers or bits of one table, or the records of one file, of a device.
+    """The memory of one table of a device (registers or bits), or of one file (records), by address.
 
     Args:
         runs: in ascending order, no two adjacent.
@@ -32,7 +32,7 @@ class ItemStore:
         self._firsts = [run.first for run in runs]
 
     def find(self, address: int, count: int) -> Run | None:
-        """Return the run that holds the ``count`` (1 or more) items from ``address`` on; None unless all exist."""
+        """Return the memory of the ``count`` (1 or more) items from ``address`` on; None unless all exist."""
         index = bisect_right(self._firsts, address) - 1
         if index < 0:
             return None

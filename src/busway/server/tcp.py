@@ -111,6 +111,6 @@ class TcpListener:
 
 
 async def settle() -> None:
-    """Wait a few turns of the event loop, so that connections just accepted have reached their listener."""
+    """Let the event loop run a few times, so that connections just accepted have reached their listener."""
     for _ in range(TURNS_TO_SETTLE):
         await asyncio.sleep(0)

@@ -35,7 +35,7 @@ _FIRST_SUBJECT: Final = 0
 
 
 def handshake_acceptor(management: ConnectionManagement, parameters: TlsParameters) -> "TlsHandshakeAcceptor":
-    """Create the TLS handshake acceptor of a listener, which makes the protocol of each new connection.
+    """Create the TLS handshake acceptor of a listener, which creates the protocol of each new connection.
 
     Raises:
         ConfigError: a file cannot be used, or ``cryptography`` is missing.
@@ -118,7 +118,7 @@ class TlsHandshakeAcceptor:
         )
 
     def _look_at_own(self) -> CertificateFacts:
-        """Read the listener's own certificate; log once a day and after changes if it is about to expire."""
+        """Read the listener's certificate; log once a day, and after changes, if it expires soon."""
         context = self._context
         if self._own is None or self._own_of != context.generation:
             assert self._parameters.certificate is not None  # or there would be no context
@@ -173,7 +173,7 @@ class TlsHandshakeAcceptor:
         layer.connection_made(transport)
 
     def _agreed(self, layer: TlsLayer) -> asyncio.BufferedProtocol | None:
-        """After a complete handshake: check the client's certificate, and admit the client."""
+        """Check the client's certificate after a complete handshake, and admit the client."""
         tls = layer.get_extra_info("ssl_object")
         certificate = tls.getpeercert(binary_form=True)
         try:
@@ -230,7 +230,7 @@ class TlsHandshakeAcceptor:
         self._management.listener_context.say(logging.WARNING, about, message, *arguments)
 
     def _gone(self, layer: TlsLayer) -> None:
-        """Forget a refused TLS client whose connection has ended."""
+        """Forget a refused TLS client, because its connection has ended."""
         self._leaving.pop(layer, None)
 
 
@@ -239,7 +239,7 @@ def _host_of(peer: str) -> str:
 
 
 class _PendingHandshake(asyncio.Protocol):
-    """The protocol of an accepted connection until its TLS handshake begins in `connection_made`."""
+    """The asyncio protocol of an accepted connection until its TLS handshake begins in `connection_made`."""
 
     def __init__(self, handshake_acceptor: TlsHandshakeAcceptor) -> None:
         self._acceptor = handshake_acceptor

@@ -22,7 +22,7 @@ _QUEUE_SECONDS: Final = 0.0005
 
 
 class Waiting(Protocol):
-    """Interface of a connection that has requests left for its next turn.
+    """Interface of a connection with unprocessed requests that waits for its next turn on the event loop.
 
     Attributes:
         is_priority: whether it is a priority host's.
@@ -33,11 +33,11 @@ class Waiting(Protocol):
     is_greedy: bool
 
     def take_turn(self) -> bool:
-        """Work for one share of a turn; returns whether work is left for another turn. Raises nothing."""
+        """Process requests for one share of a turn; returns whether some are left. Raises nothing."""
 
 
 class Turns:
-    """The queue of connections on one event loop that wait for their next turn.
+    """The queue of connections that take turns on one event loop, so that none holds up the others.
 
     Attributes:
         is_crowded: whether other connections wait, or the time of this turn is used up.
@@ -60,14 +60,14 @@ class Turns:
         return seconds() < self._until
 
     def worked(self) -> None:
-        """Note that a connection has worked for a considerable time; updates `is_crowded`."""
+        """Record that a connection has worked for a considerable time; updates `is_crowded`."""
         if not self._is_due:
             self._begin()
         elif not self.has_time:
             self.is_crowded = True
 
     def wait(self, one: Waiting) -> None:
-        """Put a connection into the queue for a turn of the event loop, unless it is there."""
+        """Put a connection into the queue for its next turn, unless it is queued."""
         self._row(one).append(one)
         self.is_crowded = True
         if not self._is_due:
@@ -84,7 +84,7 @@ class Turns:
         self._loop.call_soon(self._next_turn)
 
     def _next_turn(self) -> None:
-        """Let the queued connections work, until the time of this turn of the event loop is used up."""
+        """Let the queued connections process requests until the time of this turn is used up."""
         self._is_due = False
         if not self.is_crowded:
             return  # no connection waits
@@ -98,7 +98,9 @@ class Turns:
             self._until = began + TURN_SECONDS
 
     def _work(self, row: deque[Waiting], until: float | None) -> None:
-        """Let each connection of one queue work once, in order, until the time ``until``; the first always works."""
+        """Let each connection of a queue process requests once, in order, until the time ``until``; the first always
+        does.
+        """
         for _ in range(len(row)):
             one = row.popleft()
             if one.take_turn():

@@ -85,7 +85,7 @@ class TypedAccess:
 
 
 def _item_type(where: Address, type: str | ValueType[Any] | None, order: str) -> ValueType[Any] | None:
-    """Return the value type of the values at an address; None if they are plain registers or bits."""
+    """Return the type of the values at an address; None if they are plain registers or bits."""
     if type is None:
         return None
     if where.table is not None and where.table.holds_bits:

@@ -103,7 +103,7 @@ class UdpListener:
         return self.listener_context.status(self._pools.count)
 
     def add_living(self, counters: ServerCounters) -> None:
-        """Add the counters of current peers to totals that contain the forgotten ones already."""
+        """Add the counters of current peers to totals, which contain those of forgotten peers already."""
         for peer in self._peers.values():
             add_living(counters, peer, peer.session)
 
@@ -140,7 +140,7 @@ class UdpListener:
             self.leave(peer)
 
     def leave(self, peer: "_Peer") -> None:
-        """Remove a peer whose slot went to another one."""
+        """Remove a UDP peer, because its slot went to another one."""
         del self._peers[peer.socket, peer.address]
         self._pools.leave(peer)
         peer.close()
@@ -162,7 +162,7 @@ class UdpListener:
         return peer
 
     def _forget_unused(self) -> bool:
-        """Forget an idle priority peer that has a normal slot; returns whether there was one (rule 4 of this file)."""
+        """Forget an idle priority peer in a normal slot; returns whether there was one (rule 4 of this file)."""
         unused = [one for one in self._peers.values() if one.pool is Pool.OTHER and not one.is_busy]
         if not unused:
             return False
@@ -229,7 +229,7 @@ class _Socket(asyncio.DatagramProtocol):
             self._transport.sendto(adu, address)
 
     def ends(self, address: Any) -> SocketAddresses:
-        """Return local and remote address of the exchange with a UDP peer."""
+        """Return the local and remote address of the traffic with a UDP peer."""
         own = None if self._transport is None else self._transport.get_extra_info("sockname")
         return SocketAddresses(own, address, is_datagram=True)
 
@@ -242,7 +242,7 @@ class _Socket(asyncio.DatagramProtocol):
 
 
 class _Peer:
-    """One sender of datagrams and its session; a `busway.server.listener_context.ConnectedPeer`."""
+    """One sender of datagrams to a UDP listener, with its session; a `ConnectedPeer`."""
 
     session: Session
 
@@ -265,7 +265,7 @@ class _Peer:
         self.session = listener_context.session_for(self)
 
     def heard(self, data: bytes, now: float) -> None:
-        """Count and trace a datagram that this peer has sent."""
+        """Count a datagram that this peer has sent, and write it to the trace."""
         self.last_used = now
         self.received += len(data)
         if TRACE.level:

@@ -51,9 +51,9 @@ class AdaptiveTimeout:
         return min(max(FACTOR * self.slowest, self.floor), self.longest)
 
     def answered(self, seconds: float) -> None:
-        """Note that a unit has answered after ``seconds``, so that the timeout follows the replies."""
+        """Adapt the timeout to a unit that answered after ``seconds``."""
         self.slowest = max(self.slowest, seconds)
 
     def late(self) -> None:
-        """Note that a reply came after its timeout, so that the timeout grows (rule 3)."""
+        """Lengthen the timeout because a reply came after it was over (rule 3)."""
         self.was_late = True

@@ -47,7 +47,7 @@ class CallOptions(TypedDict, total=False):
 
 
 class Call:
-    """What an application asks in one go: one or many requests to one unit that complete together.
+    """What an application asks in one go: requests to one unit, one or many, that complete together.
 
     Attributes:
         unit: unit identifier, 0…255.
@@ -150,7 +150,7 @@ def call_for(
     now: float,
     caller: object = None,
 ) -> Call:
-    """Build the `Call` for one use of a unit's method; ``caller`` may be set later, if the call has to queue."""
+    """Create the `Call` for one use of a unit's method; its ``caller`` may be set later."""
     deadline = defaults.deadline
     timeout = defaults.timeout
     retries = defaults.retries
@@ -191,7 +191,7 @@ def _checked(
 
 
 class EncodedRequest:
-    """The bytes of a request to one unit on TCP, and of its expected reply, without the transaction identifiers.
+    """The bytes of a request to one unit on TCP, and of its expected reply, without transaction identifiers.
 
     Attributes:
         unit: the unit identifier.
@@ -219,7 +219,7 @@ class EncodedRequest:
 
 
 def encoded_request(request: Request, unit: int) -> EncodedRequest:
-    """Return the bytes of a request to a unit; made at the first use and kept with the request."""
+    """Return the bytes of a request to a unit, encoded at the first use and then kept with the request."""
     try:
         encoded: EncodedRequest = request.memo
     except AttributeError:
@@ -233,7 +233,7 @@ def encoded_request(request: Request, unit: int) -> EncodedRequest:
 
 
 def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
-    """Return the bytes of a request for one more unit; a request sent to several units keeps a table of them."""
+    """Return the bytes of a request to one more unit; the request then keeps a table of bytes by unit."""
     if known.others is None:
         known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references
     found = known.others.get(unit)
@@ -244,7 +244,7 @@ def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) 
 
 
 class RequestInFlight:
-    """A request that was sent and has no reply yet; the object is reused for later requests (free slot)."""
+    """A request that was sent and whose reply is awaited; such objects are reused from a list of free slots."""
 
     __slots__ = ("call", "encoded", "expires", "position", "sent")
 
@@ -260,7 +260,7 @@ FreeSlots = list[RequestInFlight]
 
 
 def free_slots(count: int) -> FreeSlots:
-    """Make ``count`` free slots for requests in flight, for one session or for all sessions of a client."""
+    """Create ``count`` reusable objects for requests in flight, for one session or all sessions of a client."""
     return [RequestInFlight() for _ in range(count)]
 
 
@@ -328,7 +328,9 @@ def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.St
 
 
 def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
-    """Return the prepared bytes of ``count`` of ``requests`` from ``first`` on, sent together to one unit; cached."""
+    """Return the prepared bytes of ``count`` requests, from the one at ``first`` on, sent together to
+    one unit; cached.
+    """
     encoded = encoded_request(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])
     plan = encoded.plan

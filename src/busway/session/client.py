@@ -56,7 +56,7 @@ plus 1 (sunsynk#680): with a step of 1 that would name another request in flight
 
 
 class TcpClientSession:
-    """What a client knows of one link over TCP: queue, requests in flight, replies. It survives reconnections.
+    """State of one link over TCP on the client: queue, requests in flight, replies. It survives reconnections.
 
     Attributes:
         counters: counters of the link.
@@ -214,7 +214,7 @@ class TcpClientSession:
         self._pending.clear()
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """Fail all waiting calls with the same reason, because no connection could be opened.
+        """End all waiting calls with one error, because no connection could be opened.
 
         With ``keep_repeated`` a call that is about to be repeated waits for the next attempt.
         """
@@ -288,7 +288,7 @@ class TcpClientSession:
         return adus
 
     def _is_doubted(self, call: Call) -> bool:
-        """Whether the unit's circuit breaker is open, or lets only single requests through to try it."""
+        """Whether the unit's circuit breaker blocks requests, or lets only a single one through to try the unit."""
         return self.breakers is not None and self.breakers.state(call.unit) is not BreakerState.CLOSED
 
     def _may_ask(self, now: float, call: Call) -> bool:
@@ -334,7 +334,7 @@ class TcpClientSession:
         return plan.encode(transactions)
 
     def _launch(self, call: Call, position: int, now: float) -> bytes:
-        """Return the frame of one request, which from now on is in flight in a free slot."""
+        """Put one request in flight and return its frame."""
         pending, expired = self._pending, self._expired
         encoded = encoded_request(call.requests[position], call.unit)
         transaction = self._transaction + _STEP & 0xFFFF
@@ -350,13 +350,13 @@ class TcpClientSession:
         return transaction.to_bytes(2, "big") + encoded.tail
 
     def _adaptive_timeout(self, call: Call, now: float) -> float:
-        """Return the seconds to wait for a unit with a circuit breaker: fewer than the timeout for a probe."""
+        """Return the seconds to wait for a reply: for the probe of a suspended unit, fewer than the timeout."""
         assert self.breakers is not None
         usual = self._usual(call.unit)
         return self.breakers.asked(call.unit, now, call.timeout, usual or call.timeout)
 
     def _usual(self, unit: int) -> float:
-        """Return the seconds a unit usually takes to answer; if unknown, those of the slowest other unit, or 0."""
+        """Return the seconds that a unit usually takes to answer; if unknown, those of the slowest unit, or 0."""
         return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
     def _split_batches(self) -> None:
@@ -475,7 +475,7 @@ class TcpClientSession:
         return at
 
     def in_work(self) -> list[Call]:
-        """The calls of several requests of which some were sent and others may still be in the queue.
+        """The calls with several requests of which some were sent and others may still wait.
 
         A call may appear more than once, and single-request calls in flight may appear too.
         """
@@ -523,7 +523,7 @@ class TcpClientSession:
             self._tracker.expire_queue(now, in_flight)
 
     def _timed_out(self, transaction: int, awaited: RequestInFlight, now: float, *, over: bool) -> None:
-        """Handle a request without reply: reserve its identifier, repeat or fail it; ``over``: its deadline passed."""
+        """Handle a request without reply: block its transaction identifier, then repeat or fail the request."""
         self._remember(transaction, awaited.sent)
         kept = self._buffer.kept
         is_given_up = self.breakers is not None and self._unit_is_silent(self.breakers, awaited, now)
@@ -565,7 +565,7 @@ class TcpClientSession:
                 self._tracker.give_up(call, now, reason, in_flight)
 
     def _unit_lives(self, unit: int) -> None:
-        """Close the unit's circuit breaker: it has answered, if only with an exception."""
+        """Close the unit's circuit breaker, because it has answered, if only with an exception."""
         if self.breakers is not None:
             self.breakers.answered(unit)
 
@@ -594,7 +594,7 @@ class TcpClientSession:
     # Replies that do not fit plainly.
 
     def _odd_frame(self, transaction: int, protocol: int, unit: int, adu: bytes, now: float) -> None:
-        """Handle a received frame that is not plainly the reply to a request (Messaging on TCP/IP §4.4.1.4)."""
+        """Handle a received frame that is not clearly the reply to a request (Messaging on TCP/IP §4.4.1.4)."""
         self._split_batches()
         awaited = self._pending.get(transaction)
         if awaited is None:
@@ -738,7 +738,7 @@ class TcpClientSession:
         self._free.append(awaited)
 
     def _remember(self, transaction: int, sent: float) -> None:
-        """Reserve a transaction identifier for as long as its late reply may still come."""
+        """Block a transaction identifier for as long as the late reply to its request may still come."""
         if len(self._expired) >= _EXPIRED_LIMIT:
             del self._expired[next(iter(self._expired))]
         self._expired[transaction] = sent

@@ -67,35 +67,35 @@ class ConnectionLife:
         return self.reconnect.may_dial(now)
 
     def dialled(self, now: float) -> None:
-        """Note that an attempt to connect has begun; call it only after `may_dial` said yes."""
+        """Record that an attempt to connect has begun; call it only if `may_dial` is true."""
         self._move(ConnectionEvent.DIALLED, now)
 
     def connected(self, now: float) -> None:
-        """Note that the connection is open."""
+        """Record that the connection is open, and tell the session."""
         self.failure = None
         self._asked_before = self._conversation.counters.requests
         self._move(ConnectionEvent.CONNECTED, now)
         self._conversation.connected(now)
 
     def failed(self, now: float, failure: LinkDown) -> None:
-        """Note that an attempt to connect failed; every call that waited for it fails too."""
+        """Record that an attempt to connect failed; every call that waited for it fails too."""
         self.failure = failure
         self._move(ConnectionEvent.FAILED, now, failure.message)
         self._conversation.unreachable(now, failure)
 
     def interrupted(self, now: float) -> None:
-        """Note that an attempt to connect was cancelled: waiting calls keep waiting, as the peer may be well."""
+        """Record that an attempt to connect was cancelled, not failed: waiting calls keep waiting."""
         self._move(ConnectionEvent.FAILED, now, "interrupted")
 
     # While it is open.
 
     def replied(self, now: float) -> None:
-        """Note that bytes have come in a state other than up; a valid reply among them makes the state up."""
+        """Record that bytes were received; a valid reply among them makes the state of the connection "up"."""
         if self._conversation.valid_reply:
             self._move(ConnectionEvent.VALID_REPLY, now)
 
     def tick(self, now: float) -> bool:
-        """Let the session end requests whose timeout is over. Returns whether there were any."""
+        """End requests whose timeout is over. Returns whether there were any."""
         counters = self._conversation.counters
         timeouts = counters.timeouts
         self._conversation.tick(now)
@@ -113,7 +113,7 @@ class ConnectionLife:
     # How it ends.
 
     def lost(self, now: float, reason: str) -> None:
-        """Note that the connection ended; after repeated failures only calls about to be repeated go on waiting."""
+        """Record that the connection ended; after repeated failures only calls about to be repeated go on waiting."""
         conversation = self._conversation
         if conversation.has_calls or conversation.counters.requests != self._asked_before:
             self._move(ConnectionEvent.LOST, now, reason, had_reply=conversation.valid_reply)
@@ -126,18 +126,18 @@ class ConnectionLife:
             conversation.unreachable(now, self.failure, keep_repeated=True)
 
     def released(self, now: float, reason: str) -> None:
-        """Note that the connection was closed because it was not needed any more."""
+        """Record that the connection was closed because no call needed it."""
         self._move(ConnectionEvent.RELEASED, now, reason)
         self._conversation.disconnected(now, reason, lost=False)
 
     def ended(self, now: float) -> None:
-        """Note that the link was closed for good: waiting calls fail."""
+        """Fail all waiting calls, because the link was closed for good."""
         self._conversation.unreachable(now, LinkDown("the link was closed"))
 
     # What calls are told.
 
     def refusal(self, now: float, unit: int | None = None) -> LinkDown | None:
-        """Return the error of a call that needs a connection while none may be tried; None if the call may wait."""
+        """Return the error for a call while no attempt to connect may be made; None if the call may wait."""
         if self.closed:
             return LinkClosed("the link is closed", endpoint=self.endpoint, unit=unit)
         failure = self.failure
@@ -154,7 +154,7 @@ class ConnectionLife:
 
     @property
     def down_because(self) -> str:
-        """Say why the last attempt to connect failed; empty while connected and before the first attempt."""
+        """Return why the last attempt to connect failed; empty while connected and before the first attempt."""
         return "" if self.failure is None else self.failure.message
 
     def _move(self, event: ConnectionEvent, now: float, reason: str = "", *, had_reply: bool = False) -> None:

@@ -194,7 +194,7 @@ class LineDiagnostics:
         return bool(self.listen_only_units)
 
     def received_foreign(self) -> None:
-        """Count a whole message on the line that was for a unit of another device."""
+        """Count a complete message on the line that was addressed to another device."""
         self.heard.messages += 1
 
     def received_broadcast(self, units: Iterable[int]) -> None:
@@ -218,7 +218,7 @@ class LineDiagnostics:
             state.log_received(event)
 
     def fold(self) -> None:
-        """Add the exchanges noted in `exchanged`, `arrived` and `departed` to the counters and logs of the units."""
+        """Add the exchanges in `exchanged`, `arrived` and `departed` to the counters and logs of the units."""
         if not (self.exchanged or self.arrived or self.departed):
             return
         exchanged, arrived, departed = self.exchanged, self.arrived, self.departed
@@ -230,7 +230,7 @@ class LineDiagnostics:
             self.of(unit).take_many(exchanged[unit], arrived[unit], departed[unit])
 
     def _distinct(self) -> list["CommunicationState"]:
-        """Return the diagnostic states of all devices, each once; a device with several units has one state."""
+        """Return the diagnostic state of each device once, also of one that answers for several units."""
         return [state for unit, state in list(self._states.items()) if unit == state.unit]
 
 
@@ -357,7 +357,7 @@ class CommunicationState:
     # What the conversation reports.
 
     def received(self) -> None:
-        """Count a whole message that was for this unit alone."""
+        """Count a complete message that was addressed to this unit alone."""
         line = self.line
         if line.exchanged or line.arrived or line.departed:
             line.fold()
@@ -402,7 +402,7 @@ class CommunicationState:
             self.own.bus_exception_error_count += 1
 
     def kept_silent(self, *, executed: bool = False, write_failed: bool = False) -> None:
-        """Count a message to this unit that gets no reply.
+        """Count a message to this unit that is not answered.
 
         ``executed``: it was a broadcast, and is done. ``write_failed``: the port did not take the answer.
         """
@@ -413,7 +413,7 @@ class CommunicationState:
         self._finish(_SENT | SendEvent.WRITE_TIMEOUT if write_failed else _SENT)
 
     def take_many(self, exchanged: int, arrived: int, departed: int) -> None:
-        """Count and log what was noted for this unit in `exchanged`, `arrived` and `departed` of `LineDiagnostics`."""
+        """Count and log the exchanges of this unit in `LineDiagnostics.exchanged`, `arrived` and `departed`."""
         self.own.server_message_count += exchanged + arrived
         self._event_count += exchanged + departed
         log = self._log
@@ -422,7 +422,7 @@ class CommunicationState:
         log.extendleft(_PLAIN_EXCHANGE[:1] * min(departed, EVENT_LOG_SIZE))
 
     def _finish(self, event: int) -> None:
-        """Log the end of a message, and carry out a restart that the message has requested."""
+        """Log the end of a message in the event log, and carry out the restart that it may have requested."""
         self._log.appendleft(event | _SENT_MUTED if self.unit in self.line.listen_only_units else event)
         if self._restart_clears_log is not None:
             self.restart(clear_log=self._restart_clears_log)
@@ -436,7 +436,7 @@ class CommunicationState:
 
 
 def _with_heard(own: Counters, heard: HeardCounters, before: HeardCounters) -> Counters:
-    """Return a unit's own counters with what its line has heard since ``before`` added."""
+    """Return a unit's own counters plus what its line has heard since ``before``."""
     return replace(
         own,
         bus_message_count=heard.messages - before.messages,

@@ -68,12 +68,12 @@ class ForwardPlan:
         return b"\0\0\0\3" + self.head[4:5] + bytes((self.head[5] | 0x80, code))
 
     def whole(self, replies: Sequence[Message]) -> Message:
-        """Return the client's reply from the reply of the only request: a read on this path is not split."""
+        """Return the client's reply, given the reply to the one request that was forwarded for it."""
         return replies[0]
 
 
 class ForwardPlans:
-    """Cache that says how known reads are forwarded, by the ten bytes after the transaction identifier.
+    """Cache of how known reads are forwarded, by the ten bytes after the transaction identifier.
 
     Attributes:
         known: plans of the reads that are forwarded.
@@ -131,7 +131,7 @@ class ReadObserver(Protocol):
 
 @runtime_checkable
 class ReadForwarder(Protocol):
-    """A gateway's responder, which can forward reads together instead of one by one."""
+    """Interface of a gateway's responder that can forward several reads together."""
 
     def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
         """Return how a read is forwarded; None if the read has to take the generic path."""
@@ -139,7 +139,7 @@ class ReadForwarder(Protocol):
 
 @lru_cache(maxsize=64)
 def _shape(count: int) -> Struct:
-    """Return the `struct` layout of ``count`` reads in a row: the transaction identifier and the rest of each."""
+    """Return the `struct` layout of ``count`` consecutive reads: transaction identifier and remaining bytes of each."""
     return Struct("2s10s" * count)
 
 
@@ -194,7 +194,9 @@ class ForwardedReads:
         self.batches: dict[Any, None] = {}  # Any: batches are the gateway's
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
-        """Forward the known reads in ``buffer`` from ``at`` on, while slots are free. Returns where the rest begins."""
+        """Forward the reads in ``buffer`` from ``at`` on whose plan is cached, while slots are free. Returns where they
+        end.
+        """
         slots = self._slots
         count = min((size - at) // READ_SIZE, slots.limit - slots.used)
         if count <= 0:
@@ -244,7 +246,7 @@ class ForwardedReads:
             yield plan
 
     def _ask_each(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan]) -> None:
-        """Forward reads to several upstream units, those of each unit in one go."""
+        """Forward reads to several upstream units, those for one unit together."""
         by_target: dict[ForwardingTarget, tuple[list[bytes], list[ForwardPlan]]] = {}
         for transaction, plan in zip(transactions, plans, strict=True):
             those = by_target.setdefault(plan.target, ([], []))

@@ -88,11 +88,11 @@ class OwedReply:
     times: int = 1
 
     def may_be(self, pdu: bytes) -> bool:
-        """Whether a received PDU could be the reply to this request."""
+        """Whether a received PDU could be the late reply to this request."""
         return may_answer(self.request, pdu)
 
     def is_of(self, call: object, position: int) -> bool:
-        """Whether this request was an earlier attempt of the request at ``position`` of ``call``."""
+        """Whether this request was an earlier attempt at the request at ``position`` of ``call``."""
         return self.call is call and self.position == position and call is not None
 
 
@@ -129,7 +129,9 @@ class UnitDoubt:
     # Owed replies.
 
     def owe(self, reply: OwedReply) -> None:
-        """Note a request that got no reply in time, or before the connection ended."""
+        """Record a request that got no reply in time, or before the connection ended, as one that may
+        get a late reply.
+        """
         self.pending = [one for one in self.pending if one.until > reply.sent]
         if len(self.pending) >= OWED_LIMIT:
             self.pending.remove(min(self.pending, key=lambda one: one.until))
@@ -144,7 +146,7 @@ class UnitDoubt:
         self.owed.append(reply)
 
     def is_older(self, pdu: bytes) -> bool:
-        """Whether a received PDU must be taken for one of the late replies that are only counted, in ``older``.
+        """Whether a received PDU must be one of the late replies of which only the number is known (``older``).
 
         A reply to 08/00 is not: its number identifies its request.
         """
@@ -152,18 +154,18 @@ class UnitDoubt:
         return function in self.older and pdu[0] != ReturnQueryData.code
 
     def older_came(self, pdu: bytes) -> None:
-        """Take a late reply off those that are only counted; the earliest is assumed, so no doubt ends too early."""
+        """Count one late reply less in ``older``; the earliest is assumed, so that waiting never ends too early."""
         function = pdu[0] & ~_EXCEPTION
         self.older[function] -= 1
         if not self.older[function]:
             del self.older[function]
 
     def candidates(self, pdu: bytes) -> list[OwedReply]:
-        """Return the owed replies that a received PDU could be, the earliest first, for which it is taken (rule 2)."""
+        """Return the requests whose late reply a received PDU could be; it counts for the earliest (rule 2)."""
         return [owed for owed in self.owed if owed.may_be(pdu)]
 
     def came(self, reply: OwedReply) -> None:
-        """Note that an owed reply has come; requests sent before it get no reply any more."""
+        """Record that a late reply has come; requests sent before its own get no reply any more."""
         index = self.owed.index(reply)
         if reply.times > 1:
             self.owed[index] = replace(reply, times=reply.times - 1)
@@ -174,14 +176,14 @@ class UnitDoubt:
         self._count(reply.function)
 
     def _count(self, function: int) -> None:
-        """Take a reply with this function code off the replies that time must exclude (rule 5)."""
+        """Count one late reply with this function code less among those that only time can exclude (rule 5)."""
         for index, owed in enumerate(self.pending):
             if owed.function == function:
                 del self.pending[index]
                 return
 
     def answered(self, request: Request) -> None:
-        """Forget all owed replies: the request in flight got a reply that none of them could be (rule 2)."""
+        """Forget all late replies of the unit: the reply that just came proves that none is left (rule 2)."""
         self.owed.clear()
         self.older.clear()
         if request.wire[0] != self.unasked:
@@ -217,7 +219,7 @@ class UnitDoubt:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the unit owes no reply and no waiting time for late replies is running."""
+        """Whether no late reply of the unit can come and no waiting time for one is running."""
         return not self.is_owed and not self.pending
 
     # Markers.
@@ -249,7 +251,7 @@ class UnitDoubt:
         return None if taken else request
 
     def _read_of_other_length(self) -> Request | None:
-        """Return a marker: a part of the last good read, short enough that no late reply could be its answer."""
+        """Return a marker: a read so short that no late reply could be taken for its answer."""
         good = self.good
         if good is None or good.wire[0] in self.older:
             return None
@@ -263,24 +265,24 @@ class UnitDoubt:
         return None
 
     def marked(self, kind: MarkerKind) -> None:
-        """Note that the unit answered a marker of this kind, so that it is tried first next time."""
+        """Record that the unit answers a kind of marker, so that this kind is tried first next time."""
         self.works = kind
         self.silent.discard(kind)
         self.unasked = None
         self.alike = 0
 
     def not_marked(self, kind: MarkerKind) -> None:
-        """Note that the unit did not answer a marker of this kind."""
+        """Record that the unit did not answer a kind of marker."""
         self.silent.add(kind)
 
     def revived(self) -> None:
-        """Allow all kinds of markers again, because a unit that had stopped answering answers."""
+        """Allow all kinds of markers again, because a unit that was silent answers."""
         self.silent.clear()
 
     # Replies in time.
 
     def heard(self, request: Request, *, is_exception: bool) -> None:
-        """Note a reply that came in time, and count replies of the same shape in a row (rule 7)."""
+        """Count replies in time that have the same shape as the one before (rule 7)."""
         last, self.last = self.last, request
         if request is last or (
             last is not None and self._is_alike(request, last, is_exception=is_exception)
@@ -335,14 +337,14 @@ class Doubts:
         self._number = 0
 
     def of(self, unit: int) -> UnitDoubt:
-        """Return the late replies of one unit, an empty record at the first use."""
+        """Return the record of late replies of one unit, created empty at the first use."""
         found = self.units.get(unit)
         if found is None:
             found = self.units[unit] = UnitDoubt()
         return found
 
     def marker(self, unit: int, *, is_check: bool = False) -> Marker | None:
-        """Return the next marker request to try for a unit, or None (`UnitDoubt.marker`)."""
+        """Return the next marker request (see `Marker`) for a unit; None if there is none to try."""
         self._number = (self._number + 1) & 0xFFFF
         return self.of(unit).marker(self._number, is_check=is_check)
 
@@ -352,7 +354,7 @@ class Doubts:
 
     @property
     def is_owed(self) -> bool:
-        """Whether late replies may still come that a later link to the same endpoint must know of."""
+        """Whether late replies may still come that the next link to the same endpoint must know of."""
         return any(not doubt.is_empty for doubt in self.units.values())
 
     def add(self, other: "Doubts") -> None:

@@ -22,7 +22,7 @@ from ..pdu.functions import STANDARD, FunctionTable
 
 
 class LineFraming:
-    """What one station uses to speak RTU or ASCII: receiver, encoder and silent times. Made by `line_framing`.
+    """How one station speaks RTU or ASCII: receiver, encoder and silent times. Created by `line_framing`.
 
     Attributes:
         receiver: finds the frames.

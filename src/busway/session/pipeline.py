@@ -57,11 +57,11 @@ class ClientRights(Protocol):
 
 
 class Authorizer(Protocol):
-    """Interface of what decides which requests a server executes."""
+    """Interface of the object that decides which requests a server executes."""
 
     @property
     def generation(self) -> int:
-        """A number that changes when earlier decisions, or results of `rights_of`, are no longer right."""
+        """A number that changes when earlier decisions, or results of `rights_of`, are no longer valid."""
 
     def rights_of(self, client: ClientIdentity) -> ClientRights:
         """Return what the access rules permit to a client."""
@@ -96,7 +96,7 @@ class ResponderFailure:
 
 
 class RequestPipeline:
-    """The way of a listener's requests: asks the authorizer, then the responder, and tells the observers.
+    """The processing of every request of a listener: authorizer, then responder; observers see the outcome.
 
     Args:
         responder: answers permitted requests.
@@ -128,7 +128,7 @@ class RequestPipeline:
 
     @property
     def generation(self) -> int:
-        """A number that changes when functions compiled for the fast path are no longer right."""
+        """A number that changes when functions compiled for the fast path are no longer valid."""
         authorizer = self.authorizer
         return self.responder.generation if authorizer is None else self.responder.generation + authorizer.generation
 
@@ -176,19 +176,19 @@ class RequestPipeline:
         return outcome
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], began: float) -> None:
-        """Tell the observers of replies that the fast path has given since the time ``began``."""
+        """Report to the observers replies that the fast path gave, to requests that arrived at ``began``."""
         seconds = self.clock() - began
         for observer in self.observers:
             observer.answered(client, replies, seconds)
 
     def forwarded(self, client: ClientIdentity, replies: Sequence[bytes], began: float) -> None:
-        """Tell the observers of replies to forwarded reads, each of which has waited since ``began``."""
+        """Report to the observers replies to forwarded reads, each of which arrived at ``began``."""
         seconds = (self.clock() - began) * len(replies)
         for observer in self.observers:
             observer.answered(client, replies, seconds)
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Tell the observers of forwarded reads whose client disconnected before their replies."""
+        """Report to the observers forwarded reads whose client disconnected before their replies."""
         for observer in self.observers:
             observer.unanswered(client, requests)
 
@@ -233,7 +233,9 @@ class FastPath:
         return kind.direct(served.device) if self._rights is None else self._rights.bind(unit, served, kind)
 
     def learn_read(self, adu: bytes) -> bool:
-        """Keep the bytes of a read that was just answered, to recognise it. Returns whether there is room for more."""
+        """Store the bytes of a read just answered, to recognise it next time. Returns whether there is
+        room for more.
+        """
         unit, pdu = adu[6], adu[7:]
         served, kind = self._direct(unit, pdu[0])
         if served is not None and served.device is not None and kind is not None:

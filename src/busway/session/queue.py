@@ -68,7 +68,7 @@ class _Caller:
         return chosen
 
     def has_served(self, unit: int) -> None:
-        """Note that a request went to this unit, so that other units come before it, if units are served in turn."""
+        """Record that a request to this unit was sent, so that other units come before it, if units take turns."""
         served = self.served
         if served is not None and len(self.units) > 1:
             served.pop(unit, None)
@@ -84,7 +84,7 @@ class _Caller:
 
 
 class _Round:
-    """The callers of a queue in the order in which they may send next."""
+    """A circular list of the callers of a queue: the order in which they may send."""
 
     __slots__ = ("callers", "last")
 
@@ -190,14 +190,16 @@ class RequestQueue:
         self.waiting += call.places
 
     def share(self, room: int) -> int:
-        """Return how many of ``room`` free slots a caller may use in its turn: the burst, or its share if larger."""
+        """Return how many of ``room`` free slots a caller may use in one turn: ``burst``, or its fair
+        share if larger.
+        """
         callers = len(self._callers)
         if callers == 1:
             return room
         return 1 if self.burst == 1 else max(self.burst, room // callers)
 
     def sent(self, call: Call, count: int) -> None:
-        """Note that ``count`` requests of a picked call were sent; a call without further requests leaves the queue."""
+        """Count ``count`` requests of a picked call as sent; a call with none left leaves the queue."""
         if not call.has_more:
             self.remove(call)
             return
@@ -208,7 +210,7 @@ class RequestQueue:
             self.waiting -= freed
 
     def pick_same(self, eligible: Eligible | None = None) -> Call | None:
-        """Return another call of the caller picked last, within the same turn; None if it has no more."""
+        """Return another call of the caller that was picked last, for the same turn; None if it has none."""
         caller = self._last
         if caller is None or not caller.calls:
             return None
@@ -243,7 +245,7 @@ class RequestQueue:
         return None
 
     def take_turn(self, call: Call) -> None:
-        """End the turn of the caller of a call: it, and those before it, go to the end of the round."""
+        """End the turn of the caller of this call: it goes, with those before it, to the end of the round."""
         caller = self._last = self._callers[call.caller]
         round_ = caller.round
         round_.last = caller
@@ -263,7 +265,7 @@ class RequestQueue:
         return self._priority, self._others
 
     def remove(self, call: Call) -> bool:
-        """Remove a call that needs nothing more sent, or was given up. Returns whether it was queued."""
+        """Remove a call that was cancelled or has nothing more to send. Returns whether it was queued."""
         caller = self._callers.get(call.caller)
         if caller is None:
             return False

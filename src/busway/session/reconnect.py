@@ -109,7 +109,7 @@ class Reconnect:
 
     @property
     def is_flapping(self) -> bool:
-        """Whether several attempts in a row have failed, so that calls fail at once instead of waiting for the next."""
+        """Whether several attempts to connect failed in a row, so that calls fail at once instead of waiting."""
         return self.state is ConnectionState.BACKING_OFF and self.failures > 1
 
     def may_dial(self, now: float) -> bool:
@@ -120,7 +120,9 @@ class Reconnect:
 
 
 def _news(event: ConnectionEvent, reason: str, failed: int, state: ConnectionState, *, new_state: bool) -> str:
-    """Return the log message about a connection event, after ``failed`` attempts without valid reply; or empty."""
+    """Return the log message for a connection event; empty if it needs none. ``failed``: attempts
+    without valid reply.
+    """
     if event is ConnectionEvent.VALID_REPLY:
         if failed:
             return f"up: it answers again, after {failed} {'attempt' if failed == 1 else 'attempts'} without a reply"

@@ -176,7 +176,7 @@ class RequestContext:
                 judged.check(values)
 
     def inside(self, finish: Callable[["RequestContext", Message | Deferral], None]) -> "RequestContext":
-        """Return a context for a responder that another one wraps; its late reply goes to ``finish``."""
+        """Return a context for a responder inside another one; its late reply is given to the function ``finish``."""
         made = RequestContext(
             unit=self.unit,
             function=self.function,
@@ -206,7 +206,7 @@ class RequestContext:
         self.reply(ExceptionResponse(self.function, code))
 
     def abandon(self) -> None:
-        """Note that the client disconnected or gave up: no reply can be given, and the responder may stop working."""
+        """Mark the request as abandoned by its client: no reply can be given, and the responder may stop working."""
         self._finish = None
         self.end(None)
         gone, self.gone = self.gone, None
@@ -214,28 +214,28 @@ class RequestContext:
             gone()
 
     def watch(self, ended: Callable[[Message | Deferral | None], None]) -> None:
-        """Have ``ended`` called once with the outcome: the reply, `SILENCE`, or None if the client leaves before it."""
+        """Register a function called once with the outcome: reply, `SILENCE`, or None if the client leaves before."""
         self._watchers = (*self._watchers, ended)
 
     def end(self, outcome: Message | Deferral | None) -> None:
-        """Tell those who watch this request its outcome, unless they were told before."""
+        """Report the outcome of this request to its watchers, unless that was done before."""
         watchers, self._watchers = self._watchers, ()
         for ended in watchers:
             ended(outcome)
 
 
 class ForwardingTarget(Protocol):
-    """Interface of a unit of another server that requests are forwarded to."""
+    """Interface of a unit on another server to which requests are forwarded."""
 
     def ask(self, asker: Any, tags: Sequence[Any], asked: Sequence[Any]) -> None:  # Any: of `Forwarding`, or of reads
-        """Forward a request. ``asker`` gets its answer, perhaps before this method returns."""
+        """Forward a request. ``asker`` gets the answer, possibly before this method returns."""
 
 
 class ForwardedMessage(Protocol):
-    """A request in the form in which it goes to another server, and the way back for its reply."""
+    """A request as it is sent to another server, with the translation of its reply for the client."""
 
     def of_data(self, data: bytes) -> Message:
-        """Return the client's reply to a read from the data that the other server sent."""
+        """Return the client's reply to a read, built from the data that the other server sent."""
 
     def client_reply(self, reply: Message) -> Message:
         """Return the client's reply, translated from the other server's reply."""
@@ -289,7 +289,7 @@ class Forwarding:
         self._answered(ExceptionResponse(self._context.function, code))
 
     def send(self) -> None:
-        """Do nothing: the answer of a single request is sent when it is given."""
+        """Do nothing: the answer to a single request was sent when it was given."""
 
     def _answered(self, reply: Message) -> None:
         if self._reply is None:
@@ -341,7 +341,7 @@ class ServedUnit:
 
 
 class Responder(Protocol):
-    """Interface of what answers the requests of a server: devices, or a gateway."""
+    """Interface of the object that answers a server's requests: devices, or a gateway."""
 
     @property
     def functions(self) -> FunctionTable:
@@ -359,7 +359,7 @@ class Responder(Protocol):
 
 
 class SerialUnits:
-    """The units 1…247 for which a responder answers on a serial line, as a live view of those configured."""
+    """The units 1…247 for which a responder answers on a serial line; follows changes of its configuration."""
 
     def __init__(self, responder: Responder) -> None:
         self._responder = responder

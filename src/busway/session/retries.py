@@ -76,7 +76,7 @@ class CallTracker:
         self.begin(call, now)
 
     def begin(self, call: Call, now: float) -> None:
-        """Keep track of a call that is sent at once, without entering the queue."""
+        """Track a call that is sent at once, without entering the queue."""
         call.submitted = now
         if call.deadline is not None:
             self.deadlines += 1
@@ -105,7 +105,7 @@ class CallTracker:
                 self._given_up(call, position, reason(), now)
 
     def suspended(self, call: Call, pause: float, timeouts: int) -> UnitSuspended:
-        """Return the error, and count it, of a request to a unit whose circuit breaker is open.
+        """Return the error of a request to a unit whose circuit breaker is open, and count it.
 
         Args:
             call: the call of the request.
@@ -122,7 +122,7 @@ class CallTracker:
         )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """Fail every waiting call with the same reason, because no connection could be opened.
+        """End every waiting call with the same error, because no connection could be opened.
 
         With ``keep_repeated`` a call that is about to be repeated stays in the queue.
         """
@@ -215,7 +215,7 @@ class CallTracker:
         self.conclude(call, position, self.placed(unknown, call, position, now))
 
     def placed(self, error: ModbusError, call: Call, position: int, now: float) -> ModbusError:
-        """Return an error with endpoint, unit, function, address, attempt and elapsed time filled in."""
+        """Return an error completed with endpoint, unit, function, address, attempt and elapsed time."""
         request = call.requests[position]
         spans = request.spans()
         return error.at(

@@ -64,7 +64,7 @@ class MasterState(Enum):
 
 @dataclass(slots=True)
 class _RequestInFlight:
-    """The request whose reply the line waits for. ``call`` is None if it was cancelled, or is a ``marker``."""
+    """The request whose reply the master awaits. ``call`` is None if it was cancelled, or is a ``marker``."""
 
     call: Call | None
     request: Request
@@ -86,7 +86,7 @@ class _RequestInFlight:
 
 
 class SerialClientSession:
-    """What a client knows of one serial line: queue, request in flight, late replies. It survives reopening the port.
+    """State of one serial line on the client: queue, request in flight, late replies. It survives reopening the port.
 
     Attributes:
         counters, finished, recycle, valid_reply: as in `TcpClientSession`.
@@ -301,21 +301,21 @@ class SerialClientSession:
             )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """Fail all waiting calls with the same reason, because the port could not be opened.
+        """End all waiting calls with one error, because the port could not be opened.
 
         With ``keep_repeated`` a call that is about to be repeated waits for the next attempt.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
     def written(self, until: float) -> None:
-        """Note that the frame from `transmit` was given to the port; its last character leaves at ``until``."""
+        """Record that a frame was given to the port; its last character leaves at ``until``."""
         awaited = self._awaited
         if awaited is not None and until > awaited.sent:
             self._leaves_later(awaited, until)
             self._receiver.sent(awaited.frame, until)
 
     def still_sending(self, until: float) -> None:
-        """Note that the port still holds characters of the frame; the last leaves at ``until`` or later."""
+        """Record that the port still holds characters of the frame; the last leaves at ``until`` or later."""
         if self._awaited is not None and until > self._awaited.sent:
             self._leaves_later(self._awaited, until)
 
@@ -375,7 +375,7 @@ class SerialClientSession:
         return (is_clear and not self._not_asked_before) or self._askable_at(call, now) <= now
 
     def _waits_for_counting(self, doubt: UnitDoubt, call: Call) -> bool:
-        """Whether a read must wait while a repeated read of another call shows how many replies the unit owes."""
+        """Whether a read must wait: a repeated read of another call is counting the unit's late replies."""
         if doubt.counting is None or doubt.counting.ended:
             doubt.counting = None
             return False
@@ -383,7 +383,7 @@ class SerialClientSession:
         return not request.is_write and self._is_in_doubt(doubt, call)
 
     def _askable_at(self, call: Call, now: float) -> float:
-        """Return the earliest time to send to a call's unit, which may still be sending a late reply."""
+        """Return the earliest time to send a request of this call, as its unit may still send a late reply."""
         at = self._not_asked_before.get(call.unit, now)
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not doubt.pending or self._serial.trust_reply_order:
@@ -512,7 +512,7 @@ class SerialClientSession:
         return frame.began < awaited.sent + framing.send_gap - framing.timing.character / 10
 
     def _of_awaited_unit(self, awaited: _RequestInFlight, frame: SerialFrame, now: float) -> None:
-        """Handle a frame from the unit that was asked: the awaited reply, or a late one (`late_replies`)."""
+        """Handle a frame from the unit that was asked: the expected reply, or a late one (`late_replies`)."""
         doubt = self.doubts.of(awaited.unit)
         if not doubt.owed and not doubt.older:  # the usual case
             if frame.pdu[0] & 0x7F == awaited.request.wire[0]:
@@ -535,7 +535,7 @@ class SerialClientSession:
             self._reply(awaited, frame, now, doubt)
 
     def _is_of_another(self, awaited: _RequestInFlight, doubt: UnitDoubt, pdu: bytes) -> bool:
-        """Whether a PDU of the right function that does not fit the request in flight is taken for an older reply.
+        """Whether a PDU of the right function that does not fit the request must be an older reply.
 
         Otherwise it is a broken reply.
         """
@@ -560,7 +560,7 @@ class SerialClientSession:
         doubt.unasked = frame.pdu[0] & 0x7F
 
     def _ask_at_once(self, awaited: _RequestInFlight, frame: SerialFrame) -> None:
-        """Repeat the read in flight at once: its reply may be the one that was just taken for a late reply."""
+        """Repeat the read in flight now, because its reply may have been taken for a late one."""
         call = awaited.call
         if call is None or awaited.request.is_write or not may_answer(awaited.request, frame.pdu):
             return
@@ -570,7 +570,7 @@ class SerialClientSession:
         self._tracker.repeat(call, awaited.position)
 
     def _late(self, doubt: UnitDoubt, owed: Sequence[OwedReply], frame: SerialFrame) -> None:
-        """Drop and count a late reply: one of ``doubt.older`` if it must be, else the earliest of ``owed``."""
+        """Count and drop a late reply: one of ``doubt.older`` if it must be, else that of the earliest of ``owed``."""
         if doubt.is_older(frame.pdu):
             doubt.older_came(frame.pdu)
         else:
@@ -591,7 +591,7 @@ class SerialClientSession:
             self.notes.append(text)
 
     def _owe(self, awaited: _RequestInFlight) -> None:
-        """Note that the reply to the request in flight may still come late."""
+        """Record that the reply to the request in flight may still come late."""
         if awaited.unit == BROADCAST_UNIT:
             return
         until = awaited.sent + OWED_FOR * awaited.timeout
@@ -641,7 +641,7 @@ class SerialClientSession:
         self._conclude(awaited, outcome, now)
 
     def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
-        """Handle the reply to a marker: no older reply of this unit can come any more."""
+        """Handle the reply to a marker request: it proves that no older reply of this unit can come."""
         if isinstance(outcome, ModbusError) and marker.kind is MarkerKind.OTHER_LENGTH:
             doubt.not_marked(marker.kind)  # it reads nothing but that length
         else:
@@ -678,7 +678,7 @@ class SerialClientSession:
             self._not_asked_before[frame.unit] = max(before, frame.ended + gap)
 
     def _idle(self, last_byte: float) -> None:
-        """End the transaction on the line; gaps count from the end of the last frame."""
+        """End the transaction on the line; the silent times count from the end of the last frame."""
         self.state = MasterState.IDLE
         self._awaited = None
         self._try_at = 0.0
@@ -757,7 +757,7 @@ class SerialClientSession:
         )
 
     def _keep_deadline(self, awaited: _RequestInFlight, now: float) -> None:
-        """End the call in flight if its deadline has passed; its request stays in flight (rule 7)."""
+        """End the call in flight if its deadline has passed; the line still awaits its reply (rule 7)."""
         call = awaited.call
         if call is not None and call.deadline is not None and now >= call.deadline:
             awaited.call = None
@@ -765,7 +765,7 @@ class SerialClientSession:
             self._tracker.failed(call, awaited.position, error, now, again=False)
 
     def _turned_around(self, awaited: _RequestInFlight, now: float) -> None:
-        """End a broadcast after the turnaround delay, in which every server executes it."""
+        """End a broadcast, because the turnaround delay for the servers to execute it is over."""
         self._idle(now)
         if awaited.call is not None:
             self._tracker.conclude(awaited.call, awaited.position, awaited.request)
@@ -797,7 +797,7 @@ class SerialClientSession:
             self.counters.recycled += 1
 
     def _not_marked(self, awaited: _RequestInFlight, marker: Marker, now: float) -> None:
-        """Handle a marker without reply: the call that waits for it fails when its attempts are used up."""
+        """Handle a marker request without reply: the call behind it fails once its attempts are used up."""
         doubt = self.doubts.of(awaited.unit)
         doubt.not_marked(marker.kind)
         doubt.alike = 0
@@ -852,5 +852,5 @@ def _fits(request: Request, pdu: bytes) -> bool:
 
 
 def _exception_code(outcome: ModbusError) -> int | None:
-    """Return the exception code that an error stands for; None for other errors."""
+    """Return the exception code that an error carries; None for other errors."""
     return outcome.code if isinstance(outcome, ExceptionReply) else None

@@ -48,7 +48,7 @@ class FrameToSend:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """A reply of this server that has not been sent on the line yet."""
+    """A reply of this server that waits to be sent on the line."""
 
     context: RequestContext
     reply: Message
@@ -73,7 +73,7 @@ def _count_answer(context: RequestContext, reply: Message) -> None:
 
 
 class SerialServerSession:
-    """What a server knows of one serial line, for all units that it answers for there.
+    """State of one serial line on a server, for all units that the server answers for there.
 
     Attributes:
         deferred, failures: as in `TcpServerSession`; the driver empties them.
@@ -158,7 +158,7 @@ class SerialServerSession:
         return [*filter(None, map(self.process, self.find(data, now)))]
 
     def find(self, data: bytes, now: float) -> list[Received]:
-        """Return the frames that bytes read at ``now`` complete, and damaged bytes; give them to `process` in order."""
+        """Return the complete frames, and damaged bytes, in bytes read at ``now``; pass them to `process` in order."""
         self._last_byte = max(self._last_byte, now)
         return self._receiver.receive(data, now)
 
@@ -222,18 +222,18 @@ class SerialServerSession:
         return self._receiver.deadline()
 
     def sent(self, frame: bytes, ends: float) -> None:
-        """Note that a frame sent by this server occupies the line until ``ends``."""
+        """Record that a frame of this server occupies the line until ``ends``."""
         self._last_byte = max(self._last_byte, ends)
         self._receiver.sent(frame, ends)
 
     def answer_left(self) -> None:
-        """Note that the last character of the latest reply has left."""
+        """Count the latest reply as sent: its last character has left."""
         answer, self._leaving = self._leaving, None
         if answer is not None:
             answer.left()
 
     def answer_lost(self) -> None:
-        """Note that the port did not accept the latest reply."""
+        """Count the latest reply as lost: the port did not accept it."""
         answer, self._leaving = self._leaving, None
         if answer is not None:
             answer.lost(write_failed=True)
@@ -243,7 +243,7 @@ class SerialServerSession:
         self._takes_more = False
 
     def close(self) -> None:
-        """End with the serial port: waiting requests get no reply."""
+        """End the session with its serial port: waiting requests get no reply."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             leaving.lost()

@@ -52,14 +52,14 @@ Deliver = Callable[[bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class Deferred:
-    """The reply of a responder that needs time: the driver awaits it and passes it to ``context.reply``."""
+    """A responder's reply that is not ready yet: the driver awaits it and passes it to ``context.reply``."""
 
     context: RequestContext
     awaitable: Awaitable[Message]
 
 
 class TcpServerSession:
-    """What a server knows of one TCP connection: it turns request bytes into reply bytes.
+    """State of one TCP connection on a server: turns request bytes into reply bytes.
 
     Attributes:
         broken: why the stream cannot be decoded any further; empty while it can. The driver closes the connection.
@@ -296,7 +296,7 @@ class TcpServerSession:
         return out
 
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
-        """Keep the first ``size`` bytes of ``buffer`` in ``rest``, to be processed by `go_on`."""
+        """Keep the first ``size`` bytes of ``buffer`` unprocessed, in ``rest``, until `go_on`."""
         if self.unfinished:
             buffer, size = self._buffer.join(buffer, size)
             self.unfinished = 0
@@ -333,7 +333,7 @@ class TcpServerSession:
             self._deliver(adu)
 
     def _count(self, units: bytes | bytearray) -> None:
-        """Count, for each unit, requests that the fast path has answered."""
+        """Count requests that the fast path has answered, for each unit."""
         direct = len(units)
         self.requests += direct
         exchanged = self._diagnostics.exchanged

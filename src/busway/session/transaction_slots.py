@@ -2,7 +2,7 @@
 
 
 class TransactionSlots:
-    """NumberMaxOfServerTransaction: how many requests may be in work at once, 1…16 (Messaging on TCP/IP §4.4.2.1).
+    """Limit of how many requests may be processed at once, 1…16: NumberMaxOfServerTransaction (TCP/IP §4.4.2.1).
 
     One object per connection, or one shared by all connections of a server: that is the whole difference of scope.
     """

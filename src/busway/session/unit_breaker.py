@@ -55,18 +55,18 @@ class Breakers:
 
     @property
     def doubtful(self) -> Mapping[int, object]:
-        """The units that timed out and have not answered since: always the same mapping, so callers may keep it."""
+        """Units that timed out and have not answered since; always the same live mapping."""
         return self._units
 
     def suspended_for(self, unit: int, now: float) -> float | None:
-        """Return the seconds until a request may try a suspended unit; None if it may be asked now."""
+        """Return the seconds until a suspended unit may be probed; None if requests may be sent now."""
         breaker = self._units.get(unit)
         if breaker is None or breaker.state is BreakerState.CLOSED or now >= breaker.probe_at:
             return None
         return breaker.probe_at - now
 
     def asked(self, unit: int, now: float, timeout: float, usual: float = 0.0) -> float:
-        """Note that a request goes to a unit that usually takes ``usual`` seconds. Returns the timeout to use."""
+        """Record that a request is sent to a unit that usually takes ``usual`` seconds. Returns the timeout to use."""
         breaker = self._units.get(unit)
         if breaker is None or breaker.state is BreakerState.CLOSED:
             return timeout
@@ -76,23 +76,23 @@ class Breakers:
         return probe
 
     def is_probing(self, unit: int) -> bool:
-        """Whether the request in flight only tries whether a suspended unit answers; it is not repeated."""
+        """Whether the request in flight only probes whether a suspended unit answers; it is not repeated."""
         breaker = self._units.get(unit)
         return breaker is not None and breaker.state is BreakerState.PROBING
 
     def not_decided(self, unit: int) -> None:
-        """Forget a try that ended without telling whether the unit answers; the next request tries again."""
+        """Forget a probe that ended without showing whether the unit answers; the next request is a probe again."""
         breaker = self._units.get(unit)
         if breaker is not None and breaker.state is BreakerState.PROBING:
             breaker.state = BreakerState.OPEN
 
     def answered(self, unit: int) -> bool:
-        """Note a valid reply of a unit. Returns whether that closed its circuit breaker."""
+        """Record a valid reply of a unit. Returns whether that closed its circuit breaker."""
         breaker = self._units.pop(unit, None)
         return breaker is not None and breaker.state is not BreakerState.CLOSED
 
     def timed_out(self, unit: int, now: float) -> bool:
-        """Note that a unit did not answer in time. Returns whether its circuit breaker is open now."""
+        """Record that a unit did not answer in time. Returns whether its circuit breaker is open now."""
         if not self.parameters.open_after:
             return False
         breaker = self._units.setdefault(unit, _UnitBreaker())
