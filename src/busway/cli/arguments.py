@@ -41,7 +41,7 @@ _NUMBER = re.compile(r"\d{1,18}|0[xX][0-9a-fA-F]{1,16}")
 
 
 def whole_number(text: str, name: str, low: int, high: int) -> int:
-    """Return the number that an option's text means, decimal or ``0x…``; `ConfigError` names option and range."""
+    """Return the number in an option's text, decimal or ``0x…``; `ConfigError` names option and range."""
     number = int(text, 16 if text[:2].lower() == "0x" else 10) if _NUMBER.fullmatch(text) else -1
     if not low <= number <= high:
         raise ConfigError(f"a whole number {low}…{high} is needed, not {text!r}", key=name)
@@ -77,7 +77,7 @@ def refuse_unknown_option(value: str) -> None:
 def opened_unit(
     url: str, *, unit: str | None, timeout: str | None, retries: str | None, verbose: int
 ) -> Iterator["BlockingUnit"]:
-    """Context manager: a unit of a URL behind a blocking link; nothing is sent yet.
+    """Context manager that opens a blocking link to a URL and yields one of its units; nothing is sent yet.
 
     Raises:
         ConfigError, InvalidRequest: invalid URL or option.

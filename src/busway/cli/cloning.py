@@ -104,7 +104,7 @@ def _recorded(unit: "BlockingUnit", options: CloneOptions, duration: float | Non
 
 
 def _moments(duration: float) -> Iterator[float]:
-    """Yield the seconds since the start of a recording, as time passes, until ``duration``."""
+    """Yield, as time passes, the seconds since a recording began, until ``duration``."""
     began = time.monotonic()
     due = 0.0
     while due < duration:

@@ -60,7 +60,7 @@ async def collect_demo(limit: float, page: str) -> None:
 
 
 def _written(folder: Path, url: str, page: str) -> Path:
-    """Write the collector file of the demonstration and a profile for each device into a folder. Returns its path."""
+    """Write the demonstration's collector file, and a profile for each device, into a folder. Returns its path."""
     from ..apps.simulator.plant import PLANT_FILE
     from ..config.files.device import parse_device_file
     from .demo import BAUD

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 async def open_page(stack: AsyncExitStack, collector: "Collector") -> None:
-    """Serve the collector's page and print its address; if that fails, print why and let polling go on."""
+    """Serve the collector's web page and print its address; if that fails, print why and continue polling."""
     at = collector.configuration.file.collector.page
     if at == "off":
         return
@@ -37,7 +37,7 @@ async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
 
 
 async def _open_page_at(at: str, stack: AsyncExitStack, collector: "Collector") -> None:
-    """Serve the collector's page at host and port until ``stack`` ends. Raises `LinkDown`, `ConfigError`."""
+    """Serve the collector's web page at host and port until ``stack`` ends. Raises `LinkDown`, `ConfigError`."""
     try:
         from ..apps.web.collector_page import CollectorPage
     except ImportError as error:

@@ -43,7 +43,7 @@ class TableRow:
 
     @property
     def outcome(self) -> str:
-        """What to print about writing the value; empty for one that was read."""
+        """Text about the result of writing the value; empty for a value that was only read."""
         if not self.written:
             return ""
         if self.verified is None:
@@ -104,7 +104,7 @@ def json_value(value: Any) -> Any:
 
 
 class Writer(Protocol):
-    """Interface of what prints rows of values; ``time`` is when they were read, empty if it is not shown."""
+    """Interface of an object that prints rows of values; ``time`` is when they were read, empty if not shown."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         """Print these rows of values."""
@@ -114,7 +114,7 @@ class Writer(Protocol):
 
 
 def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writer:
-    """Return what prints rows for these options and this stdout. Raises `ConfigError` if options contradict."""
+    """Return the writer of rows for these options and this stdout. Raises `ConfigError` if options contradict."""
     if as_json and as_csv:
         raise ConfigError("does not go with --json", key="--csv")
     if as_json:
@@ -300,12 +300,12 @@ def json_text(document: Any, *, indent: int | None = None) -> str:
 
 
 def say(sentence: str) -> None:
-    """Print one sentence for people on stderr."""
+    """Print one sentence on stderr, for people."""
     print(f"busway: {printable(sentence)}", file=sys.stderr, flush=True)
 
 
 def say_problems(sentence: str, problems: str) -> None:
-    """Print one sentence on stderr, and below it a line for each problem."""
+    """Print one sentence on stderr, and a line for each problem below it."""
     say(sentence)
     for line in problems.split("\n"):
         print(printable(line), file=sys.stderr, flush=True)

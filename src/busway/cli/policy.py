@@ -180,7 +180,7 @@ _REQUESTS = {"read": _read_request, "write": _write_request, "mask": _mask_reque
 
 
 def _answer(rules: "AccessRules", question: "Question", host: str, text: str, *, as_json: bool) -> bool:
-    """Print what the policy decides about a request. Returns whether it is allowed."""
+    """Print how the policy decides about a request. Returns whether it is allowed."""
     if not rules.addresses(host):
         why = rules.addresses.why(host)
         if as_json:
@@ -236,7 +236,7 @@ def _show_rules(rules: "AccessRules", *, as_json: bool) -> None:
 
 
 def _facts(rule: "Rule") -> dict[str, str]:
-    """Return the conditions of a rule, each in the notation of policy files."""
+    """Return the conditions of an access rule, each in the notation of policy files."""
     found: dict[str, str] = {}
     if rule.peers is not None:
         found["peers"] = ", ".join(rule.peers)

@@ -62,7 +62,7 @@ class Verbatim:
 
     @staticmethod
     def coerce(value: Any, param: Any, ctx: Any) -> Any:
-        """Return the unchanged text, or an empty tuple if an argument of several texts was not given."""
+        """Return the text unchanged; an empty tuple if an argument for several texts was not given."""
         if value is None and (param.multiple or param.nargs == -1):
             return ()
         return value

@@ -57,7 +57,7 @@ holding:0 and holding:0x10 count from 0.
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """What ``busway read`` reads from one address: place, value type and count."""
+    """One address that ``busway read`` is to read, with value type and count."""
 
     place: Address
     form: ValueType[Any] | None
@@ -133,7 +133,7 @@ def _read_points(
 
 
 def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool) -> Wanted:
-    """Return what an argument asks to read: address, type and count; an invalid one is refused here."""
+    """Return what one argument of ``busway read`` asks for: address, type and count. Raises an error if invalid."""
     if text.startswith("-"):
         raise ConfigError("there is no such option", key=text)
     place = parse_address(text)

@@ -122,7 +122,7 @@ class PointReader:
         """Of the first failure of the last round."""
 
     def _with_inputs(self, points: Iterable[Point]) -> list[Point]:
-        """Return the wanted points, and those that they are computed from or scaled by."""
+        """Return the wanted points, and the points from which they are computed or scaled."""
         found: dict[str, Point] = {}
         waiting = [point.name for point in points]
         while waiting:
@@ -147,7 +147,7 @@ class PointReader:
         return [records[point.name] for point in self.points if point.name in records and _exists(point, records)]
 
     def _counting(self) -> set[str]:
-        """Return the points that say how many members a group has, and those that these are computed from."""
+        """Return the points that tell how many members a group has, and the points they are computed from."""
         names = {name for point in self._stored for name, _ in point.exists}
         return {point.name for point in self._with_inputs([self._all[name] for name in names])}
 
@@ -212,7 +212,7 @@ class PointReader:
 
 
 def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
-    """Whether a member of a repeated group exists, as far as the device has told."""
+    """Whether a member of a repeated group exists, by the group's size as read from the device."""
     for name, place in point.exists:
         record = records.get(name)
         if record is not None and record.reading.value is not None and place > record.reading.value:

@@ -40,7 +40,7 @@ AUDIT = typer.Option(None, "--audit", metavar="FILE", help="Append denied reques
 
 
 def _place_of_metrics(text: str | None) -> str | None:
-    """Check the address that ``--metrics`` gives. Raises `ConfigError`."""
+    """Return the checked address that ``--metrics`` gives. Raises `ConfigError`."""
     if text is not None:
         from ..options.text import host_and_port
 
@@ -103,7 +103,7 @@ def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules 
 
 
 def is_file(policy: str | None) -> bool:
-    """Whether ``--policy`` names a file, which can be read again."""
+    """Whether the text of ``--policy`` names a file, which a reload reads again."""
     return policy not in (None, READ_ONLY)
 
 

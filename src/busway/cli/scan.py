@@ -124,12 +124,12 @@ def _refuse_busy_line(endpoint: Endpoint, listen: float) -> None:
 
 
 def _identity(found: FoundUnit) -> tuple[object, ...]:
-    """Return what identifies a unit, equal for two units that are one device."""
+    """Return what identifies the device of a unit, equal for two units of one device."""
     return found.answer, tuple(found.identification.items()), found.server_id
 
 
 def _who(found: FoundUnit) -> str:
-    """Return the identification of a found unit as text."""
+    """Return a found unit's identification as text."""
     said = [_text(value) for value in found.identification.values()]
     if found.server_id:
         said.append(f"server id {found.server_id.hex(' ')}" + _printable(found.server_id))
@@ -156,7 +156,7 @@ class _Scan:
         return self._endpoint.url + (f", {self._port}" if self._port is not None else "")
 
     def run(self) -> int:
-        """Ask all units behind the endpoint. Returns how many answered."""
+        """Ask all units behind the endpoint, and print those found. Returns how many answered."""
         most = len(self._units) * self._adaptive_timeout.longest
         say(f"asking {len(self._units)} units of {self._where}, {_duration(most)} at most")
         try:
@@ -252,7 +252,7 @@ def _text(value: bytes) -> str:
 
 
 def _printable(data: bytes) -> str:
-    """Return the readable part of a server id in brackets, if there is one."""
+    """Return the readable part of a server id in brackets; empty if there is none."""
     text = max(re.findall(r"[ -~]{3,}", data.decode("latin-1")), key=len, default="").strip()
     return f" ({text})" if text else ""
 

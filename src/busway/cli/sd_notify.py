@@ -22,7 +22,7 @@ _MICROSECONDS: Final = 1_000_000
 
 
 class Manager:
-    """The service manager, such as systemd, that started this program, if one did.
+    """Connection to the service manager, such as systemd, that started this program; without one, nothing is sent.
 
     Args:
         environment: instead of that of the process.
@@ -46,7 +46,7 @@ class Manager:
         self._send("READY=1", f"STATUS={status}")
 
     def reloading(self) -> None:
-        """Tell the service manager that the program reads its files again; `ready` ends that."""
+        """Tell the service manager that the program reads its files again, until `ready` is called."""
         self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self, status: str) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 @contextlib.contextmanager
 def stop_event() -> Iterator[asyncio.Event]:
-    """Context manager: an event that Ctrl-C and SIGTERM set; a second Ctrl-C interrupts as usual."""
+    """Context manager that yields an event set by Ctrl-C or SIGTERM; a second Ctrl-C interrupts as usual."""
     loop = asyncio.get_running_loop()
     event = asyncio.Event()
     before: dict[int, object] = {}
@@ -31,7 +31,7 @@ def stop_event() -> Iterator[asyncio.Event]:
 
 @contextlib.contextmanager
 def stop_events() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
-    """Context manager: two events; the first Ctrl-C or SIGTERM sets the one, the next sets the other.
+    """Context manager that yields two events: the first Ctrl-C or SIGTERM sets one, the next signal sets the other.
 
     A third interrupts as usual.
     """
@@ -73,7 +73,7 @@ def on_hangup(call: Callable[[], None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def stop_flag() -> Iterator[threading.Event]:
-    """Context manager: a flag that Ctrl-C and SIGTERM set, without an event loop; a second Ctrl-C interrupts as usual.
+    """Context manager that yields a flag set by Ctrl-C or SIGTERM, without an event loop; a second Ctrl-C interrupts.
 
     Nothing is interrupted where it stands: what was received is not lost.
     """

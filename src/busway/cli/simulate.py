@@ -187,7 +187,7 @@ def simulate(
 
 
 def _loaded(source: Chosen, faults: Iterable[str], *, keeps_state: bool, **options: Any) -> "Simulation":
-    """Return the simulation of a source, with the faults of ``--fault`` on; ``options`` as of `Simulation`.
+    """Return the simulation of a source, with the faults of ``--fault`` switched on; ``options`` as of `Simulation`.
 
     A check of a file needs no state of an earlier run, and must not put one aside.
     """
@@ -212,7 +212,7 @@ def _speed(text: str) -> float:
 
 
 def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], DeclaredServer]":
-    """Return a function that gives the loaded simulation first, and reads its source again at each reload."""
+    """Return a function that returns the loaded simulation first, and reads its source again at each reload."""
     from ..apps.simulator.simulation import Simulation
 
     first: list[DeclaredServer] = [simulation]

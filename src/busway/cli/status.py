@@ -68,7 +68,7 @@ def _ask(where: str | None) -> list[dict[str, Any]]:
 
 
 def _tellers(running: "list[Running]") -> Iterator[dict[str, Any]]:
-    """Return the status of each running program; one that does not answer is named on stderr and left out."""
+    """Return the status of each running program; print a warning for one that does not answer, and leave it out."""
     from ..apps.control.client import ask
 
     for one in running:
@@ -94,7 +94,7 @@ def _show(told: list[dict[str, Any]], *, as_json: bool) -> None:
 
 
 def _watch(where: str | None, period: float, *, as_json: bool) -> None:
-    """Show the status of running programs again and again; failures after the first success are only printed."""
+    """Print the status of running programs repeatedly; failures after the first success are only printed."""
     with stop_flag() as stop:
         told = _ask(where)
         if as_json or not sys.stdout.isatty():

@@ -170,7 +170,7 @@ def _when(pause: float | None) -> str:
 
 
 def list_of_programs(told: Iterable[JsonObject]) -> StatusSection:
-    """Return the section for several running programs, one row each."""
+    """Return the status of several running programs as one section, a row each."""
     rows = [
         [
             str(one["pid"]),
@@ -279,14 +279,14 @@ def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> Stat
 
 
 def _flat(listener: JsonObject) -> JsonObject:
-    """Return a listener's status with its indicators and fault counters as columns."""
+    """Return a listener's status as one row, with its indicators and fault counters as columns."""
     counters = listener.get("counters") or {}
     wrong = {name: count for name, count in counters.items() if "error" in name or "overrun" in name}
     return {**listener, **(listener.get("indicators") or {}), **wrong}
 
 
 def _counted(counters: JsonObject, prefix: str = "") -> Iterator[list[str]]:
-    """Return rows for the counters that are not zero, those of a class of hosts with its name in front."""
+    """Return rows for counters that are not zero; those of a class of hosts begin with its name."""
     for name, count in counters.items():
         label = f"{prefix}{name.replace('_', ' ')}"
         if isinstance(count, dict):

@@ -67,7 +67,7 @@ class Guarded:
 
 @contextlib.contextmanager
 def guarded_streams() -> Iterator[None]:
-    """Context manager that makes failures of this process's standard streams errors of their own kinds."""
+    """Context manager in which failures of this process's standard streams raise errors of their own kinds."""
     before = sys.stdin, sys.stdout, sys.stderr
     opened: list[TextIO] = []
     sys.stdin = _there(sys.stdin, "r", opened)
@@ -100,7 +100,7 @@ def discard(stream: TextIO) -> None:
 
 
 def _there(stream: TextIO | None, mode: str, opened: list[TextIO]) -> TextIO:
-    """Return the given stream, or the null device if it is None; that is added to ``opened``."""
+    """Return the given stream; if it is None, the null device, which is added to ``opened``."""
     if stream is None:
         stream = cast(TextIO, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - it lasts
         opened.append(stream)

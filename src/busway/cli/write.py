@@ -128,7 +128,7 @@ def _read_back(read: Callable[[], _Found]) -> _Found | None:
 
 
 def _held(unit: "BlockingUnit", place: Address, form: ValueType[Any] | None, raw: bytes) -> tuple[Sequence[Any], bytes]:
-    """Return values and bytes that the device holds at the addresses where ``raw`` was written."""
+    """Return values and bytes that the device now has at the addresses where ``raw`` was written."""
     if form is None:
         found = unit.read(place, count=None if place.bit is not None else len(raw))
         states = found if isinstance(found, list) else [found]
@@ -138,7 +138,7 @@ def _held(unit: "BlockingUnit", place: Address, form: ValueType[Any] | None, raw
 
 
 def _compared(written: Sequence[TableRow], held: Sequence[TableRow]) -> list[TableRow]:
-    """Return the written values as rows to print, each with the value that the device holds now."""
+    """Return the written values as rows to print, each beside the value that the device has now."""
     compared = []
     for row, found in zip(written, held, strict=True):
         is_there = row.raw == found.raw

@@ -23,7 +23,7 @@ from .files.points import PointSection
 
 
 class PlacedItems:
-    """Address ranges of a device's points, to find those that a write touches.
+    """The address ranges of a device's points, arranged to find those that a write touches.
 
     Args:
         spans: for each, its first item and the item after its last one.
@@ -47,7 +47,7 @@ class PlacedItems:
 
 
 def judge_writes(device: Device, points: Sequence[PointSection]) -> None:
-    """Make a device refuse writes that do not fit its points, from now on."""
+    """Make a device refuse Modbus writes that do not fit its points, from now on."""
     for table in Table:
         limited = [point for point in points if point.table is table and _is_limited(point)]
         if limited and table.is_writable:
@@ -59,7 +59,7 @@ def _is_limited(point: PointSection) -> bool:
 
 
 class _Limits:
-    """The points of one table that accept only some values, and their check of writes."""
+    """The points of one table that do not accept every value, and the check of writes to them."""
 
     def __init__(self, device: Device, points: Sequence[PointSection]) -> None:
         self._device = device

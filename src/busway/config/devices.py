@@ -58,12 +58,12 @@ def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: 
 
 
 def _hole(section: UnitSection, table: Table) -> int | None:
-    """Return the value of addresses between the points of a table; None if reading them is refused."""
+    """Return the value that is read between the points of a table; None if such reads are refused."""
     return section.holes.value(table) if isinstance(section, SimulatedUnitSection) else None
 
 
 def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: int | None) -> Cells | None:
-    """Return the items of a table: as declared, or else those of its points and of the gaps between them."""
+    """Return the items of a table as declared; if not declared, those of its points and of the gaps between them."""
     read_only = [
         [point.place.offset, point.size] for point in points if point.table.is_writable and not point.is_writable
     ]

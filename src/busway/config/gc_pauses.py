@@ -28,7 +28,7 @@ def collecting_paused() -> Iterator[None]:
 
 
 def let_go(lists: list[list[Any]]) -> None:  # Any: nothing is asked of them
-    """Free the elements of lists in small steps. Nothing else may hold the lists."""
+    """Free the elements of lists in small steps; the caller must hold the only reference to the lists."""
     for each in lists:
         while each:
             del each[-_AT_ONCE:]

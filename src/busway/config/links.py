@@ -44,7 +44,7 @@ def named_links(
     report: ConfigurationReport,
     defaults: Mapping[str, Any],
 ) -> dict[str, NamedLink]:
-    """Return the links of a file by name; problems of a link go to the report.
+    """Return the links of a file by name; problems of a link are added to the report.
 
     Args:
         file: the file.

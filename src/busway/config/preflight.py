@@ -32,7 +32,7 @@ def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
 
 
 def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
-    """Warn of access rules for listeners that are not in the file: a denial would never hold."""
+    """Warn of access rules for listeners that the file does not have: such a denial would never apply."""
     known = [parse_endpoint(url) for _, url in file.places()]
     if file.policy is None or not known:
         return
@@ -44,7 +44,7 @@ def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
 
 
 def _may_be_named(listener: Endpoint, wanted: str) -> bool:
-    """Whether an access rule may mean a listener: as configured, as it may be bound, or port 502 beside it."""
+    """Whether an access rule's listener may mean this one: as configured, as bound, or on port 502 beside it."""
     if wanted.endswith("://"):
         return listener.scheme == wanted.lower()[:-3]
     try:
@@ -77,7 +77,7 @@ def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], repo
 
 
 class _Keys:
-    """Which keys in the file name a listener's certificates: those of its own section, or of ``[security]``."""
+    """Where in the file a listener's certificates are named: in its own section, or in ``[security]``."""
 
     def __init__(self, file: SystemFile, place: Place) -> None:
         self._own = file.listener[int(place[1])].options_of(TlsParameters) if place[0] == "listener" else {}

@@ -27,7 +27,7 @@ def read_text(name: str) -> str:
 
 
 def read_named_text(name: str) -> str:
-    """Return the text of a UTF-8 file that another file names: a regular file, not another user's link.
+    """Return the text of a UTF-8 file that another file names; it must be regular and no other user's link.
 
     Raises:
         ConfigError: as of `read_text`, or as `read_safely` refuses it; names the file.

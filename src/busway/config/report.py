@@ -31,7 +31,7 @@ class ConfigurationReport:
         self.warnings: list[ConfigError] = []
 
     def make(self, make: Callable[[], Made], place: Callable[[str | None], Path]) -> Made | None:
-        """Return what ``make`` returns; for its `ConfigError` note a problem at ``place(key)`` and return None."""
+        """Return the result of ``make``; if it raises `ConfigError`, report that at ``place(key)`` and return None."""
         try:
             return make()
         except FileError as error:
@@ -41,11 +41,11 @@ class ConfigurationReport:
         return None
 
     def refuse(self, path: Path, sentence: str) -> None:
-        """Note a problem at a path of the configuration file."""
+        """Report a problem at a path of the configuration file."""
         self.problems.append(self._source.problem(path, sentence))
 
     def warn(self, path: Path, sentence: str) -> None:
-        """Note a warning at a path of the configuration file."""
+        """Report a warning at a path of the configuration file."""
         self.warnings.append(self._source.problem(path, f"warning: {sentence}"))
 
     def end(self) -> tuple[ConfigError, ...]:
@@ -56,7 +56,7 @@ class ConfigurationReport:
 
 
 def nearest(key: str | None, own: Iterable[str], at: Path, general: Iterable[str], elsewhere: Path) -> Path:
-    """Return the path of a key: in the part itself, or in the section for all parts; else that of the part."""
+    """Return where to report an error of a key: in the part's section, in the section for all parts, or at the part."""
     if key is not None and key in own:
         return (*at, key)
     if key is not None and key in general:

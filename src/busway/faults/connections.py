@@ -20,7 +20,7 @@ _CONNECTED = frozenset({"tcp", "tls"})
 
 
 class FaultyTap:
-    """Observer of a server's connections on which faults are carried out; pass it as ``tap``. It keeps the open ones.
+    """Observer of a server's connections that carries faults out on them; to be given to the server as ``tap``.
 
     Args:
         faults: the faults to apply.
@@ -52,7 +52,7 @@ class FaultyTap:
         return iter(list(self._faulty.values()))
 
     def find(self, listener: str, peer: str) -> "FaultyConnection | None":
-        """Return the connection on which a request came, by listener and peer; None if it is not known."""
+        """Return the open connection on which a request came, by listener and client; None if it is not known."""
         return self._faulty.get((listener, peer))
 
     @property
@@ -73,7 +73,7 @@ class FaultyTap:
         self._changed()
 
     def connection_closed(self, connection: TappedConnection) -> None:
-        """Forget a connection that was closed; it counts as open until its socket is closed, just after this."""
+        """Forget a closed connection; it counts as open until its socket is closed, soon after this."""
         faulty = self._faulty.get((connection.listener, connection.peer))
         if faulty is not None and faulty.connection is connection:
             faulty.end()
@@ -86,7 +86,7 @@ class FaultyTap:
         self._changed()
 
     def _moved(self, faulty: "FaultyConnection") -> None:
-        """Note whether a connection has delayed replies that are still to be sent."""
+        """Update the set of connections that have delayed replies to send."""
         if faulty.has_unsent:
             self._with_unsent.add(faulty)
         elif faulty in self._with_unsent:
@@ -138,7 +138,7 @@ class FaultyConnection:
         return not self._has_ended and (self._sending > 0 or self.conversation.has_unsent)
 
     def pump_soon(self) -> None:
-        """Arrange that due replies are sent at the end of this turn of the event loop."""
+        """Send due replies at the end of this turn of the event loop."""
         self._moved(self)
         if not self._is_due:
             self._is_due = True
@@ -165,7 +165,7 @@ class FaultyConnection:
             self._timer = self.clock.call_at(deadline, self.ask_to_pump)
 
     def ask_to_pump(self, *, is_used_now: bool = False) -> None:
-        """Have due replies sent by the event loop; may be called from any thread."""
+        """Let the event loop send due replies; may be called from any thread."""
 
         def pump() -> None:
             contact = self.conversation.contact

@@ -34,7 +34,7 @@ SAME_MOMENT = 1e-6
 
 
 class Carrier(Enum):
-    """The kinds of transport on which a fault can occur: TCP, TLS, UDP, serial."""
+    """Kinds of transport on which a fault can occur: TCP, TLS, UDP, serial."""
 
     TCP = "tcp"
     """Frames of Modbus on TCP/IP, whose header has a transaction identifier; over TCP, TLS or UDP."""
@@ -49,7 +49,7 @@ EVERYWHERE = frozenset(Carrier)
 
 @dataclass(slots=True, eq=False, weakref_slot=True)
 class Contact:
-    """What faults know of one connection. Times are seconds in the clock of ``now``.
+    """Facts about one connection that decide which faults apply. Times are seconds in the clock of ``now``.
 
     Attributes:
         opened: when it was made.
@@ -164,7 +164,7 @@ class Fault:
     options: Mapping[str, Any] = field(default_factory=dict)  # Any: of the types that the fault profile declares
 
     def is_met(self, contact: Contact) -> bool:
-        """Whether the fault can occur on a connection of this kind."""
+        """Whether the fault can occur on this connection, by its kind of transport."""
         return not self.carriers.isdisjoint(contact.carriers)
 
 
@@ -204,7 +204,7 @@ class Schedule:
         return self.lasts is None or elapsed < self.lasts
 
     def is_turn(self, chosen: int) -> bool:
-        """Whether the fault applies to the next request, after ``chosen`` requests that it could apply to."""
+        """Whether the fault applies to the next request, after ``chosen`` requests to which it could have applied."""
         return chosen >= self.skip and (self.times is None or chosen < self.skip + self.times)
 
 
@@ -237,7 +237,7 @@ class Selection:
         _refuse_numbers_outside("functions", self.functions, 1, 127)
 
     def means(self, exchange: Exchange) -> bool:
-        """Whether a request is selected by unit, function and items; probability and schedule are not checked."""
+        """Whether unit, function and items of a request are selected; probability and schedule are not checked."""
         if self.units is not None and exchange.unit not in self.units:
             return False
         if self.functions is not None and exchange.function not in self.functions:
@@ -320,7 +320,7 @@ class AppliedFault:
         return self.selection.schedule.is_time(now - self._since)
 
     def strikes(self, exchange: Exchange) -> Exchange | None:
-        """Return the request as this fault sees it, if the fault applies, else None. Counts it for the schedule."""
+        """Return the request as the fault sees it if the fault applies to it, else None. Counts for the schedule."""
         if not self.is_on(exchange.now) or not self.fault.is_met(exchange.contact):
             return None
         if not self.selection.means(exchange):
@@ -395,12 +395,14 @@ class Faults:
         self._changed()
 
     def watch(self, changed: Callable[[], None]) -> None:
-        """Have ``changed`` called after a fault was added, removed or switched, in the thread that did so."""
+        """Register a function that is called after a fault was added, removed or switched, in the
+        thread that did so.
+        """
         with self._lock:
             self._watchers = (*self._watchers, changed)
 
     def unwatch(self, changed: Callable[[], None]) -> None:
-        """Stop calling ``changed`` after changes of the faults."""
+        """Unregister a function that was called after changes of the faults."""
         with self._lock:
             self._watchers = tuple(one for one in self._watchers if one != changed)
 
@@ -441,7 +443,7 @@ class Faults:
         return True
 
     def strike(self, exchange: Exchange) -> list[tuple[AppliedFault, Exchange]]:
-        """Return the faults that apply to a request, each with the request as it sees it."""
+        """Return the faults that apply to a request, each with the request as the fault sees it."""
         found = []
         for one in self._applied:
             seen = one.strikes(exchange)

@@ -78,14 +78,16 @@ class FaultyConversation:
         return self._encode(transaction, unit, pdu, None)
 
     def strike(self, exchange: Exchange) -> Struck:
-        """Return the faults that apply to a request, which is counted as received."""
+        """Count a received request, and return the faults that apply to it."""
         struck = self._faults.strike(exchange)
         self.contact.last_received = exchange.now
         return struck
 
     @staticmethod
     def asked(struck: Struck) -> bytes | None:
-        """Return the PDU with which a fault answers, `SILENCE` for none; None if the device answers itself."""
+        """Return the PDU with which a fault answers in place of the device; `SILENCE` for none; None without such a
+        fault.
+        """
         for applied, seen in struck:
             asked = applied.fault.asked
             answer = asked(seen) if asked is not None else None

@@ -93,7 +93,7 @@ class FaultyResponder:
 
 
 class _Turn:
-    """One request to a faulty device, whose reply is planned and sent by its `FaultyConnection`."""
+    """One request to a faulty device, whose reply its `FaultyConnection` plans and sends."""
 
     def __init__(self, faulty: FaultyConnection, exchange: Exchange, struck: Struck) -> None:
         self._faulty = faulty

@@ -78,7 +78,7 @@ class FaultSwitchboard:
         server.use_tap(self.tap)
 
     def around(self, responder: Responder) -> FaultyResponder:
-        """Return a responder that applies these faults to another's answers; its server needs ``tap`` too."""
+        """Return a responder that applies these faults to another one's replies; its server needs ``tap`` too."""
         return FaultyResponder(responder, self.faults, self.tap)
 
     def add(
@@ -141,7 +141,7 @@ class FaultSwitchboard:
         return self._status(self.faults.find(name))
 
     def watch(self, changed: Callable[[], None]) -> Callable[[], None]:
-        """Have ``changed`` called after faults were added, removed or switched, in the thread that did so.
+        """Register a function called after faults were added, removed or switched, in the thread that did so.
 
         Returns:
             A function that ends this.

@@ -105,7 +105,9 @@ class Capture:
         self.ip_packet(udp_packet(source, destination, data), is_outgoing=is_outgoing)
 
     def line(self, name: str) -> "LineCapture":
-        """Return a recorder for a serial line; a line is one interface of the file, however often it is asked for."""
+        """Return a recorder for a serial line; each line is one interface of the file, however often it
+        is asked for.
+        """
         with self._lock:
             number = self._lines.get(name)
         if number is None:
@@ -115,7 +117,9 @@ class Capture:
         return LineCapture(self, number)
 
     def close(self) -> None:
-        """Write what lines have not decided yet, and close the file. May be called twice; later packets are dropped."""
+        """Write what is still held for serial lines, and close the file. May be called twice; later packets are
+        dropped.
+        """
         TRACE.settle()
         with self._lock:
             self.failure = self.failure or "closed"
@@ -148,7 +152,7 @@ class Capture:
         self._guarded(write)
 
     def _guarded(self, write: Callable[[], int]) -> int:
-        """Do a write under the lock; the first failure ends the capture file."""
+        """Run a function that writes, under the lock; its first failure ends the capture file."""
         with self._lock:
             if self.failure:
                 return 0
@@ -223,7 +227,7 @@ class LineCapture:
         direction: Direction | None = None,
         is_outgoing: bool = False,
     ) -> None:
-        """Write a frame, or damaged bytes, that a receiver found on the line.
+        """Write a frame, or damaged bytes, that were on the serial line.
 
         Args:
             found: what it found.

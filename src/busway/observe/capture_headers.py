@@ -42,7 +42,7 @@ class Node:
 
     @classmethod
     def of(cls, socket_address: object) -> "Node":
-        """Return the end of a connection with this socket address; 0.0.0.0:0 if there is none."""
+        """Return address and port of a socket address; 0.0.0.0:0 if there is none."""
         if isinstance(socket_address, tuple) and len(socket_address) >= 2:
             host, port = socket_address[:2]
             try:
@@ -53,7 +53,7 @@ class Node:
 
 
 def _unmapped(address: IPv4Address | IPv6Address) -> IPv4Address | IPv6Address:
-    """Return an IPv4 address instead of its mapped IPv6 form, which listeners on every interface report."""
+    """Return an IPv4 address for its IPv4-mapped IPv6 form, which listeners on every interface report."""
     mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
     return mapped or address
 
@@ -107,7 +107,7 @@ def checksum(data: bytes) -> int:
 
 
 def line_pdu(dissector: str, source: Node, destination: Node, frame: bytes, *, info: str = "") -> bytes:
-    """Return a serial frame as an exported PDU for Wireshark's ``dissector``, between addresses for master and unit.
+    """Return a serial frame in Wireshark's form "exported PDU" for ``dissector``, with addresses for master and unit.
 
     ``info`` is what the list of packets shows where the dissector shows nothing.
     """

@@ -88,7 +88,7 @@ class _Frame:
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """The request that was explained last, kept until its reply is explained."""
+    """The request that was explained last, which helps to explain its reply."""
 
     request: Request
     code: int
@@ -197,7 +197,7 @@ class Dissector:
         )
 
     def _directed(self, frame: _Frame) -> tuple[MessageDirection, Description, bool, tuple[str, ...]]:
-        """Return direction and fields of a frame, whether it answers the last request, and what does not match."""
+        """Return direction and fields of a frame, whether it answers the last request, and what does not fit."""
         asked = self._asked
         due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.code
         as_request = describe_request(frame.pdu, self._functions)
@@ -227,7 +227,7 @@ def _likelier(as_request: Description, as_reply: Description, pdu: bytes, *, due
 
 
 def _mismatch(asked: _Asked, frame: _Frame) -> str:
-    """Say why a frame cannot be the reply to the last request; empty if it can."""
+    """Return why a frame cannot be the reply to the last request, as text; empty if it can."""
     if asked.transaction != frame.transaction and None not in (asked.transaction, frame.transaction):
         return f"transaction {frame.transaction} where {asked.transaction} was asked"
     if asked.unit != frame.unit and None not in (asked.unit, frame.unit):

@@ -141,7 +141,7 @@ class HttpService(ThreadingHTTPServer):
         self.server_close()
 
     def heard(self, accepted: socket.socket) -> None:
-        """Note that a whole HTTP request has come: its connection gets more time and is not closed for others."""
+        """Give an HTTP connection more time, because its whole request was received."""
         self._unheard.pop(accepted, None)
         self._deadlines[accepted] += self._limits.seconds - self._limits.request_seconds
 
@@ -156,7 +156,7 @@ class HttpService(ThreadingHTTPServer):
             raise
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Whether an accepted connection may stay; if there are too many, close another or answer 503."""
+        """Whether an accepted HTTP connection may stay; beyond the limit, close another one or answer 503."""
         if is_reserved(request.fileno()) or not self._admit(request):
             return False
         most = self._limits.connections
@@ -191,14 +191,16 @@ class HttpService(ThreadingHTTPServer):
             _log.exception("a request failed; further failures within a minute are not logged")
 
     def _cut(self, accepted: socket.socket) -> None:
-        """End an HTTP connection from outside: its thread wakes up if it waits for the peer, and closes it."""
+        """Shut down an HTTP connection from another thread; its own thread then wakes up and closes it."""
         self._unheard.pop(accepted, None)
         with contextlib.suppress(OSError):
             accepted.shutdown(socket.SHUT_RDWR)
 
 
 def _drained(accepted: socket.socket, last: bytes = b"") -> None:
-    """Send the last bytes of a response and read what was received, so that closing does not reset the connection."""
+    """Send the last bytes of a response and discard what was received, so that closing does not reset
+    the connection.
+    """
     with contextlib.suppress(OSError):
         accepted.setblocking(False)
         accepted.send(last)

@@ -31,7 +31,7 @@ _SOONEST: Final = 0.001
 
 
 class ConnectionTrace(Protocol):
-    """Interface of what logs the traffic of one connection."""
+    """Interface of an object that logs the traffic of one connection."""
 
     def received(self, data: bytes) -> None:
         """Log bytes that the connection received."""
@@ -40,7 +40,7 @@ class ConnectionTrace(Protocol):
         """Log bytes that the connection sent."""
 
     def note(self, text: str) -> None:
-        """Log an event of the connection that its frames do not show."""
+        """Log an event of the connection that is not in its frames."""
 
 
 class SilenceTimer(Protocol):
@@ -118,7 +118,7 @@ class LineTrace:
         self._timer: SilenceTimer | None = None
 
     def received(self, data: bytes) -> None:
-        """Log those received bytes that complete a frame."""
+        """Log the frames that received bytes complete; keep the rest for later."""
         with self._lock:
             now = self._heard("<", data)
             self._take("<", self._receiver.receive(data, now), now)
@@ -133,12 +133,12 @@ class LineTrace:
             self._take(">", found, now)
 
     def note(self, text: str) -> None:
-        """Log an event of the line that its frames do not show."""
+        """Log an event of the serial line that is not in its frames."""
         if TRACE.level >= TraceLevel.MESSAGE:
             _log.debug("%s %s", self._name, text)
 
     def tick(self) -> None:
-        """Log the frames that the silence of the line has ended by now."""
+        """Log the frames that the line's silence until now has ended."""
         with self._lock:
             self._timer = None
             now = self._clock()
@@ -146,7 +146,7 @@ class LineTrace:
             self._wait(now)
 
     def settle(self) -> None:
-        """Log all received bytes now, as frames or as damaged, as after a long silence."""
+        """Log all received bytes now, as frames or as damaged bytes, as if the line had been silent long enough."""
         with self._lock:
             if self._timer is not None:
                 self._timer.cancel()

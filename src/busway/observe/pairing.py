@@ -31,7 +31,7 @@ NEVER_LATE_BEFORE: Final = 0.1
 
 
 class Kind(Enum):
-    """What was heard on a serial line: a request, a reply, damaged bytes, or a reply that did not come."""
+    """Kinds of events heard on a serial line: a request, a reply, damaged bytes, or a missing reply."""
 
     REQUEST = "request"
     BROADCAST = "broadcast"
@@ -43,7 +43,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """One event heard on a serial line: a request, a reply, damaged bytes, or the lack of a reply.
+    """One event heard on a serial line: a request, a reply, damaged bytes, or a missing reply.
 
     Attributes:
         kind: what it is.
@@ -66,7 +66,7 @@ class Heard:
 
     @property
     def at(self) -> float:
-        """Time at which the first byte of the frame began; for `Kind.UNANSWERED` the time when waiting ended."""
+        """Time at which the frame began; for `Kind.UNANSWERED` the time when waiting for the reply ended."""
         if self.kind is Kind.UNANSWERED and self.frame is not None and self.response_time is not None:
             return self.frame.ended + self.response_time
         found = self.frame if self.frame is not None else self.damaged
@@ -98,7 +98,7 @@ class ResponseTimes:
 
 @dataclass(slots=True)
 class UnitStatistics:
-    """Counts and response times of one unit on a line that is listened to.
+    """Counts and response times of one unit, as heard on a serial line.
 
     Attributes:
         requests: asked of it, repeats included.
@@ -123,7 +123,7 @@ class UnitStatistics:
 
 @dataclass(slots=True)
 class LineStatistics:
-    """Counts and response times of all units on a line that is listened to.
+    """Counts and response times of all units, as heard on a serial line.
 
     Attributes:
         frames: good ones.
@@ -149,7 +149,7 @@ class LineStatistics:
 
 
 class Pairing:
-    """Finds out which reply on a line answers which request; fed with what is heard.
+    """Finds out which reply on a serial line answers which request, from the frames heard in order.
 
     Attributes:
         statistics: what was heard so far.
@@ -159,7 +159,7 @@ class Pairing:
     __slots__ = ("_asked", "_damage", "_functions", "_last_end", "_missed", "_sure", "reply_window", "statistics")
 
     def __init__(self, reply_window: float = REPLY_WINDOW, *, functions: FunctionTable = STANDARD) -> None:
-        """Start on a line of which nothing was heard; ``reply_window``: seconds in which a reply may come, above 0."""
+        """Start without a request; ``reply_window``: seconds within which a reply may come, above 0."""
         self.statistics: LineStatistics = LineStatistics()
         self.reply_window: float = reply_window
         self._functions = functions
@@ -170,7 +170,7 @@ class Pairing:
         self._sure = ResponseTimes()
 
     def heard(self, found: Received) -> list[Heard]:
-        """Process a frame or damaged bytes. Returns the events that follow, first those about the open request."""
+        """Process a frame or damaged bytes. Returns the resulting events, first those about the unanswered request."""
         events = self.tick(found.began)
         gap = None if self._last_end is None else max(found.began - self._last_end, 0.0)
         self._last_end = found.ended
@@ -184,12 +184,12 @@ class Pairing:
         return events
 
     def tick(self, now: float) -> list[Heard]:
-        """Report the open request as unanswered if its reply has not come until ``now``."""
+        """Report the last request as unanswered if its reply has not come by ``now``."""
         deadline = self.deadline()
         return [] if deadline is None or now < deadline else [self._unanswered(deadline)]
 
     def deadline(self) -> float | None:
-        """The time at which the open request counts as unanswered; None without one."""
+        """The time at which the last request counts as unanswered; None if no reply is awaited."""
         return None if self._asked is None else self._asked.ended + self.reply_window
 
     # Inside.
@@ -215,7 +215,7 @@ class Pairing:
         return frame.direction is Direction.REPLY
 
     def _may_reply(self, frame: SerialFrame) -> bool:
-        """Whether the bytes of the open request would also be a valid reply to it."""
+        """Whether the bytes of the last request would also be a valid reply to it."""
         try:
             self._functions.decode_reply(frame.pdu)
         except MalformedPdu:
@@ -223,7 +223,7 @@ class Pairing:
         return True
 
     def _reply_limit(self) -> float:
-        """Return the seconds within which a frame that equals its request counts as its reply (rule 4)."""
+        """Return within how many seconds a frame equal to its request counts as its reply (rule 4)."""
         if self._sure.count < SURE_REPLIES:
             return self.reply_window
         return min(max(MUCH_LATER * self._sure.slowest, NEVER_LATE_BEFORE), self.reply_window)
@@ -259,7 +259,7 @@ class Pairing:
         return Heard(Kind.DAMAGED, damaged=found, gap=gap)
 
     def _unanswered(self, until: float) -> Heard:
-        """Report the open request as unanswered."""
+        """Report the last request as unanswered."""
         asked, damage = self._asked, self._damage
         assert asked is not None
         unit = self.statistics.unit(asked.unit)

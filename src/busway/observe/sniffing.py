@@ -40,7 +40,7 @@ _LAST_READS: Final = 64
 
 
 class Ear(Protocol):
-    """Interface of a source of bytes to listen to: a serial port, or a device server that passes on its line."""
+    """Interface of a source of a serial line's bytes: a port, or a device server that forwards the line's bytes."""
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
         """Return bytes received within ``timeout`` seconds, and how many of them are damaged. Raises `LinkDown`."""
@@ -50,10 +50,10 @@ class Ear(Protocol):
 
 
 class SocketEar:
-    """Listens by a TCP connection to a device server that passes on the bytes of its serial line."""
+    """Source of a serial line's bytes: a TCP connection to a device server that forwards them."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
-        """Connect to the device server that passes on the line. Raises `LinkDown`."""
+        """Connect to the device server that forwards the line's bytes. Raises `LinkDown`."""
         self._name = endpoint.url
         address = endpoint.host or "127.0.0.1", endpoint.port or 0
         try:
@@ -76,12 +76,12 @@ class SocketEar:
         return data, 0
 
     def close(self) -> None:
-        """Close the connection to the device server that passes on the line."""
+        """Close the connection to the device server that forwards the line's bytes."""
         self._socket.close()
 
 
 class DatagramEar:
-    """Listens on a local UDP port for the datagrams of a device server, from any address."""
+    """Source of a serial line's bytes: a local UDP port to which a device server sends them, from any address."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
         """Bind the local UDP port to listen on. Raises `LinkDown`."""
@@ -103,7 +103,7 @@ class DatagramEar:
 
     @property
     def port(self) -> int:
-        """Number of the UDP port that is listened on."""
+        """Number of the local UDP port that receives."""
         return int(self._socket.getsockname()[1])
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
@@ -117,7 +117,7 @@ class DatagramEar:
             raise LinkDown(network_reason(error), endpoint=self._name) from error
 
     def close(self) -> None:
-        """Close the UDP port that is listened on."""
+        """Close the local UDP port that receives."""
         self._socket.close()
 
     def _not_here(self, error: OSError) -> LinkDown:
@@ -158,7 +158,7 @@ class LineToHear:
 
 
 class _ClaimedPort:
-    """An open serial port for listening that no other user in this process can open meanwhile."""
+    """A serial port open for listening; other users in this process cannot open it meanwhile."""
 
     def __init__(self, path: str, settings: SerialSettings) -> None:
         self._claim = Claim(path, "a listener to the line")
@@ -257,7 +257,7 @@ class Listening:
         self.close()
 
     def hear(self, until: float) -> list[Heard]:
-        """Return the next events on the line; none if nothing complete was heard before ``until`` (clock seconds).
+        """Return the next events on the line; none if nothing is complete before ``until`` (clock seconds).
 
         It comes back after a fifth of a second at the latest, also while a port is waited for.
 
@@ -301,7 +301,7 @@ class Listening:
         self._ear.close()
 
     def _lose(self, error: LinkDown) -> list[Heard]:
-        """Handle the loss of the port: an unfinished frame is reported as it is."""
+        """Handle the loss of the port: report an unfinished frame as far as it was received."""
         if self._vanished is None:
             raise error
         self.lost = error
@@ -312,7 +312,7 @@ class Listening:
         return self._flushed()
 
     def _try_again(self, now: float, until: float) -> bool:
-        """Wait for the next attempt to open the port, a fifth of a second at most, and open it if its time has come."""
+        """Try to open the port again if its time has come; wait for that a fifth of a second at most."""
         pause = min(self._try_at, until, now + _LONGEST_WAIT) - now
         if pause > 0:
             time.sleep(pause)

@@ -35,7 +35,7 @@ class TraceLevel(IntEnum):
 
 
 class ConnectionRecorder(Protocol):
-    """Interface of what records the bytes of one connection, such as in a capture file."""
+    """Interface of an object that records the bytes of one connection, such as in a capture file."""
 
     def received(self, data: bytes) -> None:
         """Record bytes that the connection received."""
@@ -45,14 +45,14 @@ class ConnectionRecorder(Protocol):
 
 
 class LineRecorder(Protocol):
-    """Interface of what records the frames of one serial line, or of a connection with serial framing."""
+    """Interface of an object that records the frames of one serial line, or of a connection with serial framing."""
 
     def heard(self, found: "Received", *, at: float | None = None, is_outgoing: bool = False) -> None:
         """Record a frame, or damaged bytes, that began at ``at`` (seconds since 1970)."""
 
 
 class Recorder(Protocol):
-    """Interface of what records traffic: a capture file (`busway.observe.capture.Capture`), or another store."""
+    """Interface of an object that records traffic, such as a capture file (`busway.observe.capture.Capture`)."""
 
     def connection(self, ends: SocketAddresses) -> ConnectionRecorder:
         """Return a recorder for a connection between these addresses."""
@@ -62,10 +62,10 @@ class Recorder(Protocol):
 
 
 class Undecided(Protocol):
-    """Interface of a line's log that holds received bytes which may become a frame."""
+    """Interface of the log of a line that holds received bytes until it is clear whether they are a frame."""
 
     def settle(self) -> None:
-        """Log the received bytes now, as frames or as damaged."""
+        """Log the held bytes now, as frames or as damaged bytes."""
 
 
 class Trace:
@@ -99,7 +99,7 @@ class Trace:
         self.set(TraceLevel.OFF if self.level is TraceLevel.CAPTURE else self.level)
 
     def settle(self) -> None:
-        """Log received bytes that lines have not decided yet, at the end of a capture or of the log."""
+        """Log the received bytes that logs of lines still hold, at the end of a capture or of the log."""
         for line in tuple(self.undecided):
             line.settle()
 
@@ -108,7 +108,7 @@ TRACE = Trace()
 
 
 class StreamTrace:
-    """Logs the traffic of one MBAP connection, whose addresses `socket_addresses_of` finds by ``carrier``."""
+    """Logs the traffic of one MBAP connection, whose addresses `socket_addresses_of` gets from ``carrier``."""
 
     __slots__ = ("_capture", "_functions", "_incoming", "_is_server", "_name", "_outgoing")
 
@@ -145,7 +145,7 @@ class StreamTrace:
             self._show(">", frame, is_request=not self._is_server)
 
     def note(self, text: str) -> None:
-        """Log an event of the connection that its frames do not show."""
+        """Log an event of the connection that is not in its frames."""
         if TRACE.level >= TraceLevel.MESSAGE:
             _log.debug("%s %s", self._name, text)
 

@@ -19,7 +19,7 @@ def described(
 
 
 def in_words(description: Description) -> str:
-    """Return function, direction and all fields of a PDU in one line; faults come last, behind an exclamation mark."""
+    """Return function, direction and all fields of a PDU in one line; faults come last, after an exclamation mark."""
     fields = [f"{part.name} {part.text or part.data.hex(' ')}".rstrip() for part in description.parts[1:]]
     sentence = description.title
     if fields:

@@ -144,7 +144,8 @@ LONGEST_HOLD = 86_400
 
 
 class Hold(Enum):
-    """Words of the option ``hold``, the time for which an unused connection stays open: ``forever`` and ``request``.
+    """Words that the option ``hold`` accepts beside seconds, for how long an unused connection stays open: ``forever``,
+    ``request``.
 
     Attributes:
         FOREVER: until its last user closes the link, as Messaging on TCP/IP V1.0b §4.2.1.1 advises.
@@ -169,7 +170,7 @@ class LinkSelection(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ManagementParameters:
-    """Options for the connections of a link: how many, for how long, chosen how (Messaging on TCP/IP V1.0b §4.2.1)."""
+    """Options for the connections of a link: how many, kept how long, and how one is chosen (TCP/IP V1.0b §4.2.1)."""
 
     on: ClassVar[On] = On("client tcp", "client tls", "client udp")
 
@@ -217,7 +218,7 @@ class ManagementParameters:
 
 
 def selection(name: "str | LinkSelection | None") -> LinkSelection | None:
-    """Return the rule of a given name, which chooses the connection of a request. Raises `ConfigError`."""
+    """Return the rule with this name, by which a request's connection is chosen. Raises `ConfigError`."""
     if name is None or isinstance(name, LinkSelection):
         return name
     try:

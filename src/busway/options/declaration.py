@@ -73,7 +73,7 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """Mark of an option whose text or list must not be empty, such as the name of a user.
+    """Mark of an option that is a text or list and must not be empty, such as the name of a user.
 
     Attributes:
         words: what the text is.
@@ -114,7 +114,7 @@ class ByFraming:
 
 
 class On:
-    """Mark of an option: where it has an effect, by role, framing and carrier, all of which must fit.
+    """Mark of an option that says where it has an effect: role, framing and transport, all of which must fit.
 
     ``On("client", "server rtu")``: for every client, and for servers with RTU. Roles are ``client``, ``server`` and
     ``monitor``, which only listens to a line.
@@ -146,7 +146,8 @@ class Alias:
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """Type of options that are numbers, ranges and words, as in files: ``5``, ``"1-10"``, ``[1, "7-9"]``.
+    """Type of options that are lists of numbers, ranges and words, written as in files: ``5``, ``"1-10"``, ``[1,
+    "7-9"]``.
 
     Attributes:
         written: what stands in the file.
@@ -158,7 +159,7 @@ class Numbers:
 
 
 class Mark(Enum):
-    """Marks of an option that say yes by being there, without a value.
+    """Marks of an option that have no value: the mark itself says yes.
 
     Attributes:
         PER_CALL: each user of a shared link may choose another value; the rest belongs to the connection.
@@ -324,7 +325,7 @@ _KIND_WORDS: Final = {bool: "`true`, `false`", int: "a whole number", float: "a 
 
 
 def _kind_words(kind: Any) -> str:  # a type
-    """Return what tables of the reference call a value of a type."""
+    """Return how tables of the reference name the type of a value."""
     if kind in _KIND_WORDS:
         return _KIND_WORDS[kind]
     origin = get_origin(kind) or kind

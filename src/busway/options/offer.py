@@ -46,7 +46,7 @@ SERVERS: Final[Kinds] = (UnitParameters, ServerParameters, ListenerParameters, S
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """The options that a part such as a link or a listener accepts, by the parameter class that holds them.
+    """The options that a part of busway, such as a link or a listener, accepts, by the parameter class that holds them.
 
     Attributes:
         kinds: the options of each class, by name.
@@ -69,7 +69,7 @@ class Offer:
 
     @classmethod
     def of(cls, *kinds: type[Any], role: str = "") -> "Offer":
-        """Return the options of some parameter classes; with a role only those that have an effect for that role."""
+        """Return the options of these parameter classes; with a role, only those that have an effect for it."""
         return cls({kind: options_for(role, kind) for kind in kinds})
 
     @property

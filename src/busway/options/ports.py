@@ -28,7 +28,7 @@ _DIRECTION_DELAY = Range(0, LONGEST_DIRECTION_DELAY, "seconds")
 
 
 class Rs485(Word):
-    """Words of the option ``rs485``: what switches the direction of an RS-485 driver.
+    """Values of the option ``rs485``: what switches the direction of an RS-485 driver.
 
     OFF: the adapter does it itself, or the line is RS-232 or 4-wire. KERNEL: the port's driver, in its
     RS-485 mode, which is exact. RTS: this program, by the RTS wire; the operating system's delays add to it.

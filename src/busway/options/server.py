@@ -14,21 +14,23 @@ _SLOTS = Range(1, 1_000_000)
 
 
 class Scope(Enum):
-    """Words of the option ``scope``: the limit of requests in work is for each connection, or for the whole server."""
+    """Values of the option ``scope``: the limit of requests in progress holds per connection, or for
+    the whole server.
+    """
 
     CONNECTION = "connection"
     SERVER = "server"
 
 
 class UnitPolicy(Enum):
-    """Words of the option that says which unit identifiers a server on TCP answers."""
+    """Values of the option that says which unit identifiers a TCP server answers."""
 
     LISTED = "listed"
     ANY = "any"
 
 
 class UnlistedUnit(Enum):
-    """Words of the option that says how a server treats a request for a unit that it does not have."""
+    """Values of the option that says how a server answers a request for a unit that it does not have."""
 
     EXCEPTION = "exception"
     SILENCE = "silence"

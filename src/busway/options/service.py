@@ -9,7 +9,7 @@ from .text import host_and_port
 
 
 class OnFailure(Enum):
-    """Words of the option that says what a server does while its audit log cannot be written."""
+    """Values of the option that says what a server does while its audit log cannot be written."""
 
     SERVE = "serve"
     REFUSE = "refuse"

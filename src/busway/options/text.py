@@ -66,9 +66,7 @@ def build_parameters(kind: type[Parameters], options: Mapping[str, object], *, f
 
 
 def option_value(option: Option, value: object) -> object:
-    """Convert a value of an option, or its text, to the option's type. Raises `ConfigError` with the option as
-    its key.
-    """
+    """Convert an option's value, or its text, to the option's type. Raises `ConfigError` with the option as its key."""
     if option.is_optional and (value is None or value == NONE):
         return None
     try:
@@ -130,7 +128,7 @@ def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``pa
 
 
 def _texts(name: str, value: object) -> tuple[str, ...]:
-    """Return an option's list of texts, also from one text separated by commas."""
+    """Return the list of texts that an option has; a single text is split at commas."""
     texts = [one.strip() for one in value.split(",") if one.strip()] if isinstance(value, str) else value
     if not isinstance(texts, list | tuple) or not all(isinstance(one, str) for one in texts):
         raise ConfigError(f"must be a list of texts, not {value!r}", key=name)

@@ -114,7 +114,7 @@ def slice_bits(data: bytes | bytearray, first: int, count: int) -> bytes:
 
 
 def splice_bits(data: bytearray, first: int, count: int, packed: bytes) -> None:
-    """Write ``count`` packed bits into ``data`` from bit ``first``, in one assignment."""
+    """Overwrite ``count`` bits of ``data`` from bit ``first`` on with packed bits, in one assignment."""
     start, end = first >> 3, (first + count + 7) >> 3
     shift = first & 7
     mask = ((1 << count) - 1) << shift

@@ -19,7 +19,7 @@ from .malformed import MalformedPdu
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a message class lies in bytes: its fixed head as one `struct.Struct`, then an optional variable part."""
+    """How a message class is laid out in bytes: a fixed head as one `struct.Struct`, then an optional variable part."""
 
     head: struct.Struct
     names: tuple[str, ...]
@@ -48,7 +48,7 @@ def as_integer(name: str, value: object) -> int:
 
 
 def as_bytes(name: str, value: object) -> bytes:
-    """Return a bytes-like field's value as bytes; `InvalidRequest` for others, numbers too: ``bytes(2)`` is 00 00."""
+    """Return a bytes-like field's value as bytes; `InvalidRequest` for others, also numbers: ``bytes(2)`` is 00 00."""
     if isinstance(value, bytes | bytearray | memoryview):
         return bytes(value)
     raise InvalidRequest(f"{name.replace('_', ' ')} must be bytes, not {value!r}")
@@ -94,7 +94,7 @@ def _first_decode(cls: Any, pdu: bytes) -> Any:
 
 
 def _compile_pending(cls: Any) -> None:
-    """Make encoder and decoder of a message class, or of the base that declared its fields."""
+    """Create encoder and decoder of a message class, or of the base class that declared its fields."""
     owner = next(one for one in cls.__mro__ if "codecs_pending" in one.__dict__)
     _compile_codecs(owner)
 

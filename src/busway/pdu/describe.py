@@ -79,7 +79,7 @@ def describe_request(pdu: bytes, functions: FunctionTable = STANDARD) -> Descrip
 
 
 def describe_reply(pdu: bytes, functions: FunctionTable = STANDARD, *, request: Message | None = None) -> Description:
-    """Describe the bytes of a reply PDU; never raises. ``request``, if known, gives number of bits and addresses."""
+    """Describe the bytes of a reply PDU; never raises. ``request``, if known, tells number of bits and addresses."""
     if not pdu:
         return _empty("reply")
     problem = "a reply has a function code 1…127, or an exception, not 0" if pdu[0] == 0 else ""
@@ -183,7 +183,7 @@ def _field_parts(pdu: bytes, kind: type[Message], shown: "_Meaning") -> Iterator
 
 
 def _item_parts(pdu: bytes, at: int, tail: RepeatedField, name: str) -> Iterator[Part]:
-    """Return the described items of a repeated field; a rest that cannot be an item is one last part."""
+    """Return the items of a repeated field, described; remaining bytes that are no item become one last part."""
     number = 0
     while at < len(pdu):
         number += 1

@@ -19,7 +19,9 @@ from ..codes import Table
 
 
 class Requester(Protocol):
-    """The client of a write request, as the audit log names it: a `busway.session.responder.ClientIdentity`."""
+    """The client of a write request, as the audit log names it; `ClientIdentity` of
+    `busway.session.responder` is one.
+    """
 
     peer: str
     listener: str
@@ -63,7 +65,7 @@ class DirectModel(Protocol):
     """Interface of a device that offers the memory of its tables to the fast path."""
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """Return the memory of a table if every access may bypass the device (no hook or gap), else None."""
+        """Return a table's memory if requests may use it directly (no hook, no gap); else None."""
 
 
 class ReadPlan:

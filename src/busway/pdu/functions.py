@@ -122,8 +122,8 @@ class FunctionTable:
 
 
 def _exception_length(data: bytes, at: int, end: int) -> int:
-    """Length of an exception PDU: two bytes; a few devices answer 43/14 with ``AB 0E cc`` (Application Protocol V1.1b3,
-    figure of §6.21).
+    """Return the length of an exception PDU: 2, but some devices answer 43/14 with ``AB 0E cc`` (V1.1b3, figure of
+    §6.21).
     """
     if data[at] == FunctionCode.ENCAPSULATED_INTERFACE | 0x80:
         if end < at + 2:

@@ -43,7 +43,7 @@ class Diagnostics(Protocol):
 
 
 class Context(Protocol):
-    """Interface of what a device learns about a request: client, unit and diagnostics."""
+    """Interface of what a device is told about a request: client, unit and diagnostics."""
 
     @property
     def peer(self) -> str:
@@ -81,7 +81,7 @@ class Records(Protocol):
         """Return ``count`` registers of a file from ``record`` on."""
 
     def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
-        """Replace records of a file; with ``dry`` only check whether that would be refused."""
+        """Replace records of a file; with ``dry`` only check whether a device would refuse that."""
 
     def read_fifo(self, address: int, context: Context) -> bytes:
         """Return the registers of the queue at ``address``, oldest first, without removing them."""

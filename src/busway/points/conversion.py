@@ -130,12 +130,14 @@ class Conversion:
 
 
 def _exact(number: float) -> Fraction:
-    """Return the decimal number that a float was written as, as a fraction: 1/10 for 0.1."""
+    """Return a float as the decimal fraction it was written as: 1/10 for 0.1."""
     return Fraction(number) if isinstance(number, int) else Fraction(repr(float(number)))
 
 
 def pattern(number: float, *, bits: int, signed: bool) -> float:
-    """Return a raw number that may be written as a bit pattern: 0x8000 is -32768 in 16 bits with a sign."""
+    """Return a raw number; a bit pattern becomes the signed number that it means: 0x8000 is -32768 in 16 bits with a
+    sign.
+    """
     if signed and isinstance(number, int) and 1 << bits - 1 <= number < 1 << bits:
         return number - (1 << bits)
     return number

@@ -101,7 +101,7 @@ class ReadDecoder:
 
 @lru_cache(maxsize=4096)
 def _alone(point: Point) -> ReadDecoder:
-    """Return the decoder of a read that contains only this point, compiled once."""
+    """Return the decoder of a read of this point alone, compiled once."""
     return ReadDecoder([point], point.table, point.start, point.width)
 
 
@@ -143,7 +143,7 @@ def _bits_decoder(points: Sequence[Point], start: int, count: int) -> _Decode:
 
 @dataclass(frozen=True, slots=True)
 class _Number:
-    """How a number is unpacked: where its registers are in the reply, byte swaps, and its ``struct`` letter."""
+    """How the number of a point is unpacked from a reply: position of its registers, byte swaps, ``struct`` letter."""
 
     registers: tuple[int, ...]
     swapped: bool
@@ -157,7 +157,7 @@ class _Number:
 
 
 def _number_of(point: Point, start: int) -> _Number | None:
-    """Return how the number of a point is unpacked; None if its value type has to do it."""
+    """Return how the number of a point is unpacked by ``struct``; None if only its value type can do it."""
     form, first = point.form, point.start - start
     assert form is not None  # it stands in registers
     name = form.name
@@ -270,7 +270,7 @@ class _Source:
         return name
 
     def _tests(self, place: int, point: Point, raw: str) -> list[tuple[str, Reason]]:
-        """Write tests for raw numbers that mean "no value", each as a condition and the reason for it."""
+        """Return the code of the tests for raw numbers that mean "no value", each with its condition and reason."""
         tests = [] if point.is_whole else [(f"{raw} != {raw}", Reason.NOT_A_NUMBER)]
         invalid = _invalid_of(point)
         if len(invalid) == 1:
@@ -313,7 +313,7 @@ class _Source:
         return f"flaws = noted(flaws, {place}, {int(reason)})"
 
     def _typed(self, place: int, point: Point) -> None:
-        """Write the code for a point that only its value type can decode."""
+        """Append the code for a point that only its value type can decode."""
         first = 2 * (point.start - self._start)
         self.namespace |= {f"read{place}": _reader(point), "noted": _noted}
         self._lines += [
@@ -323,7 +323,7 @@ class _Source:
 
 
 def _noted(flaws: dict[int, int] | None, place: int, reason: int) -> dict[int, int]:
-    """Add a reason to those collected by point; the dictionary is created for the first."""
+    """Add the reason of a point to a dictionary of reasons, which is created for the first one."""
     if flaws is None:
         return {place: reason}
     flaws[place] = reason

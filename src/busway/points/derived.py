@@ -17,7 +17,7 @@ from .quality import Quality, Reading, Reason
 
 
 class Accumulator:
-    """Running total of a counter that rolls over: the total keeps growing.
+    """Running total of a counter that rolls over: the total grows on when the counter restarts at 0.
 
     Args:
         rollover: the number at which it begins again from 0.

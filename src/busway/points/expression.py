@@ -38,7 +38,7 @@ _CONSTANTS: Final = {"pi": math.pi}
 
 
 def _rounded(value: Any, digits: Any = 0) -> Any:
-    """Do what ``round`` does, with limited digits: for integers Python would compute a power of ten."""
+    """Round as ``round`` does, but with limited digits: for integers Python would compute a power of ten."""
     return round(value, max(-_MOST_DIGITS, min(int(digits), _MOST_DIGITS)))
 
 
@@ -137,7 +137,7 @@ class Expression:
 
 
 class _Renaming(ast.NodeTransformer):
-    """Replaces the names of points in a formula by ``point("…")``."""
+    """Replaces point names in a formula's text by ``point("…")`` with the new names."""
 
     def __init__(self, rename: Callable[[str], str]) -> None:
         self._rename = rename
@@ -225,7 +225,9 @@ def _arguments(name: str, given: list[ast.expr]) -> list[ast.expr]:
 
 
 def _dotted(node: ast.expr) -> str | None:
-    """Return the point name that a part of a formula is: ``tank.level`` or ``point("tank level")``; else None."""
+    """Return the point that a part of a formula names, ``tank.level`` or ``point("tank level")``; None if it names
+    none.
+    """
     match node:
         case ast.Name():
             return node.id

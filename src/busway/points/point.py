@@ -150,7 +150,7 @@ class Point:
         return value_of(self.conversion, raw, whole=self.is_whole)
 
     def _number_of(self, value: Any) -> Any:
-        """Return the number that a name of a value, or names of flags, stand for."""
+        """Return the number for the name of a value, or for the names of flags."""
         conversion = self.conversion
         if conversion.names:
             if isinstance(value, str):

@@ -106,7 +106,7 @@ class WriteRule:
 
 @dataclass(frozen=True, slots=True)
 class ReportRule:
-    """When a sample of a point is passed on, such as only after a change; changes of quality always are.
+    """When a sample of a point is passed on: by change, by time; a change of quality always is.
 
     It holds for what a store keeps, or for what a sink gets of that.
 
@@ -135,7 +135,7 @@ class ReportRule:
         return last[1] != now[1] or self.is_due(last[0], now[0], silence)
 
     def is_change(self, before: object, now: object) -> bool:
-        """Whether a value differs by more than the deadband from the last one passed on; by exactly that, it does not.
+        """Whether a value differs by more than the deadband from the last one that was passed on.
 
         ``0.8 - 0.7`` is exactly a deadband of 0.1, although the difference of the floats is more.
         """
@@ -156,7 +156,9 @@ class ReportRule:
         return abs(now - before) > limit + limit * _ROUNDING
 
     def is_due(self, before: object, now: object, silence: float) -> bool:
-        """Whether a value of the same quality is to be passed on, ``silence`` seconds after the last one."""
+        """Whether a value of the same quality is passed on, ``silence`` seconds after the last: for a change or for its
+        age.
+        """
         if self.when == "every" or self.is_change(before, now):
             return True
         limit = self.longest_silence
@@ -164,7 +166,7 @@ class ReportRule:
 
     @property
     def longest_silence(self) -> float | None:
-        """Seconds after which a sample is passed on without a change; None for never, and where every sample is."""
+        """Seconds after which a sample is passed on even without a change; None for never, or if every sample is."""
         limits = [self.max_silence, self.period if self.when == "change_or_period" else None]
         return min((each for each in limits if each is not None), default=None)
 
@@ -194,7 +196,7 @@ class AlarmRule:
     bits: int = 0
 
     def is_beyond(self, value: float, *, active: bool) -> bool:
-        """Whether a value starts the alarm; if it is active, whether the value has not come back far enough."""
+        """Whether a value starts the alarm; or, if the alarm is active, whether the value still keeps it active."""
         if self.kind == "state":
             return value in self.numbers or bool(self.bits and isinstance(value, int) and value & self.bits)
         is_high = self.kind in ("H", "HH")
@@ -213,7 +215,7 @@ class AlarmRule:
 
 @lru_cache(maxsize=4096)
 def _decimal_sum(one: float, other: float) -> float:
-    """Return the sum of two numbers as they are written: 0.3 and -0.1 make 0.2, which is what a scaled value is."""
+    """Return the sum of two numbers as decimals: 0.3 and -0.1 make 0.2, as a scaled value does."""
     return float(Decimal(repr(one)) + Decimal(repr(other)))
 
 

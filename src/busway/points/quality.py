@@ -89,7 +89,7 @@ def exception_reason(code: int) -> int:
 
 
 def exception_code_of(reason: int) -> int | None:
-    """Return the exception code, 0…255, that a reason stands for; None for other reasons."""
+    """Return the exception code, 0…255, in a reason of a missing value; None for other reasons."""
     return reason - _EXCEPTIONS if reason >= _EXCEPTIONS else None
 
 

@@ -60,7 +60,7 @@ LARGEST_BACKLOG = 4096
 
 @dataclass(slots=True)
 class _Pty:
-    """One pseudo-terminal of a simulated line: the end that the line uses; the other stays open for programs."""
+    """One pseudo-terminal of a simulated line: this end is the line's, the other one is for programs."""
 
     near: int
     far: int
@@ -83,7 +83,7 @@ class _Pty:
 
 @dataclass(slots=True)
 class _Order:
-    """A call to be made in the thread of the simulated line, and its result."""
+    """A function call to be made in the thread of the simulated line, and its result."""
 
     action: Callable[[], object]
     done: threading.Event = field(default_factory=threading.Event)
@@ -205,11 +205,11 @@ class PacedLine:
         self._do(clear)
 
     def cut(self, *ports: int) -> None:
-        """Interrupt the line to these ports, or to all, like a cut cable."""
+        """Disconnect these ports, or all, from the simulated line, like a cut cable."""
         self._do(lambda: self._line.cut(*ports))
 
     def mend(self, *ports: int) -> None:
-        """Restore the line to these ports, or to all, after `cut`."""
+        """Reconnect these ports, or all, to the simulated line after `cut`."""
         self._do(lambda: self._line.mend(*ports))
 
     def inject(self, data: bytes) -> None:
@@ -290,7 +290,7 @@ class PacedLine:
                 self._tell_listeners(now)
 
     def _wake_at(self) -> float | None:
-        """Return when the line's thread must pass characters on, or report a silence."""
+        """Return when the line's thread must next deliver characters or report a silence."""
         next_byte, next_pause = self._line.deadline(), self._line.pause_at()
         if next_byte is not None and next_pause is not None:
             return min(next_pause, max(next_byte, self._handed_over_at + self._granularity)) - self._transit
@@ -307,7 +307,7 @@ class PacedLine:
         return wait_ready(watched, [], timeout)
 
     def _take(self, port: int, pty: _Pty, written_at: float) -> None:
-        """Put bytes on the line that a program has written to a port."""
+        """Put bytes that a program has written to a port on the simulated line."""
         try:
             data = os.read(pty.near, LARGEST_BACKLOG)
         except BlockingIOError:
@@ -316,7 +316,7 @@ class PacedLine:
         self._last_sound = written_at
 
     def _hand_over(self, passed: list[LineByte], at: float) -> None:
-        """Give characters to the programs at the ports, not before the time ``at``."""
+        """Deliver characters of the line to the programs at the ports, not before the time ``at``."""
         if not passed:
             return
         self._handed_over_at = self._last_sound = at

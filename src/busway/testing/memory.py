@@ -23,7 +23,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """How written bytes travel between the two ends in memory: delay, loss, and how they are split or merged.
+    """How bytes travel between the two ends of a connection in memory: delay, loss, splitting and merging.
 
     Args:
         drop: probability, 0…1, that a segment is lost.
@@ -135,7 +135,7 @@ class MemoryTransport(asyncio.Transport):
         return data
 
     def take(self, data: bytes) -> None:
-        """Give arrived bytes to the asyncio protocol of this end."""
+        """Pass arrived bytes to the asyncio protocol of this end."""
         protocol = self._protocol
         if isinstance(protocol, asyncio.BufferedProtocol):
             while data and not self._closing:
@@ -203,7 +203,7 @@ class MemoryPair:
         self._protocols[0].connection_made(self.first)
 
     def something_left(self) -> None:
-        """Arrange a delivery after a transport has sent or closed, if a scheduler was given."""
+        """Schedule a delivery, if there is a scheduler, because a transport has sent something or closed."""
         if self._schedule is not None and not self._scheduled:
             self._scheduled = True
             self._schedule(self._deliver_scheduled)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Simulator(Protocol):
-    """Type of the pytest fixture ``simulator``."""
+    """Type of the function that the pytest fixture ``simulator`` returns."""
 
     def __call__(
         self,
@@ -40,7 +40,7 @@ class Simulator(Protocol):
 
 
 class MakePacedLine(Protocol):
-    """Type of the pytest fixture ``paced_line``."""
+    """Type of the function that the pytest fixture ``paced_line`` returns."""
 
     def __call__(self, ports: int = 2, baud: int = 9600, parity: str = "even", **options: Any) -> "PacedLine":
         """Create a real-time serial line for the test; arguments as of `busway.testing.line.PacedLine`."""

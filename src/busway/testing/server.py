@@ -191,7 +191,7 @@ class FaultyServer:
         self._change()
 
     def _change(self) -> None:
-        """Wake all that wait in `wait_until` and `until`, because something in the server has changed."""
+        """Wake everything that waits in `wait_until` and `until`, because the server's state has changed."""
         self._changed_here.set()
         with self._changed:
             self._changed.notify_all()
@@ -255,7 +255,7 @@ class _ServerThread:
 
 
 def _faults_of(fault_profiles: tuple[str | Fault, ...], options: Mapping[str, Any]) -> list[Fault]:
-    """Create the named faults of devices; each option goes to the fault profiles that have it."""
+    """Create the named faults of devices; each option is given to those fault profiles that have it."""
     named = [one if isinstance(one, Fault) else FAULT_PROFILES.named(one) for one in fault_profiles]
     known = {option for one in named if not isinstance(one, Fault) for option in one.options}
     for option in options:

@@ -228,7 +228,7 @@ class SimulatedDevice:
             self._changed.notify_all()
 
     def _key(self, key: str) -> str | None:
-        """Return the point ``UNIT/NAME`` that a key means; None if it is an item without a name."""
+        """Return the key ``UNIT/NAME`` of the point that a user's key means; None for an item without a name."""
         points = self.simulation.points
         if key in points:
             return key
@@ -297,7 +297,7 @@ class _Thread:
 
 
 def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
-    """Return the simulation that a test declares by a file, a text, or values by address."""
+    """Return the simulation that a test declares by a file, by a text, or by values by address."""
     from ..apps.simulator.includes import load_declaration, parse_declaration
 
     if isinstance(content, Mapping):
@@ -343,7 +343,7 @@ def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
 
 
 def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
-    """Return the keys of a device file for the points that a value at an address makes."""
+    """Return the keys of a device file that declare the points for a value at an address."""
     place = parse_address(address)
     if place.table is None:
         raise ConfigError("does not say which table; write 4x1 or holding:0", key=address)
@@ -359,7 +359,7 @@ def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
 
 
 def _kind(address: str, value: Any) -> dict[str, Any]:
-    """Return the keys of a device file that give a point its type, from its value."""
+    """Return the keys of a device file that declare a point's type, chosen by its value."""
     if isinstance(value, tuple) and 2 <= len(value) <= 3:
         return dict(zip(("value", "type", "order"), value, strict=False))
     if isinstance(value, bool):

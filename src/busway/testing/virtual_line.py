@@ -122,7 +122,7 @@ class VirtualLine:
         return min((port.head_end for port in self._talkers if port.talking), default=None)
 
     def pause_at(self) -> float | None:
-        """Return when the first of the sending ports will have sent everything; None while no port sends."""
+        """Return when the first of the sending ports will have sent all its characters; None while no port sends."""
         return min((port.free_at for port in self._talkers if port.talking), default=None)
 
     def quiet_at(self) -> float | None:
@@ -147,11 +147,11 @@ class VirtualLine:
         return passed
 
     def cut(self, *ports: int) -> None:
-        """Cut the wire to these ports, or to all: characters from and to them are lost."""
+        """Disconnect these ports, or all, from the simulated line: characters from and to them are lost."""
         self._cut.update(ports or range(len(self.ports)))
 
     def mend(self, *ports: int) -> None:
-        """Restore the wire to these ports, or to all, after `cut`."""
+        """Reconnect these ports, or all, to the simulated line after `cut`."""
         self._cut.difference_update(ports or range(len(self.ports)))
 
     def inject(self, data: bytes, now: float) -> float:
@@ -279,30 +279,30 @@ class VirtualPort:
 
     @property
     def head_begin(self) -> float:
-        """When the next character of this port begins on the line. Only while it is sending."""
+        """When the next character of this port begins on the simulated line. Only while it is sending."""
         return self._outgoing[0][0]
 
     @property
     def head_end(self) -> float:
-        """When the next character of this port ends on the line. Only while it is sending."""
+        """When the next character of this port ends on the simulated line. Only while it is sending."""
         return self._outgoing[0][0] + self._line.character_time
 
     def take(self) -> tuple[float, float, int]:
-        """Remove the character that was just sent. Returns its begin, end and value."""
+        """Remove the first waiting character, which was just sent. Returns its begin, end and value."""
         begin, value = self._outgoing.popleft()
         self.talking = bool(self._outgoing)
         end = self.passed_at = begin + self._line.character_time
         return begin, end, value
 
     def hear(self, value: int, damaged: bool) -> None:
-        """Keep a character that has come over the line, until it is read."""
+        """Store a character that came over the line until this port reads it."""
         self._data.append(value)
         if damaged and self._line.settings.parity is not Parity.NONE:
             self._errors += 1
 
 
 def gathered(tap: Iterable[LineByte], character_time: float, silence: float | None = None) -> list[Transmission]:
-    """Return recorded characters of a line, split into transmissions; see `VirtualLine.transmissions`."""
+    """Return a line's recorded characters, split into transmissions as `VirtualLine.transmissions` describes."""
     limit = 1.5 * character_time if silence is None else silence
     found: list[Transmission] = []
     data = bytearray()

@@ -25,7 +25,7 @@ Protocols = Callable[[], asyncio.BaseProtocol]
 
 
 class Acceptor(Protocol):
-    """Interface of what accepts connections from one listening socket, which it owns."""
+    """Interface of the object that accepts connections from one listening socket, and owns that socket."""
 
     def accept_no_more(self) -> None:
         """Stop accepting connections; the socket stays bound."""
@@ -43,7 +43,7 @@ async def accept_from(
     backlog: int,
     failed: Callable[[OSError], None],
 ) -> Acceptor:
-    """Start to accept connections: each gets a transport and a protocol. Returns the acceptor.
+    """Start to accept connections, each with a new transport and protocol. Returns the acceptor.
 
     Args:
         listening: bound and non-blocking; the acceptor's own when this has returned.
@@ -157,7 +157,7 @@ class LoopAcceptor:
         self._server = server
 
     def accept_no_more(self) -> None:
-        """Stop accepting connections. Those just accepted arrive within a few turns of the loop.
+        """Stop accepting connections. Those just accepted still arrive within a few turns of the event loop.
 
         asyncio forgets a connection whose acceptance has begun when its listener is closed: it would stay open, in
         without an owner, until the garbage collection finds it.

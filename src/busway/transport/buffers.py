@@ -20,7 +20,7 @@ _windows: dict[int, memoryview] = {}
 
 
 def receive_buffer(loop: "asyncio.AbstractEventLoop") -> bytearray:
-    """Return the buffer into which all connections of an event loop receive."""
+    """Return the one buffer into which all connections of an event loop receive bytes."""
     if "Proactor" in type(loop).__name__:
         return bytearray(4096)
     try:
@@ -31,7 +31,7 @@ def receive_buffer(loop: "asyncio.AbstractEventLoop") -> bytearray:
 
 
 def receive_window(buffer: bytearray, size: int) -> memoryview:
-    """Return a view of the first ``size`` bytes of a buffer, shared by the connections that use the buffer."""
+    """Return a view of the first ``size`` bytes of a buffer; connections with the same buffer share it."""
     window = _windows.get(size)
     if window is None or window.obj is not buffer:
         window = _windows[size] = memoryview(buffer)[:size]

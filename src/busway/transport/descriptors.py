@@ -12,7 +12,7 @@ RESERVED: Final = 128
 
 
 def is_reserved(descriptor: int) -> bool:
-    """Whether a new descriptor is one of those kept for Modbus, so that any other user must close it."""
+    """Whether a new file descriptor is one of the last, kept for Modbus connections: other users must close it."""
     if sys.platform == "win32":
         return False
     import resource

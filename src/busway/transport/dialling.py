@@ -93,7 +93,7 @@ async def _connected(host: str, port: int, local_address: str | None, interface:
 
 
 def _with_zone(address: Any) -> Any:  # of whatever family
-    """Write the zone of a link-local address into its host: uvloop ignores it otherwise."""
+    """Append the zone of a link-local IPv6 address to its host, because uvloop ignores it otherwise."""
     if len(address) == 4 and address[3]:
         return f"{address[0]}%{address[3]}", address[1]
     return address
@@ -111,7 +111,7 @@ def dial_through(interface: str, host: str, port: int, local_address: str | None
 
 
 class _Attempts:
-    """Connection attempts to the addresses of a peer, one after the other.
+    """Attempts to connect to the addresses of one peer, one after the other.
 
     Attributes:
         problem: why the last one failed.
@@ -123,7 +123,7 @@ class _Attempts:
         self.problem = OSError("the host has no address")
 
     def towards(self, found: Found) -> Iterator[tuple[socket.socket, Any]]:
-        """Yield an unconnected socket on the interface for each address of the peer."""
+        """Yield an unconnected socket, bound to the network interface, for each address of the peer."""
         for family, kind, protocol, _, address in found:
             try:
                 connection = socket.socket(family, kind, protocol)

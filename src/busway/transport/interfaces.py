@@ -36,7 +36,7 @@ class Interface:
 
 
 def interfaces_with(host: str) -> tuple[Interface, ...]:
-    """Return the network interfaces with the address ``host``; for ``0.0.0.0`` and ``::`` all of that family."""
+    """Return the network interfaces that have the address ``host``; for ``0.0.0.0`` and ``::`` all of that family."""
     if sys.platform != "linux":
         return ()
     found = _ipv6_interfaces() if ":" in host else _ipv4_interfaces()

@@ -10,7 +10,7 @@ _counts: list[Callable[[], int]] = []
 
 
 def counted_by(count: Callable[[], int]) -> None:
-    """Register a function that returns how many client connections it has open; called from any thread."""
+    """Register a function that returns how many client connections its owner has open; called from any thread."""
     _counts.append(count)
 
 

@@ -42,7 +42,7 @@ def set_buffers(connection: socket.socket, parameters: SocketParameters) -> None
 
 
 def discard_on_close(connection: Any) -> None:
-    """Make closing reset the TCP connection, so that bytes the peer has not accepted are dropped.
+    """Make a later close reset the TCP connection, so that bytes the peer has not accepted are dropped.
 
     Args:
         connection: a socket, what a transport gives for one, or None.
@@ -53,7 +53,7 @@ def discard_on_close(connection: Any) -> None:
 
 
 def takes_bytes(connection: Any) -> bool:
-    """Whether a TCP connection accepts bytes to send now; ``connection`` as in `discard_on_close`."""
+    """Whether a TCP connection would accept bytes to send now; ``connection`` as in `discard_on_close`."""
     if connection is None:
         return False
     try:

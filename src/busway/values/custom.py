@@ -16,7 +16,9 @@ _MOST_BYTES: Final = 250
 
 
 def custom_layout(name: str, written: str) -> struct.Struct:
-    """Return the ``struct`` layout for a format. Raises `InvalidRequest` for an unsupported one."""
+    """Return the ``struct`` layout of a value type ``custom:FORMAT``. Raises `InvalidRequest` for an
+    unsupported one.
+    """
     match = _FORMAT.fullmatch(written)
     if match is None:
         raise InvalidRequest(

@@ -44,7 +44,7 @@ def whole_number(text: str) -> int:
 
 
 class _StructLayout:
-    """Reads and writes the registers of one number format by ``struct``, with byte swaps if the order needs them."""
+    """Converts registers and numbers by a ``struct`` format, with byte swaps if the byte order needs them."""
 
     def __init__(self, letter: str, order: ByteOrder) -> None:
         self.letter = letter

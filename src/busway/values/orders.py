@@ -78,7 +78,7 @@ ORDERS: Final[dict[int, tuple[str, ...]]] = {
 
 @dataclass(frozen=True, slots=True)
 class ByteOrder:
-    """In which order the bytes of a value of ``size`` bytes come on the wire; created by `byte_order`.
+    """The order in which the bytes of a value of ``size`` bytes are sent; created by `byte_order`.
 
     Attributes:
         size: bytes of a value: 2, 4, 6 or 8.
@@ -154,7 +154,7 @@ def byte_order(text: str, size: int) -> ByteOrder:
 
 
 def _between_three_and_others(text: str, size: int, given_size: int, mask: int) -> int:
-    """Convert the bit mask of an order for values of three registers to one for other sizes, or back."""
+    """Convert the bit mask of a byte order for values of three registers to one for other sizes, or back."""
     halves_agree = given_size != 8 or bool(mask & 2) == bool(mask & 4)
     if (given_size == 6 and mask & 4) or not halves_agree:
         raise InvalidRequest(f"order {text} is for {given_size * 8} bits and says nothing of {size * 8}")
@@ -175,7 +175,7 @@ def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
 
 
 def _exchanged(data: Wire, first: int, other: int) -> bytes:
-    """Return registers in which those at two positions of each three are exchanged."""
+    """Return registers with two of each three exchanged, those at two given positions."""
     items = array("H")
     items.frombytes(data)
     items[first::3], items[other::3] = items[other::3], items[first::3]

@@ -87,7 +87,7 @@ def build_simulation(declared: Sequence[DeclaredUnit], seed: int, *, read: Reade
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """The parts of a behaviour that are equal for all units built from the same section of a file.
+    """The parts of a point's behaviour that all units built from the same section of a file share.
 
     Attributes:
         section: what the file says.
@@ -103,7 +103,7 @@ class _Plan:
 
 
 def _plans(declared: Sequence[DeclaredUnit], read: Reader) -> dict[int, _Plan]:
-    """Return the shared parts of behaviours, by the identity of their point's section."""
+    """Return the shared parts of behaviours, by the identity of the section that declares the point."""
     problems: list[ConfigError] = []
     plans: dict[int, _Plan] = {}
     recordings: dict[str, Recording] = {}
@@ -225,7 +225,7 @@ def _in_order(
 
 
 def _spans(points: Sequence[SimulatedPoint]) -> bool:
-    """Whether some points are in different units, so that their formulas need more than one device."""
+    """Whether points are in different units, so that a formula over them needs several devices."""
     return len({point.unit for point in points}) > 1
 
 

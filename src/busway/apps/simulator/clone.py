@@ -108,7 +108,7 @@ def clone_tables(
     thorough: bool = False,
     progress: Progress = lambda line: None,
 ) -> Clone:
-    """Clone a unit of a live device by whatever items its tables have in some ranges.
+    """Clone a unit of a live device by reading all items that its tables have in some ranges.
 
     Args:
         unit: whom to read.
@@ -188,7 +188,7 @@ def _read_again(unit: BlockingUnit, point: SimulatedPointSection) -> float:
 
 
 class _Watched:
-    """The changes of one number, observed while a live device is watched.
+    """The observed changes of one number of a live device.
 
     Args:
         point: it.
@@ -208,7 +208,7 @@ class _Watched:
         return self._low < self._high
 
     def see(self, value: float, time: float) -> None:
-        """Note the value of the watched number at a time."""
+        """Record the watched number's value at a time."""
         if value != value:  # not a number
             return
         self._step = max(self._step, abs(value - self._last))
@@ -237,7 +237,7 @@ class _Watched:
 
 
 def _short(number: float) -> float:
-    """Return a number rounded to six digits, as people write it."""
+    """Return a number rounded to six digits, for a file that people read."""
     return float(f"{number:.6g}")
 
 
@@ -394,7 +394,7 @@ def _runs(items: Mapping[int, int]) -> Iterator[tuple[int, list[int]]]:
 
 
 def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
-    """Return the keys of a device file for a table; zeros at the end are left out."""
+    """Return the keys that declare a table in a device file; zeros at the end are left out."""
     said = len(values)
     while said and not values[said - 1]:
         said -= 1
@@ -403,13 +403,13 @@ def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
 
 
 def _unnamed(table: Table, offset: int, value: int) -> dict[str, Any]:
-    """Return the keys of a device file for an item without a name."""
+    """Return the keys that declare an item without a name in a device file."""
     address = format_address(Address(table, offset))
     return {"name": address, "address": address, "value": bool(value) if table.holds_bits else value}
 
 
 def _identity(unit: BlockingUnit, progress: Progress) -> dict[str, Any]:
-    """Return the keys of a device file for a unit: its number and its identification data."""
+    """Return the keys that declare a unit in a device file: its number and its identification data."""
     keys: dict[str, Any] = {"unit": 1 if unit.number in _UNNAMED_UNITS else unit.number}
     objects = _objects(unit)
     if objects:
@@ -434,7 +434,7 @@ def _objects(unit: BlockingUnit) -> dict[int, bytes]:
 
 
 def _offered(ask: Callable[[], Answer]) -> Answer | None:
-    """Return the reply of the live device; None if it does not support the function."""
+    """Return the live device's reply to a request; None if it does not support the function."""
     try:
         return ask()
     except (ExceptionReply, BadReply):

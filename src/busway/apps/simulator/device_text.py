@@ -69,7 +69,7 @@ def _key_lines(key: str, value: Any) -> list[str]:
 
 
 def _decided(section: BaseModel) -> dict[str, Any]:  # Any: what TOML has
-    """Return the keys of a section that were set, as a file has them."""
+    """Return the keys of a section that were set explicitly, as they are in a file."""
     return {
         field.alias or name: _plain(name, getattr(section, name))
         for name, field in type(section).model_fields.items()

@@ -28,7 +28,7 @@ _LAST: Final = 1 << 30
 
 @dataclass(slots=True, eq=False)
 class Driven:
-    """A simulated point with its behaviour, as the engine runs it.
+    """A simulated point together with its behaviour, as the engine runs it.
 
     Attributes:
         point: the point.
@@ -47,7 +47,7 @@ class Driven:
 
 @dataclass(slots=True, eq=False)
 class _Group:
-    """Points of one unit that change at the same moments, or behaviours that look at them after that.
+    """Points of one unit that change at the same moments, or behaviours that observe others after that.
 
     Attributes:
         device: that holds them.
@@ -67,14 +67,14 @@ class _Group:
 
 @dataclass(slots=True, eq=False)
 class _Release:
-    """The time at which a point set by hand follows its behaviour again, unless it is set again meanwhile."""
+    """The time at which a point set by hand follows its behaviour again, unless it is set once more before."""
 
     point: SimulatedPoint
     held: int
 
 
 class _Batch:
-    """Points of one unit that change at the same moment, with all look-ups done beforehand, for speed.
+    """Points of one unit that change at the same moment, with memory and encoders looked up, for speed.
 
     Args:
         groups: of one unit.
@@ -99,7 +99,7 @@ class _Batch:
         ]
 
     def run(self, time: float) -> list[SimulatedPoint]:
-        """Give the points of the batch their values at a time. Returns those whose value has changed."""
+        """Compute the new values of these points at a time. Returns the points whose value has changed."""
         changed: list[SimulatedPoint] = []
         changes = changed.append
         with self.device.lock:
@@ -120,7 +120,7 @@ class _Batch:
         return changed
 
     def _store(self) -> None:
-        """Write the new values of the batch into the unit's memory, where readers see all of them at once."""
+        """Write the new values of these points into the unit's memory, where readers see all of them at once."""
         shown: dict[RegisterRun | BitRun, bytearray] = {}
         for memory, points in self.memories.items():
             if points:
@@ -162,7 +162,7 @@ class Engine:
         return self._heap[0][0] if self._heap else None
 
     def drives(self, point: SimulatedPoint) -> bool:
-        """Whether a simulated point has a behaviour that changes it."""
+        """Whether a simulated point has a behaviour that changes it over time."""
         return point in self._driven
 
     def state_of(self, point: SimulatedPoint, time: float) -> float | None:
@@ -173,7 +173,7 @@ class Engine:
         return driven.behaviour.state(math.floor(time / driven.every + _ROUNDING) * driven.every)
 
     def run(self, until: float, *, skip: bool = False, pause: Callable[[], bool] = lambda: False) -> bool:
-        """Give points new values at all moments until a time.
+        """Compute the points' new values at all moments until a time.
 
         Args:
             until: the time, in seconds of the simulation.
@@ -205,7 +205,7 @@ class Engine:
         return not self._heap or self._heap[0][0] > until
 
     def _leave_out(self, until: float) -> None:
-        """Skip moments that were missed: each point goes on with its latest one."""
+        """Skip moments that were missed; each point continues with the latest of them."""
         first = self._heap[0][4] if self._heap else None
         if not isinstance(first, _Group) or (first.step + 1) * first.every > until:
             return
@@ -219,7 +219,7 @@ class Engine:
             self._push(due, rank, unit, task)
 
     def _run(self, groups: list[_Group], rank: int, time: float) -> None:
-        """Give points of one unit new values at a moment."""
+        """Compute new values of points of one unit at a moment."""
         if rank == _LAST:
             for group in groups:
                 for driven in group.driven:
@@ -236,7 +236,7 @@ class Engine:
             self._changed(changed, time)
 
     def hold(self, point: SimulatedPoint, time: float) -> None:
-        """Keep a point at the value set by hand, as long as its behaviour says, or until `release`."""
+        """Keep a point at the value that was set by hand, for as long as its behaviour says, or until `release`."""
         driven = self._driven.get(point)
         if driven is None:
             return
@@ -257,7 +257,7 @@ class Engine:
             point.held = 0
 
     def begin(self, time: float, kept: Mapping[str, float]) -> None:
-        """Start at a time other than 0, where each point has the value of its last moment before it.
+        """Start at a time other than 0: each point gets the value of its last moment before that time.
 
         Args:
             time: in seconds of the simulation.
@@ -286,7 +286,7 @@ _ROUNDING: Final = 1e-9
 
 
 def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
-    """Let a behaviour continue from the value that its point has, unless that is no number."""
+    """Let a behaviour continue from its point's current value, unless that is no number."""
     if math.isfinite(point.number):
         behaviour.resume(time, point.number)
 
@@ -297,7 +297,7 @@ def is_observer(behaviour: Any) -> TypeGuard[Observer]:  # of any class
 
 
 def _groups(driven: Iterable[Driven]) -> list[tuple[_Group, int]]:
-    """Return the simulated points grouped by unit, moments and order, and the behaviours that look at others."""
+    """Return simulated points grouped by unit, moments and order, and the behaviours that observe others."""
     found: dict[tuple[int, float, int], _Group] = {}
     for each in driven:
         device = each.point.device

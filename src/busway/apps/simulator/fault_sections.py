@@ -55,7 +55,7 @@ def _section_problems(section: FaultSection, fault_profiles: FaultProfileTable) 
 
 
 def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[str]:
-    """Add the faults of a file's ``[[fault]]`` sections to those of a running simulation.
+    """Add the faults that a file's ``[[fault]]`` sections declare to a running simulation.
 
     Returns:
         Their names.
@@ -91,7 +91,7 @@ def _put_on(board: FaultSwitchboard, section: FaultSection, name: str) -> str:
 
 
 def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
-    """Do what ``--fault`` says: switch on the fault with that name, or add a fault profile with its options.
+    """Carry out an option ``--fault``: switch on the fault with that name, or add a fault profile with options.
 
     Args:
         board: where.

@@ -133,14 +133,14 @@ def parse_declaration(
 
 
 class _Count:
-    """Counts the files that a simulation file may still include."""
+    """Limit of how many more files a simulation file may include."""
 
     def __init__(self, most: int) -> None:
         self._most = most
         self._left = most
 
     def take(self) -> None:
-        """Count one more included file. Raises `ConfigError` above the limit."""
+        """Count one more included file. Raises `ConfigError` if there are too many."""
         if not self._left:
             raise ConfigError(f"more than {self._most} files would be included, with all that they include")
         self._left -= 1
@@ -195,7 +195,7 @@ class _Including:
             raise FileError([_included(each, name, f"{parent.name}:{line}") for each in error.problems]) from None
 
     def _whole(self, source: Source, parameters: Mapping[str, Parameter], identity: str) -> Iterator[DeclaredUnit]:
-        """Return the units of a file unchanged, and those of the files that it includes."""
+        """Return all units of a file unchanged, and those of the files that it includes."""
         filled = replace(source, data=own_units(FilledSource(source, parameters)))
         profile = filled.checked(ProfileFile)
         if not profile.unit and not profile.include:
@@ -207,7 +207,7 @@ class _Including:
     def _several(
         self, source: Source, parameters: Mapping[str, Parameter], numbers: Sequence[int], asked: tuple[Source, Path]
     ) -> Iterator[DeclaredUnit]:
-        """Return units made from the single section of a file: one per number, or one for all if none differs."""
+        """Return units created from a file's single section: one for each number, or one for all if none differs."""
         sections = source.data.get("unit")
         if not isinstance(sections, list) or len(sections) != 1 or "include" in source.data:
             parent, at = asked
@@ -241,7 +241,7 @@ def _identity(name: str) -> str:
 
 
 def _refuse_repeated(file: SimulationFile, units: Sequence[DeclaredUnit], source: Source) -> None:
-    """Refuse a unit number that several files declare; within one file the schema does."""
+    """Raise `ConfigError` for a unit number declared in several files; within one file the schema checks it."""
     owners: dict[int, DeclaredUnit] = {}
     problems: list[ConfigError] = []
     for each in units:

@@ -189,7 +189,7 @@ def power(state: PlantState) -> int:
 
 
 class Plant:
-    """The plant of the demonstration with the three devices that show its state.
+    """The plant of the demonstration, and the three simulated devices that show its state.
 
     Attributes:
         devices: what is served, by unit.

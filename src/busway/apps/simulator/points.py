@@ -45,7 +45,7 @@ class Points:
         self._device.write(section.place, raw if section.form is None else [raw], section.form)
 
     def update(self) -> AbstractContextManager[None]:
-        """Context manager that groups changes which become visible together, as `Device.update`."""
+        """Context manager that groups changes of a device, so that clients see all of them at once."""
         return self._device.update()
 
     def _section(self, name: str) -> PointSection:

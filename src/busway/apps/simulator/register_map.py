@@ -251,18 +251,18 @@ def _decoded(data: bytes) -> str:
 
 
 def _known_in(header: str, delimiter: str) -> int:
-    """Return the number of known columns in a header line split by this delimiter."""
+    """Return how many known column names a header line has if this delimiter splits it."""
     return sum(" ".join(cell.strip(' "').lower().split()) in _BY_HEADER for cell in header.split(delimiter))
 
 
 def _column_of(key: str | None) -> str | None:
-    """Return the column that a key of a point comes from: ``point[3].unit_of_measure`` → ``unit``."""
+    """Return the column of the register map that a point's key comes from: ``point[3].unit_of_measure`` → ``unit``."""
     last = re.sub(r"\[\d+\]$", "", (key or "").rpartition("]")[2].lstrip(".").partition("[")[0].partition(".")[0])
     return _NAME_OF_KEY.get(last, last or None)
 
 
 def _keys_of(row: _Row) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """Return the keys of the point in a row, and errors in its cells: column and sentence."""
+    """Return a row of the register map as keys of a point, and the errors in its cells: column and sentence."""
     cells = row.cells
     keys: dict[str, Any] = {}
     faults = [(needed, "is empty") for needed in ("name", "address") if needed not in cells]
@@ -306,7 +306,7 @@ def _table(text: str) -> Table:
 
 
 def _place(text: str, table: Table | None) -> Address:
-    """Parse an address in a notation that names the table, or a number in ``table``."""
+    """Parse an address that names its table, or a plain number, which belongs to ``table``."""
     place = parse_address(text, table=table)
     try:
         return parse_address(text)

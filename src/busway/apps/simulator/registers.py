@@ -41,7 +41,7 @@ _LARGEST: Final = {"float16": 65504.0, "float32": 3.4028234663852886e38, "float6
 
 @dataclass(frozen=True, slots=True)
 class PointForm:
-    """How a point is encoded, worked out once for all units that have it.
+    """How a point's value is encoded in registers, computed once for all units that have the point.
 
     Attributes:
         section: the declaration.
@@ -68,14 +68,14 @@ class PointForm:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a point is in the memory of one device: the run, and the offset in bytes (for bits: in bits)."""
+    """Where a point is in the memory of one device: the memory block, and the offset in bytes (for bits: in bits)."""
 
     memory: RegisterRun | BitRun
     offset: int
 
 
 def form_of(section: SimulatedPointSection) -> PointForm:
-    """Work out how a declared point is encoded."""
+    """Return how a declared point's value is encoded in registers."""
     place, form = section.place, section.form
     return PointForm(
         section,
@@ -115,7 +115,7 @@ def _put_bit(data: bytearray, offset: int, on: bool) -> None:
 
 
 def _putter(form: ValueType[Any]) -> Put:
-    """Return a function that encodes a number of a type; for common byte orders ``struct`` alone."""
+    """Return a function that writes a number of a type into memory; for common byte orders by ``struct`` alone."""
     letter = _LETTERS.get(form.name)
     if letter is not None and form.order == "ABCDEFGH"[: 2 * form.registers]:
         return struct.Struct(f">{letter}").pack_into

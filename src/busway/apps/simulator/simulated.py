@@ -155,7 +155,7 @@ class SimulatedPoint:
 
     @property
     def is_held(self) -> bool:
-        """Whether the point was set by hand and does not follow its behaviour."""
+        """Whether the point was set by hand and keeps that value instead of following its behaviour."""
         return self.held > 0
 
     @property
@@ -182,7 +182,7 @@ class SimulatedPoint:
         return (self.device.peek(self.table, self.address, self.form.size) or b"").hex(" ", 2).upper()
 
     def look(self) -> None:
-        """Take the value of the point from its registers again, after a client has written them."""
+        """Read the point's value from its registers again, because a client has written them."""
         try:
             self.stored = self._decoded()
         except BadReply:
@@ -198,7 +198,7 @@ class SimulatedPoint:
         return form.decode(self.memory.data[offset : offset + 2 * form.registers])[0]
 
     def put(self, value: Any) -> None:  # what its type says
-        """Set the simulated point to a value in the unit of measure, or to the name of one.
+        """Set the simulated point to a value in its unit of measure, or to a named value.
 
         Raises:
             InvalidRequest: it does not fit the type, the range or the names.

@@ -69,7 +69,7 @@ class SimulationClock(Protocol):
 
 
 class _LoopClock:
-    """The clock of the running event loop, for simulations in real time."""
+    """The clock of the running event loop, used by simulations in real time."""
 
     def __init__(self) -> None:
         self._loop = asyncio.get_running_loop()
@@ -188,7 +188,7 @@ class Simulation:
             self._engine.release(point, self.time)
 
     def watch(self, callback: Watcher) -> Callable[[], None]:
-        """Have a function called with changed values, several at a time. Returns a function that ends it.
+        """Register a function that gets changed values, several at a time. Returns a function that unregisters it.
 
         Args:
             callback: called in the thread that made the change; what it raises is logged.
@@ -205,13 +205,13 @@ class Simulation:
 
     @property
     def faults(self) -> "Faults":
-        """The faults of the simulated devices; ``board`` has them by name."""
+        """The faults of the simulated devices; its ``board`` finds them by name."""
         return self.board.faults
 
     # ---- time
 
     def tick(self, now: float) -> None:
-        """Give all points their values up to a time, without skipping moments.
+        """Compute the values of all points up to a time, without skipping moments.
 
         Args:
             now: seconds of the clock, monotonic. Without a clock, the first time is the beginning.
@@ -395,7 +395,7 @@ class Simulation:
             self.keep()
 
     def _arm(self) -> None:
-        """Set the timer to the time when the next points change."""
+        """Set the timer to the time at which the next points change."""
         clock, deadline = self._clock, self.deadline()
         if self._timer is not None:
             self._timer.cancel()
@@ -420,20 +420,20 @@ class Simulation:
     # ---- changes
 
     def _followed(self, points: list[SimulatedPoint], time: float) -> None:
-        """Report new values that behaviours have given to points."""
+        """Report new values that behaviours computed for points."""
         if self._watchers:
             self._tell(
                 [PointChanged(point, point.section.physical(point.stored), time, SIMULATION) for point in points]
             )
 
     def _written(self, points: Sequence[SimulatedPoint], peer: str) -> None:
-        """Handle a Modbus write to simulated points; the device's lock is held."""
+        """Handle a Modbus write to simulated points. Called with the device's lock held."""
         for point in points:
             point.look()
         self._tell(self._held(points, peer))
 
     def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChanged]:
-        """Note points that were set by hand. Returns them as changes to report."""
+        """Register points as set by hand. Returns them as changes to report."""
         time = self.time
         changes = []
         for point in points:
@@ -504,7 +504,7 @@ class Simulation:
             self._save(self.declaration.state, self._snapshot())
 
     async def _keep_on(self, path: str, ended: asyncio.Event) -> None:
-        """Save the state of the simulation from time to time; a full disk does not end that."""
+        """Save the simulation's state periodically; a full disk does not end that."""
         while True:
             with suppress(TimeoutError):
                 await asyncio.wait_for(ended.wait(), self.declaration.file.simulation.keep_every)

@@ -27,7 +27,7 @@ ASIDE: Final = ".broken"
 
 @dataclass(frozen=True, slots=True)
 class KeptPoint:
-    """What is saved of one simulated point.
+    """The saved state of one simulated point.
 
     Attributes:
         value: in the unit of measure; None where the behaviour alone is kept.
@@ -42,7 +42,7 @@ class KeptPoint:
 
 @dataclass(frozen=True, slots=True)
 class KeptState:
-    """What is saved of a simulation: its time and the state of its points.
+    """The saved state of a simulation: its time and the state of its points.
 
     Attributes:
         time: seconds since its beginning.

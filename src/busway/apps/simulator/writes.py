@@ -17,7 +17,7 @@ Told = Callable[[Sequence[SimulatedPoint], str], None]
 
 
 def watch_writes(device: Device, points: Sequence[SimulatedPoint], told: Told) -> None:
-    """Report all Modbus writes to some points of a device from now on."""
+    """Report each Modbus write to certain points of a device, from now on."""
     for table in Table:
         inside = [point for point in points if point.table is table]
         if inside and table.is_writable:

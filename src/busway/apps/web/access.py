@@ -70,7 +70,7 @@ class Role(IntEnum):
 
     @property
     def label(self) -> str:
-        """The role of a caller as a word in files, messages and sentences: ``operate``."""
+        """The role as a word in files, messages and sentences, such as ``operate``."""
         return self.name.lower()
 
 
@@ -80,7 +80,7 @@ ROLES: Final = MappingProxyType({role.label: role for role in Role})
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """Who sends a request to a web page: name and role.
+    """The sender of a request to a web page: name and role.
 
     Attributes:
         name: name of the token, subject of the certificate, or ``loopback``; for records of what was changed.
@@ -156,7 +156,7 @@ def require(role: Role) -> RequiredRole:
 
 
 def caller_of(scope: Scope) -> Caller:
-    """Return the caller of a request that `PageAccess` has let in. Raises `Refused` for any other."""
+    """Return the caller of a request that `PageAccess` has accepted. Raises `Refused` for any other."""
     found = scope.get(_CALLER)
     if not isinstance(found, Caller):
         raise Refused(401, "the caller is not known")
@@ -164,7 +164,7 @@ def caller_of(scope: Scope) -> Caller:
 
 
 def current_caller(scope: Scope) -> Caller | None:
-    """Return the caller of a request that `PageAccess` has let in, by the tokens of now; None if it is refused now."""
+    """Return the caller of an accepted request, by the tokens valid now; None if it would be refused now."""
     found: Caller | None = scope[_FIND_CALLER]()
     return found
 
@@ -225,7 +225,7 @@ class PageAccess:
                 raise Refused(415, f"the body must be {' or '.join(_BODY_KINDS)}")
 
     def _caller(self, scope: Scope, headers: dict[str, list[str]]) -> Caller:
-        """Return the caller of a request; it can be looked for again as long as the request lasts (rule 7)."""
+        """Return the caller of a request, and store how to find it again while the request lasts (rule 7)."""
         given = _token(scope, headers)
         digest = None if given is None or self._rules.tokens is None else _digest(given)
         subject = scope.get("state", {}).get(CERTIFICATE_SUBJECT, "")
@@ -242,7 +242,7 @@ class PageAccess:
         raise Refused(401, "the token is wrong")
 
     def _find(self, digest: bytes | None, subject: str) -> Caller | None:
-        """Return the caller with a token, a certificate or neither (rule 5); None if it is refused."""
+        """Return the caller by token, by certificate or by neither (rule 5); None if it is refused."""
         if digest is not None and self._rules.tokens is not None:
             found: Caller | None = None
             for token in self._rules.tokens():  # all of them: the time says nothing about which one it was

@@ -114,7 +114,7 @@ class CollectorPage(HostedPage):
         return self.api.log
 
     def resources(self) -> FastAPI:
-        """Return the API as an application without access rules."""
+        """Return the page's HTTP API as an application without access rules."""
         inner = page_application("busway collector", "Last values, history, links, devices and sinks of a collector.")
         self.api.add_to(inner)
         self.commands.add_to(inner)
@@ -122,7 +122,7 @@ class CollectorPage(HostedPage):
         return inner
 
     def application(self, rules: PageAccessRules) -> Application:
-        """Return the ASGI application of page and API, with these access rules."""
+        """Return the ASGI application of the collector's page and API, with these access rules."""
         return guarded(self.resources(), _FILES, rules)
 
 
@@ -145,7 +145,7 @@ def _tls_of(configuration: CollectorConfiguration) -> TlsParameters | None:
 
 
 class CollectorApi:
-    """Routes of a collector's page that only read: points, values, devices, links, sinks, log, trends."""
+    """Routes of the collector's page that only read: points, values, devices, links, sinks, log, trends."""
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector
@@ -351,7 +351,7 @@ class CollectorApi:
 
 
 def _kind(point: Point) -> Literal["number", "state", "text"]:
-    """Return what kind of value people type for a point: a number, a state, or a text."""
+    """Return which kind of value a user types for a point: a number, a state, or a text."""
     if point.type.startswith("bit"):
         return "state"
     return "text" if point.type.startswith(("string", "ip", "eui")) else "number"
@@ -380,7 +380,7 @@ def _trend(table: BucketTable, now: int, seconds: float, longest: float, held: f
 
 
 def _held_trend(answer: TrendAnswer, last: tuple[Value | None, int, int] | None) -> TrendAnswer:
-    """Let the last value of a point of which the store keeps only changes hold until the point was read last."""
+    """Extend the last value of a point, of which the store keeps only changes, until the point was read last."""
     value, reason, time = last or (None, 0, 0)
     if isinstance(value, int | float) and math.isfinite(value) and quality_of(reason) is not Quality.BAD:
         if not answer.time:  # no change, no gap

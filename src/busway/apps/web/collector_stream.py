@@ -51,13 +51,13 @@ _log = logging.getLogger("busway.apps.web")
 
 
 class Shown(Asked):
-    """Message of a viewer: which points it shows from now on, by their positions in ``/api/points``."""
+    """Message from an open page: which points it shows from now on, by their positions in ``/api/points``."""
 
     shown: Annotated[list[Annotated[int, Field(ge=0)]], Field(max_length=MOST_SHOWN)]
 
 
 class Viewer:
-    """One open page in a browser: whose it is, what it was sent, and which points it shows."""
+    """One collector page open in a browser: its caller, what it was sent, and which points it shows."""
 
     def __init__(self, caller: Caller) -> None:
         self.caller: Caller = caller
@@ -104,7 +104,7 @@ class CollectorStream:
         self.values.update(commit)
 
     def refresh(self) -> LiveValues:
-        """Return the last values of all points; a new object if a reload of the file has changed the points."""
+        """Return the last values of all points; a new object after a reload has changed the points."""
         if self._collector.configuration is not self._configuration:
             self._configuration = self._collector.configuration
             points = _points_of(self._collector)
@@ -115,7 +115,7 @@ class CollectorStream:
         return self.values
 
     def tell(self, kind: str, content: Mapping[str, Any]) -> None:  # Any: JSON
-        """Send an event, such as ``command``, to all viewers. From the event loop's thread."""
+        """Send an event, such as ``command``, to all open pages. Call it in the event loop's thread."""
         if self._viewers:
             text = json.dumps({kind: content}, ensure_ascii=False, separators=(",", ":"))
             for viewer in self._viewers:
@@ -138,7 +138,7 @@ class CollectorStream:
         )
 
     def _tell_alarms(self) -> None:
-        """Send the number of alarms to all viewers if it has changed, and to new viewers."""
+        """Send the number of alarms to all open pages if it has changed, and to new ones."""
         counts = self._collector.alarms.counts()
         content = {"alarms": {"active": counts[0], "unacknowledged": counts[1]}}
         for viewer in self._viewers:
@@ -148,7 +148,7 @@ class CollectorStream:
                 viewer.wake.set()
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve the WebSocket of one viewer until it ends."""
+        """Serve the WebSocket of one open page until it ends."""
         if len(self._viewers) >= CLIENTS:
             await socket.close(_TRY_AGAIN_LATER, f"there are {CLIENTS} already")
             return
@@ -223,7 +223,7 @@ class CollectorStream:
     # What is shown.
 
     def _raw(self, viewer: Viewer) -> dict[int, str]:
-        """Return the registers of the points that a viewer shows, if they differ from those it was sent."""
+        """Return the registers of the points that a page shows, if they differ from those it was sent."""
         found: dict[int, str] = {}
         for device, places in self._by_device(viewer.shown).items():
             try:
@@ -248,7 +248,7 @@ class CollectorStream:
         return found
 
     def _lease(self) -> None:
-        """Have the points that viewers show read more often (rule 2), renewed every few seconds."""
+        """Ask the collector to read points that open pages show more often (rule 2); repeated every few seconds."""
         now = time.monotonic()
         if now - self._leased_at < _LEASE_EVERY:
             return

@@ -76,7 +76,7 @@ class SharedConnections:
         return partial(PageConnection, self) if tls is None else partial(SecuringConnection, self, tls)
 
     def admits(self, transport: asyncio.Transport, connections: "set[Any]") -> bool:
-        """Whether an accepted connection, one of ``connections``, may stay; otherwise it is closed."""
+        """Whether an accepted HTTP connection of the page (one of ``connections``) may stay; else it is closed."""
         accepted = transport.get_extra_info("socket")
         if accepted is not None and is_reserved(accepted.fileno()):
             self.say("a connection to the page is closed: the last file descriptors are reserved for Modbus")
@@ -131,7 +131,7 @@ class PageConnection(H11Protocol):
             self._wait()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Hand an HTTP connection of the page over to the WebSocket code."""
+        """Pass an HTTP connection of the page on to the WebSocket code."""
         self._heard()
         super().handle_websocket_upgrade(event)
 
@@ -162,7 +162,7 @@ class PageConnection(H11Protocol):
 
 
 class SecuringConnection(asyncio.Protocol):
-    """A connection of the page during its TLS handshake; a `PageConnection` takes its place then.
+    """A connection to the page during its TLS handshake, after which a `PageConnection` replaces it.
 
     Args:
         shared: state shared with the other connections.
@@ -215,7 +215,7 @@ class SecuringConnection(asyncio.Protocol):
                 page.data_received(b"".join(self._early))
 
     def data_received(self, data: bytes) -> None:
-        """Keep bytes that arrived together with the end of the TLS handshake."""
+        """Keep bytes that arrived right after the TLS handshake, for the `PageConnection`."""
         self._early.append(data)
 
     def connection_lost(self, exc: Exception | None) -> None:

@@ -139,21 +139,21 @@ class HostedPage(ABC):
         """Return the ASGI application of page and API, with these access rules."""
 
     def _lasting(self) -> contextlib.AbstractContextManager[object]:
-        """Context manager around all requests, for what a page needs meanwhile; by default nothing."""
+        """Context manager that a page may override to keep something open while it answers requests."""
         return contextlib.nullcontext()
 
     @property
     def page_url(self) -> str:
-        """Return the URL of the page for people, with the token, if there is one, which gives access."""
+        """Return the URL of the page for people, including the token that gives access, if there is one."""
         return f"{self.url}#token={self.token}" if self.token else self.url
 
     @property
     def announced_url(self) -> str:
-        """Return the URL of the page for logs: with the token only if it was made here and is nowhere else."""
+        """Return the page's URL for logs: with the token only if it was created here and is stored nowhere."""
         return self.url if self._given is not None else self.page_url
 
     def _rules(self, *, local: bool) -> PageAccessRules:
-        """Return who may use the page: by default any caller on loopback, else those who have the one token."""
+        """Return who may use the page: by default every caller on loopback, else those with the one token."""
         self.token = self._given if self._given is not None else "" if local else new_token()
         if not self.token:
             return PageAccessRules(without_token=Role.CONFIGURE, is_loopback=local)
@@ -292,7 +292,7 @@ def guarded(inner: FastAPI, shown: FilesByPath, rules: PageAccessRules) -> Appli
 
 
 class _Server(uvicorn.Server):
-    """The HTTP server of the page (uvicorn). It leaves signals to the program, and reports when it listens."""
+    """The HTTP server of the page (uvicorn), changed to leave signals to the program and to report when it listens."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
@@ -360,6 +360,6 @@ async def _failed(request: Request, error: Exception) -> Response:
 
 
 def _reachable_name(bound: socket.socket) -> str:
-    """Return host and port for a browser: the name of this machine if the page listens everywhere."""
+    """Return host and port for a browser's URL: this machine's name if the page listens on all addresses."""
     host, port = bound.getsockname()[:2]
     return f"{socket.gethostname()}:{port}" if host in ("0.0.0.0", "::") else bound_name(bound)

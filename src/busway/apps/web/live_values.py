@@ -26,7 +26,7 @@ _MILLION: Final = 1_000_000
 
 
 class LiveValues:
-    """The last committed values of all points, by their positions in the list of points.
+    """The last stored values of all points of a collector, by their positions in the list of points.
 
     Args:
         points: device and name of each point, in the order in which viewers have them.
@@ -56,7 +56,7 @@ class LiveValues:
         self._texts: dict[int, str] = {}
 
     def update(self, commit: Commit) -> None:
-        """Take over the samples of a commit."""
+        """Take over the samples of a commit, as soon as they are stored."""
         with self._lock:
             for batch in commit.last_values:
                 self._waiting[batch.group] = batch
@@ -68,7 +68,7 @@ class LiveValues:
                 self._advance()
 
     def advance(self) -> bool:
-        """Begin a new tick with the samples committed since the last one; returns False if there are none."""
+        """Begin a new tick (change number) with the samples stored since the last; returns False if there are none."""
         with self._lock:
             if not self._waiting and not self._unapplied:
                 return False
@@ -86,7 +86,7 @@ class LiveValues:
             self._apply(self._intervals[device])
 
     def _apply(self, interval: StateInterval) -> None:
-        """Change last values by the samples of a commit, by rule 3."""
+        """Change last values by the samples of a commit (rule 3)."""
         always = interval.end is None and interval.reason == Reason.MAINTENANCE
         begin = interval.begin // _MILLION
         for place in self._by_device.get(interval.device, ()):
@@ -123,7 +123,7 @@ class LiveValues:
             return self.values.copy(), self.reasons.copy(), self.times.copy()
 
     def since(self, seen: int) -> str:
-        """Return the changes since a tick, as JSON without its outer braces; made once for all viewers.
+        """Return the changes since a tick, as JSON without its outer braces; encoded once for all open pages.
 
         ``read`` has a first place, a number of places and a time for each run of points; ``changed`` a first place, and
         values and reasons of a run; ``reasons`` the quality and text of the reasons among them.
@@ -150,7 +150,7 @@ class LiveValues:
         return {"read": read, "changed": changed, "reasons": {str(reason): reason_shown(reason) for reason in used}}
 
     def _runs(self, seen: int) -> tuple[list[Any], set[int]]:
-        """Return runs of changed points, each as first position, values and reasons; one reason if all are equal."""
+        """Return groups of adjacent changed points: first position, values and reasons; one reason if all are equal."""
         runs: list[Any] = []
         used: set[int] = set()
         end, values, reasons = -1, list[Any](), list[int]()

@@ -22,13 +22,13 @@ _NOT_IN_JSON: Final = ("NaN", "Infinity", "-Infinity")
 
 
 class Asked(BaseModel):
-    """Base of data classes for the body or query of a request."""
+    """Base class of the data classes for the body or query of a request to the page's API."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
 
 class Answer(BaseModel):
-    """Base of data classes for the body of a response."""
+    """Base class of the data classes for the body of a response of the page's API."""
 
 
 class Failure(Answer):

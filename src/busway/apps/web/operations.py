@@ -88,5 +88,5 @@ async def _not_possible(request: Request, error: ModbusError) -> Response:
 
 
 def _place(path: tuple[int | str, ...]) -> str:
-    """Return the key in a request that an error is about, without FastAPI's prefix."""
+    """Return the key in a request that an error of FastAPI is about, without FastAPI's prefix."""
     return ".".join(str(part) for part in path[1:]) or "the body"

@@ -51,7 +51,7 @@ def is_token(text: str) -> bool:
 
 
 class KeptTokens:
-    """The access tokens of a web page in a file, read again when it changes.
+    """The access tokens of a web page, read from a file, and again when the file changes.
 
     Args:
         path: the file; where there is none it is made, with a token for each role.
@@ -79,7 +79,7 @@ class KeptTokens:
         return self._tokens
 
     def _left(self) -> tuple[AccessToken, ...]:
-        """The tokens that still stand in a file that has become wrong (rule 3)."""
+        """Return the tokens that are still written in a file that has become invalid (rule 3)."""
         try:
             text = read_safely(self.path, most=_LONGEST_FILE).decode("utf-8", "replace")
         except ConfigError:

@@ -45,7 +45,7 @@ Index = Annotated[int, Field(ge=0)]
 
 
 class Wish(Asked):
-    """Message of a viewer: what it wants to be sent from now on; a key that is left out stays unchanged.
+    """Message from an open page: what it wants to be sent from now on; a key that is left out stays unchanged.
 
     Attributes:
         points: their numbers, as ``/api/points`` gives them, or ``all``.
@@ -59,7 +59,7 @@ class Wish(Asked):
 
 
 class Client:
-    """One viewer's WebSocket: what it wants, and the changes that it was not sent yet."""
+    """One open page's WebSocket: what the page wants, and the changes that it was not sent yet."""
 
     def __init__(self, api: Api) -> None:
         self._api = api
@@ -74,7 +74,7 @@ class Client:
         self.skipped: int = 0
 
     def wish(self, wish: Wish) -> str:
-        """Apply the message in which a viewer says what it wants. Returns why it is impossible, or an empty text."""
+        """Apply the message in which a page says what it wants. Returns why that is impossible, or an empty text."""
         count = len(self._api.order)
         if wish.points == "all":
             if count > MOST_POINTS:
@@ -102,7 +102,7 @@ class Client:
     # What happens, told by the hub.
 
     def changed(self, indices: Sequence[int]) -> None:
-        """Note points that have changed and must be sent to the viewer."""
+        """Queue changed points to be sent to the open page."""
         if self._wants_all:
             self._changed.update(dict.fromkeys(indices))
         else:
@@ -112,19 +112,19 @@ class Client:
             self._wake.set()
 
     def passed(self) -> None:
-        """Note a Modbus frame that must be sent to the viewer."""
+        """Queue a Modbus frame to be sent to the open page."""
         if self._wants_traffic:
             self._wake.set()
 
     def switched(self) -> None:
-        """Note that a fault was added, removed or switched, which must be sent to the viewer."""
+        """Queue for the open page that a fault was added, removed or switched."""
         self._has_switched = True
         self._wake.set()
 
     # What is sent.
 
     async def next(self) -> dict[str, Any]:  # Any: JSON
-        """Wait for the next message to send to the page's viewer."""
+        """Wait for the next message to send to the open page, and return it."""
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(self._status_due - time.monotonic(), 0.0)):
@@ -176,7 +176,7 @@ class Client:
 
 
 class Streams:
-    """The WebSockets of all viewers of the page.
+    """The WebSockets of all open pages of a simulation.
 
     Args:
         api: the resources that they watch.
@@ -274,7 +274,7 @@ class Streams:
         self._tell(Client.switched)
 
     def _tell(self, say: Callable[[Client], None]) -> None:
-        """Call a function for each viewer's WebSocket, in the thread of the event loop."""
+        """Call a function for the WebSocket of each open page, in the event loop's thread."""
         if threading.get_ident() == self._thread:
             self._say(say)
         elif self._loop is not None and not self._loop.is_closed():

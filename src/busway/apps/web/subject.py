@@ -13,7 +13,7 @@ from ...server.status import ServerStatus
 
 
 class ShownPoint(Protocol):
-    """Interface of a simulated point as the page shows it; `SimulatedPoint` says what each attribute is."""
+    """Interface of a simulated point as the page shows it; `SimulatedPoint` documents each attribute."""
 
     @property
     def key(self) -> str: ...
@@ -94,7 +94,7 @@ Watcher = Callable[[Sequence[Any]], None]  # Any: `PointChange`
 
 
 class Board(Protocol):
-    """Interface of the simulation's faults by name; `FaultSwitchboard` says what each method does."""
+    """Interface of the faults of a simulation by name; `FaultSwitchboard` documents each method."""
 
     @property
     def fault_profiles(self) -> FaultProfileTable: ...
@@ -150,7 +150,7 @@ class PageSubject(Protocol):
         """Let a point that was set follow its behaviour again."""
 
     def watch(self, callback: Watcher) -> Any:
-        """Have ``callback`` called with each group of changed values. Returns a function that ends it."""
+        """Register a function that gets each group of changed values. Returns a function that unregisters it."""
 
     # Time.
 

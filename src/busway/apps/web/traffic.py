@@ -35,7 +35,7 @@ _ASKED: Final = 16
 
 
 class Passed:
-    """One recorded Modbus frame, or damaged bytes.
+    """One recorded Modbus frame, or recorded damaged bytes.
 
     Attributes:
         number: counts up by one.
@@ -134,7 +134,7 @@ class Traffic:
             TRACE.capture_into(below)
 
     def watch(self, passed: Callable[[], None]) -> Callable[[], None]:
-        """Have ``passed`` called after each frame. Returns a function that ends it."""
+        """Register a function that is called after each recorded frame. Returns a function that unregisters it."""
         self._watchers = (*self._watchers, passed)
 
         def unwatch() -> None:
@@ -145,7 +145,7 @@ class Traffic:
     # What was seen.
 
     def after(self, number: int, limit: int) -> list[Passed]:
-        """Return the latest frames with a number above this one, at most ``limit``, the oldest first."""
+        """Return the latest recorded frames above a number, at most ``limit``, the oldest first."""
         found: list[Passed] = []
         for one in reversed(self._tail):
             if one.number <= number or len(found) == limit:
@@ -155,7 +155,7 @@ class Traffic:
 
     @property
     def first(self) -> int:
-        """Return the number of the oldest frame kept; one more than the last if there is none."""
+        """Return the number of the oldest recorded frame; one more than the last if there is none."""
         return self._tail[0].number if self._tail else self.last + 1
 
     def shown(self, passed: Passed) -> FrameAnswer:
@@ -284,14 +284,14 @@ class _Connection:
         self._requests = _Requests()
 
     def received(self, data: bytes) -> None:
-        """Record bytes that the connection received."""
+        """Record the frames in bytes that a Modbus connection received."""
         if self._onward is not None:
             self._onward.received(data)
         for passed in self._frames(self._incoming, data, is_reply=False):
             self._requests.asked(passed.transaction, passed)
 
     def sent(self, data: bytes) -> None:
-        """Record bytes that the connection sent."""
+        """Record the frames in bytes that a Modbus connection sent."""
         if self._onward is not None:
             self._onward.sent(data)
         for passed in self._frames(self._outgoing, data, is_reply=True):
@@ -339,18 +339,18 @@ class _Line:
 
 
 class _Nothing:
-    """Recorder that records nothing, once recording has stopped."""
+    """Recorder that ignores everything, used once recording has stopped."""
 
     __slots__ = ()
 
     def received(self, data: bytes) -> None:
-        """Ignore received bytes, as recording has stopped."""
+        """Ignore received bytes, because recording has stopped."""
 
     def sent(self, data: bytes) -> None:
-        """Ignore sent bytes, as recording has stopped."""
+        """Ignore sent bytes, because recording has stopped."""
 
     def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
-        """Ignore a frame or damaged bytes, as recording has stopped."""
+        """Ignore a frame or damaged bytes, because recording has stopped."""
 
 
 _NOTHING: Final = _Nothing()

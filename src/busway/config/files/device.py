@@ -163,7 +163,7 @@ class TableSection(Section):
         return self.first + self.size
 
     def faults(self, *, bits: bool, size: int = TABLE_SIZE) -> Iterator[tuple[Path, str]]:
-        """Return errors in the declaration of a table, each with its path inside the table's section."""
+        """Return errors in the declaration of a table, each with its path in the table's section."""
         if self.end > size:
             yield (), f"offsets are 0…{size - 1}, but {self.first}…{self.end - 1} are declared"
         if self.values is not None and len(self.values) > self.size:
@@ -200,7 +200,7 @@ class FifoSection(Section):
 
     @property
     def place(self) -> Address:
-        """Return the address at which function 24 reads the queue."""
+        """Return the address under which function 24 reads the queue."""
         return parse_address(self.address, table=Table.HOLDING_REGISTERS)
 
     @model_validator(mode="after")
@@ -247,13 +247,13 @@ class GroupSection(WholeSection):
         return (self.count or 1) * (len(self.point) + sum(each.size() for each in self.group))
 
     def names(self) -> Iterator[str]:
-        """Return the names of the group's points at one place, without those of inner groups."""
+        """Return the names of the group's points at one of its places, without those of inner groups."""
         return (point.name for point in self.point)
 
     def placed(
         self, path: Path, prefix: str, by: int, outer: Sequence[str], around: "_Around"
     ) -> Iterator["PlacedPoint"]:
-        """Return the points of the group at all its places, each with its path in the file."""
+        """Return the group's points once for each place where it is repeated, each with its path in the file."""
         for index in range(self.count or 1):
             here = f"{prefix}{self.name}." if self.count is None else f"{prefix}{self.name}.{index + 1}."
             known = [*(here + name for name in self.names()), *outer]
@@ -271,7 +271,7 @@ class GroupSection(WholeSection):
 
 @dataclass(frozen=True, slots=True)
 class _Around:
-    """What a point of a device file gets from the groups around it, as in `busway.points.Point`."""
+    """What the groups around a point of a device file add to it, as fields of `busway.points.Point`."""
 
     exists: tuple[tuple[str, int], ...] = ()
     group: str | None = None
@@ -417,7 +417,7 @@ class UnitSection(WholeSection):
 
     @cached_property
     def placed(self) -> tuple[PlacedPoint, ...]:
-        """Return all points of the unit, those of groups at each of their places."""
+        """Return all points of the unit; those of groups once for each place of the group."""
         own = [PlacedPoint(("point", index), point) for index, point in enumerate(self.point)]
         names = [point.name for point in self.point]
         grouped = (

@@ -107,7 +107,7 @@ class RouteSection(OptionSection):
         return frozenset() if functions is None else parse_whole_functions(functions.written, "a route")
 
     def asked_table(self) -> Table | None:
-        """Return the table that plain numbers in the route's addresses belong to. Raises `ConfigError`."""
+        """Return the table that a plain number in the route's addresses means. Raises `ConfigError`."""
         table = self.parameters.table
         return None if table is None else parse_table(table)
 

@@ -87,5 +87,5 @@ _ALL: Final = {"": "", "0.0.0.0": ".", "::": ":"}
 
 
 def _covers(one: str, other: str) -> bool:
-    """Whether one of two hosts means all addresses and so includes the other."""
+    """Whether one of two hosts means all addresses of this machine, and so includes the other."""
     return (one in _ALL and _ALL[one] in other) or (other in _ALL and _ALL[other] in one)

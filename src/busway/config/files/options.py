@@ -34,7 +34,7 @@ def _or_none(kind: Any) -> Any:  # a type, and the annotated type that pydantic 
 
 
 class OptionSection(Section):
-    """Base of the sections whose keys are, or include, declared options."""
+    """Base of file sections with declared options among their keys."""
 
     kinds: ClassVar[tuple[type[Any], ...]] = ()  # parameter classes, which share no base
     """The classes that check the values."""
@@ -46,7 +46,7 @@ class OptionSection(Section):
         return self.options_of(*self.kinds)
 
     def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
-        """Return the options of some parameter classes that this section sets, by name."""
+        """Return those options of some parameter classes that this file section sets, by name."""
         known = {name for kind in kinds for name in declared(kind)}
         return {name: value for name, value in self if name in known and name in self.model_fields_set}
 
@@ -63,7 +63,7 @@ class OptionSection(Section):
 
 
 def build(kind: type[Any], options: Mapping[str, Any]) -> None:
-    """Build a parameter object so that it checks its options; an error is reported at the key."""
+    """Create a parameter object, which checks its options; an error is reported at the key in the file."""
     try:
         build_parameters(kind, options)
     except ConfigError as error:
@@ -73,7 +73,7 @@ def build(kind: type[Any], options: Mapping[str, Any]) -> None:
 def with_options_of(
     *kinds: type[Any], role: str = "", without: Iterable[str] = ()
 ) -> Callable[[type[Kind]], type[Kind]]:
-    """Class decorator that adds a key to a section for each option of the parameter classes.
+    """Class decorator that adds a key to a file section for each option of the parameter classes.
 
     Args:
         kinds: the classes.

@@ -70,7 +70,7 @@ def _conversion(
 
 
 def checked(key: str, make: Callable[[], Result]) -> Result:
-    """Return the result of ``make``; its error is reported at ``key`` of the section that is being checked."""
+    """Return the result of the function ``make``; its error is reported at ``key`` of the checked section."""
     try:
         return make()
     except (InvalidRequest, ConfigError) as error:
@@ -112,7 +112,7 @@ class WriteSection(Section):
 
     @property
     def place(self) -> Literal["none", "read-back"] | Address:
-        """Return where a write is verified: nowhere, by reading the point back, or at another address."""
+        """Return how a write is verified: not at all, by reading the point back, or by reading another address."""
         if self.verify == "none":
             return "none"
         return "read-back" if self.verify == "read-back" else parse_address(self.verify)
@@ -224,7 +224,7 @@ STAND_IN: Final = "0"
 
 
 class WholeSection(Section):
-    """Base of sections that report all errors at once, also those between keys while one key is invalid."""
+    """Base of file sections that report all their errors at once, also those between keys."""
 
     def faults(self) -> Iterator[tuple[Path, str]]:
         """Return errors between the keys of this section, each with its path and a sentence."""
@@ -247,7 +247,7 @@ class WholeSection(Section):
     def _further(
         cls, data: Any, handler: ModelWrapValidatorHandler[Any], found: Sequence[tuple[Path, str]]
     ) -> Iterator[tuple[Path, str]]:
-        """Return errors between valid keys, found by replacing the invalid ones with stand-ins."""
+        """Return errors between valid keys, found by replacing invalid keys with valid stand-ins."""
         broken = {path[:2] if len(path) > 1 and isinstance(path[1], int) else path[:1] for path, _ in found if path}
         if not isinstance(data, dict) or not broken:
             return
@@ -406,7 +406,7 @@ class PointSection(WholeSection):
 
     @cached_property
     def taken_bits(self) -> range:
-        """Return the bits that the point occupies in each of its registers."""
+        """Return which bits of each of its registers the point occupies."""
         if self.place.bit is not None:
             return range(self.place.bit, self.place.bit + 1)
         kind = "" if self.form is None else self.form.name
@@ -674,7 +674,7 @@ class PointSection(WholeSection):
                 yield ("enumeration", name), error.message
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "PointSection":
-        """Return a copy of the point for one place of its group, with its name and address adjusted.
+        """Return a copy of the point for one place of its group, with name and address of that place.
 
         Args:
             prefix: put before its name.
@@ -696,5 +696,7 @@ class PointSection(WholeSection):
 
 
 def resolved(name: str, known: Sequence[str]) -> str:
-    """Return the full name of a point in a formula: with the innermost group's prefix for which it exists."""
+    """Return the full name of a point used in a formula: its name with the prefix of the innermost
+    group that has it.
+    """
     return next((each for each in known if each == name or each.endswith(f".{name}")), name)

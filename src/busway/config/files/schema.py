@@ -32,7 +32,7 @@ from .problems import FileError
 
 
 def _describe(schema: dict[str, Any], section: "type[Section]") -> None:  # what JSON has
-    """Add meaning and range of each key, as declared, to the JSON Schema of a section."""
+    """Add each key's declared meaning and range to the JSON Schema of a section."""
     for name, option in keys_of(section).items():
         found = schema.get("properties", {}).get(name)
         if found is not None:
@@ -69,7 +69,7 @@ class Section(BaseModel):
 
 
 def _limited(option: Option) -> Callable[[object], object]:
-    """Return a validator that refuses what is out of the range of a key."""
+    """Return a validator that refuses values outside the range of a key."""
 
     def checked(value: object) -> object:
         try:
@@ -103,7 +103,7 @@ def _option(name: str, field: Any) -> Option:  # as pydantic has it
 
 
 def _written_as(annotation: Any, marks: Sequence[Any]) -> Any:  # types as annotations have them
-    """Return the type that a key has in the file, if a validator turns it into another type."""
+    """Return the type of a key's value in the file, which a validator may convert to another type."""
     for mark in marks:
         if isinstance(mark, BeforeValidator) and mark.json_schema_input_type is not PydanticUndefined:
             return _written_as(mark.json_schema_input_type, ())
@@ -150,7 +150,7 @@ class Source:
     lines: Mapping[Path, int]
 
     def problem(self, path: Path, sentence: str) -> ConfigError:
-        """Return the error for a problem at a path of the file, with file, line and key."""
+        """Return an error at a path of the file, with file, line and key."""
         standing = _standing(path, self.lines)
         return ConfigError(sentence, file=self.name, line=line_of(self.lines, standing), key=_written(standing))
 
@@ -236,7 +236,7 @@ def _densest_line(text: str) -> int:
 
 
 def read_section(schema: type[File], data: object) -> File:
-    """Check part of a file by a section class that was chosen by the part's contents. Raises `FileProblems`."""
+    """Check part of a file by a section class, chosen by its contents. Raises `FileProblems`."""
     try:
         return schema.model_validate(data)
     except ValidationError as error:
@@ -244,7 +244,7 @@ def read_section(schema: type[File], data: object) -> File:
 
 
 def faults_in(error: ValidationError, schema: type[Section]) -> list[tuple[Path, str]]:
-    """Return an error of pydantic as paths in the section, and sentences."""
+    """Return the problems in an error of pydantic: path in the section, and sentence, of each."""
     return [fault for each in error.errors() for fault in faults_of(each, schema)]
 
 
@@ -260,7 +260,7 @@ def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
 
 
 def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
-    """Return the path of a value as it is written in the file, where one value may stand for a list of one."""
+    """Return the path of a value as written in the file, where a single value may be given instead of a list."""
     if path in lines:
         return path
     shorter = (path[:at] + path[at + 1 :] for at in reversed(range(len(path))))

@@ -84,7 +84,7 @@ class SimulatedPointSection(PointSection):
         yield from faults or self._behaviour_faults()
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "SimulatedPointSection":
-        """Return a copy of the point for one place of its group, with names in its behaviour adjusted too."""
+        """Return a copy of the point for one place of its group; names in its behaviour are adjusted too."""
         moved = super().moved(prefix, by, known)
         assert isinstance(moved, SimulatedPointSection)
         if moved.behaviour is None:

@@ -64,7 +64,7 @@ class SentSection(SinkSection):
     ] = None
 
     def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
-        """The options of some parameter classes that this section sets, by name."""
+        """Return those options of some parameter classes that this sink's table sets, by name."""
         found = super().options_of(*kinds)
         return found if self.report is None or "report" not in found else found | {"report": self.report.described()}
 

@@ -38,7 +38,7 @@ def _unchanged(value: object) -> object:
 
 @with_options_of(*LINKS, role="client")
 class LinkKeys(OptionSection):
-    """Base of the sections with options of a link; one that the file leaves out stays unset."""
+    """Base of file sections with options of a link; options that the file leaves out have no value."""
 
     preset: Annotated[PresetWord | None, "a set of options; `strict` ends each deviation from the documents."] = None
 
@@ -142,7 +142,7 @@ class SystemFile(DeviceFile):
 
 
 def twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
-    """Return errors for equal names in sections of one kind: the path of the later one, and a sentence."""
+    """Return an error for each name that two sections of one kind share: path of the later one, and a sentence."""
     for index, name in enumerate(names):
         if name in names[:index]:
             yield (key, index, "name"), f"{name!r} is there already: {key}[{names.index(name)}]"

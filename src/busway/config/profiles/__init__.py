@@ -70,7 +70,7 @@ def read_profile(name: str) -> str:
 
 
 def read_included(name: str) -> str:
-    """Return the text of a file that a simulation file names: a regular file, not another user's link."""
+    """Return the text of a file that a simulation file names; it must be regular and no other user's link."""
     return _ready_made_text(name) if name.startswith(PREFIX) else read_named_text(name)
 
 

@@ -30,7 +30,7 @@ ASK_SECONDS: Final = 2.0
 
 
 class MetricsSource(Protocol):
-    """Interface of a server or gateway that metrics are made from."""
+    """Interface of a server or gateway whose metrics are served."""
 
     def status(self) -> Any:
         """Return the current status: a dataclass like `busway.server.server.ServerStatus`."""
@@ -80,8 +80,7 @@ def start_metrics(
 
 
 class MetricsEndpoint:
-    """The HTTP service that offers the metrics of one server or gateway; an asynchronous context manager that closes
-    it.
+    """The HTTP service that offers the metrics of one server or gateway; an asynchronous context manager.
 
     Attributes:
         url: URL to scrape.
@@ -120,7 +119,7 @@ class MetricsEndpoint:
         self._service.start()
 
     def answer(self, request: HttpRequest) -> HttpResponse:
-        """Return the response to ``GET /metrics``, for other HTTP services too. Blocks: not for the source's loop."""
+        """Return the response to ``GET /metrics``, for other HTTP services. Blocks: not for the server's event loop."""
         if request.path not in ("/", "/metrics"):
             raise HttpError(HTTPStatus.NOT_FOUND, "there is nothing but /metrics")
         if request.method != "GET":
@@ -133,7 +132,7 @@ class MetricsEndpoint:
         await asyncio.to_thread(self._service.stop)
 
     def _ask(self) -> Any:  # a status, as the source gives it
-        """Return the status of the server, from its event loop; None if that does not answer in time."""
+        """Return the server's status, asked for in its event loop; None if the loop does not answer in time."""
 
         async def status() -> Any:
             return self._source.status()

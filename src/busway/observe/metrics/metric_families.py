@@ -83,7 +83,7 @@ _INDICATOR_STATES: Final = ("off", "on", "flashing")
 
 
 class ServerCollector(Collector):
-    """Makes the metrics of one server or gateway for Prometheus at each scrape.
+    """Prometheus collector that creates the metrics of one server or gateway at each scrape.
 
     Args:
         ask: gives the status, or None where the server does not say how it is.
@@ -128,7 +128,7 @@ def _refusals(status: Any) -> Counter[str]:
 
 
 class ClientCollector(Collector):
-    """Makes the metrics of the client connections of this process for Prometheus at each scrape.
+    """Prometheus collector that creates the metrics of this process's client connections at each scrape.
 
     Args:
         ask: gives how they do, as `busway.client.registry.local_connections`.
@@ -152,7 +152,7 @@ class ClientCollector(Collector):
 
 
 def _summed(family: Family, links: Iterable[Any], field: str) -> Family:
-    """Return a metric family with one counter of all links, summed by endpoint: several may lead to one device."""
+    """Return a metric family with one counter of all links; links to the same endpoint are added up."""
     sums: Counter[str] = Counter()
     for one in links:
         sums[one.endpoint] += getattr(one, field)
@@ -187,7 +187,7 @@ def server_families(status: Any) -> Iterator[Family]:
 
 
 def class_families(counters: Any) -> Iterator[Family]:
-    """Return the metric families of the counters kept for priority hosts and for others."""
+    """Return the metric families of counters kept separately for priority hosts and for other hosts."""
     families: dict[str, Family] = {}
     for field in fields(counters):
         for name, count in _numbers(getattr(counters, field.name)):
@@ -306,7 +306,7 @@ def upstream_families(upstreams: Iterable[Any]) -> Iterator[Family]:
 
 
 def _counters_of(prefix: str, label: str, parts: Iterable[Any], meaning: str) -> Iterator[Family]:
-    """Return a metric family for each counter that several parts have, with a label that names the part."""
+    """Return a metric family for each counter of several parts, with a label that names the part."""
     families: dict[str, Family] = {}
     for one in parts:
         for name, count in _numbers(one.counters):

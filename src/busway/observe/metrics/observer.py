@@ -23,7 +23,7 @@ _LINES: Final = ("rtu://", "ascii://")
 
 
 class ClassifyByPriority:
-    """Puts clients into classes for the metrics: `PeerClass.PRIORITY` for priority hosts, else by listener.
+    """Function that classifies clients for the metrics: `PeerClass.PRIORITY` for priority hosts, else by listener.
 
     Args:
         is_priority: whether the host of a peer's address has priority at a listener; asked once for each peer.
@@ -77,7 +77,7 @@ class MetricsObserver:
                 self._count(peer_class, reply, 1, each)
 
     def _count(self, peer_class: PeerClass, reply: bytes, count: int, each: float) -> None:
-        """Count several replies that have unit, function and exception code in common."""
+        """Count several replies with the same unit, function and exception code."""
         key = peer_class, reply[6:8]
         known = self._counted.get(key)
         if known is None:

@@ -26,7 +26,7 @@ _KNOWN_EXCEPTIONS: Final = frozenset(int(code) for code in ExceptionCode)
 
 
 class PeerClass(Enum):
-    """Classes of clients that the metrics count apart, as values of a label."""
+    """Classes of clients that the metrics count separately, as values of a label."""
 
     PRIORITY = "priority"
     """An address of the pool of priority connections."""
@@ -48,7 +48,7 @@ class Unanswered(Enum):
 
 
 class Series:
-    """The number of requests that have all labels of a metric in common.
+    """One counter of requests: those with the same values of all labels.
 
     Attributes:
         count: number of answered requests.
@@ -86,7 +86,7 @@ class Durations:
 
 
 class RequestTally:
-    """How many requests a server or gateway has answered, by labels, and how long they took.
+    """Counters of the requests that a server or gateway has answered, by labels, and how long they took.
 
     Args:
         functions: codes of the functions that get a label of their own.
@@ -103,7 +103,7 @@ class RequestTally:
     # What is counted.
 
     def series(self, peer_class: PeerClass, unit: int, function: int, exception: int | None = None) -> Series:
-        """Return the counter for these labels; a caller that counts many requests may keep it."""
+        """Return the counter for these label values; a caller that counts many requests may keep it."""
         unit_label = str(unit) if self._units else ""
         labels = (peer_class.value, unit_label, self._function(function), _exception(exception))
         found = self._series.get(labels)
@@ -129,11 +129,11 @@ class RequestTally:
     # What is read, from any thread.
 
     def all_series(self) -> list[Series]:
-        """Return the counters of all labels so far; they are live and go on counting."""
+        """Return the counters of all label values so far; the objects go on counting."""
         return list(self._series.copy().values())
 
     def all_durations(self) -> list[Durations]:
-        """Return all histograms of durations so far; they are live and go on counting."""
+        """Return the histograms of durations of all functions so far; the objects go on counting."""
         return list(self._durations.copy().values())
 
     def unanswered_counts(self) -> dict[Unanswered, int]:

@@ -126,7 +126,9 @@ class EpollStream(asyncio.Transport):
             self._fail(RuntimeError("get_buffer() returned an empty buffer"), "nowhere to receive into")
 
     def _end(self) -> None:
-        """Handle the end of the peer's stream: close, unless the protocol still has something to send."""
+        """Handle the end of the peer's stream: close the connection, unless the protocol still has
+        something to send.
+        """
         self._ended = True
         try:
             stays = self._protocol.eof_received()
@@ -163,7 +165,7 @@ class EpollStream(asyncio.Transport):
             self._keep(memoryview(data).cast("B")[sent:])
 
     def _write_behind(self, data: bytes | bytearray | memoryview) -> None:
-        """Queue bytes to send, because others wait before them; or drop them, because the connection is closing."""
+        """Queue bytes to be sent after those that wait; or drop them if the connection is closing."""
         if not isinstance(data, bytes | bytearray | memoryview):
             raise TypeError(f"data argument must be a bytes-like object, not {type(data).__name__!r}")
         if self._finished:
@@ -257,7 +259,7 @@ class EpollStream(asyncio.Transport):
             self._call("pause_writing")
 
     def _call(self, name: str) -> None:
-        """Call a method that the protocol may have; its exception is reported and does not end the connection."""
+        """Call an optional method of the protocol; its exception is reported and does not end the connection."""
         try:
             getattr(self._protocol, name)()
         except (SystemExit, KeyboardInterrupt):
@@ -372,7 +374,9 @@ class EpollStream(asyncio.Transport):
         self._epoll_set.loop.call_soon(self._lose, error)
 
     def _lose(self, error: BaseException | None) -> None:
-        """Call the protocol's `connection_lost` and close the socket, in a later turn (rule 3 of `EpollSet`)."""
+        """Call the protocol's `connection_lost` and close the socket, in a later turn of the event loop (rule 3 of
+        `EpollSet`).
+        """
         connection, protocol = self._socket, self._protocol
         assert connection is not None  # once
         try:

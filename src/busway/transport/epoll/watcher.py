@@ -58,7 +58,7 @@ class EpollSet:
         return len(self._watched)
 
     def watch(self, descriptor: int, events: int, member: Watcher) -> None:
-        """Call ``member`` whenever ``descriptor`` is ready for one of ``events``; it was not watched before.
+        """Call ``member`` whenever ``descriptor``, not watched so far, is ready for one of ``events``.
 
         Raises:
             OSError: the system cannot watch another one; nothing has changed.
@@ -102,7 +102,7 @@ class EpollSet:
             self._epoll = None
 
     def _look(self) -> None:
-        """Call the watcher of each descriptor that is ready."""
+        """Call the watcher of each descriptor that epoll reports as ready."""
         if self._epoll is None:
             return  # the last one has gone in this very turn
         watched = self._watched
@@ -113,7 +113,7 @@ class EpollSet:
 
 
 def epoll_set_for(loop: asyncio.AbstractEventLoop) -> EpollSet | None:
-    """Return the epoll set of ``loop``; None if the loop cannot watch one, so that its own transports are used."""
+    """Return the epoll set of ``loop``; None if the loop cannot watch one and must use its own transports."""
     return EpollSet(loop) if can_watch(loop) else None
 
 

@@ -38,7 +38,7 @@ class Alarm:
     """
 
     def __init__(self, ring: Callable[[], None]) -> None:
-        """Create a timer that is not set. It calls ``ring`` in the event loop each time it is due."""
+        """Create a timer, not set yet, that calls ``ring`` in the event loop each time it is due."""
         self._loop = asyncio.get_running_loop()
         self._ring = ring
         self._handle: asyncio.TimerHandle | None = None
@@ -50,7 +50,9 @@ class Alarm:
             self._loop.add_reader(self._descriptor, self._expired, self._descriptor)
 
     def set(self, when: float) -> None:
-        """Have the function called at ``when`` (``time.monotonic``) or soon after; an earlier setting is forgotten."""
+        """Set the timer to call the function at ``when`` (``time.monotonic``) or soon after, instead of an earlier
+        setting.
+        """
         if self._descriptor is not None:
             self._when = when
             # All zero would mean never.
@@ -68,7 +70,7 @@ class Alarm:
             self._handle = None
 
     def close(self) -> None:
-        """Close the timer for good; nothing is called any more. May be called twice."""
+        """Close the timer for good; its function is not called any more. May be called twice."""
         self.cancel()
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:

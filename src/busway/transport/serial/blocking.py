@@ -92,7 +92,7 @@ class BlockingSerialPort:
 
     @property
     def sent_at(self) -> float:
-        """Time at which the last written character left, as far as is known (``time.monotonic``)."""
+        """Time at which the last written character left the port, as far as known (``time.monotonic``)."""
         return self._device.emission.until
 
     def fileno(self) -> int:

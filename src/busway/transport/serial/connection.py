@@ -113,7 +113,7 @@ class SerialConnection:
 
     @property
     def sent_at(self) -> float:
-        """Time at which the last written character left, as far as is known (``time.monotonic``); 0 before any
+        """Time at which the last written character left the port, as far as known (``time.monotonic``); 0 before any
         write.
         """
         if self._device is None:
@@ -141,7 +141,7 @@ class SerialConnection:
         return device.emission.written(len(data), now)
 
     def held(self) -> int:
-        """Return how many written characters have not left the port, as far as the system tells. Raises `LinkDown`."""
+        """Return how many written characters are still in the port, as far as the system tells. Raises `LinkDown`."""
         transport, device = self._opened()
         waiting = transport.get_write_buffer_size()
         if self._sender is not None:
@@ -235,7 +235,7 @@ class SerialConnection:
             self._lost(port_lost(error, port=self.path))
 
     def _gone(self, error: OSError) -> None:
-        """Handle the report of the port's driver that the port has vanished."""
+        """Handle the loss of the port, which its driver has reported."""
         if self._told:
             return
         self.close()
@@ -259,7 +259,7 @@ class _Events(asyncio.Protocol):
 
 
 class _SenderByRts:
-    """Sends frames on an RS-485 port with RTS raised around each, and with a delay before and after."""
+    """Sends frames on an RS-485 port: raises RTS around each frame, with a delay before and after."""
 
     def __init__(
         self,
@@ -280,7 +280,7 @@ class _SenderByRts:
 
     @property
     def waiting(self) -> int:
-        """Number of bytes that wait for the end of the delay before sending."""
+        """Number of bytes not sent yet because the delay before sending is not over."""
         return len(self._outbox)
 
     def write(self, data: bytes, path: str) -> float:

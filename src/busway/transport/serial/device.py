@@ -52,7 +52,7 @@ def descriptor_of(opened: "BaseSerial") -> int | None:
 
 
 class OpenDevice:
-    """An open serial port apart from its bytes: settings, RS-485 direction, counters, damage marks.
+    """An open serial port without reading and writing: settings, RS-485 direction, counters, damage marks.
 
     Attributes:
         direction: who switches the direction of the driver.
@@ -79,11 +79,13 @@ class OpenDevice:
             self._marks = MarkDecoder()
 
     def unmarked(self, data: bytes) -> Received:
-        """Return received bytes without the system's damage marks, and the number of damaged ones."""
+        """Return received bytes without the marks that the system puts before damaged ones, and the number of those."""
         return self._marks.feed(data) if self._marks is not None else Received(data, 0)
 
     def held(self) -> int:
-        """Return how many characters the system says the port still has to send. Raises `OSError` if it is gone."""
+        """Return how many written characters are still in the port, by the system. Raises `OSError` if the port is
+        gone.
+        """
         return 0 if self._descriptor is None else characters_held(self._descriptor, self._ioctl)
 
     def counters(self) -> LineCounters | None:
@@ -107,5 +109,5 @@ class OpenDevice:
         self.forget()
 
     def forget(self) -> None:
-        """Forget the descriptor of the port: it is closed, and its number may soon be another file's."""
+        """Stop using the port's descriptor, which is closed: its number may soon belong to another file."""
         self._descriptor = None

@@ -27,19 +27,19 @@ class CharacterClock:
         self.until: float = 0.0
 
     def written(self, count: int, now: float) -> float:
-        """Note that ``count`` characters were written. Returns when the last of them will have left."""
+        """Count ``count`` written characters. Returns when the last of them will have left the port."""
         self.until = max(self.until, now) + count * self._character_time
         return self.until
 
     def still_held(self, count: int, now: float) -> float:
-        """Note that the port still holds ``count`` characters. Returns when the last leaves at the earliest."""
+        """Correct the time by ``count`` characters still in the port. Returns when the last can have left."""
         if count:
             self.until = max(self.until, now + count * self._character_time)
         return self.until
 
 
 def characters_held(descriptor: int, ioctl: Ioctl = system_ioctl) -> int:
-    """Return how many written characters have not left the port, as far as the driver tells.
+    """Return how many written characters are still in the port, as far as the driver tells.
 
     The buffer's count leaves out the character that is being sent; where the driver tells whether its transmitter is
     empty, that one counts too.

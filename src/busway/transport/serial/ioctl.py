@@ -33,7 +33,7 @@ def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> boo
 
 
 def asked_integer(ioctl: Ioctl, descriptor: int, request: int, value: int = 0) -> int | None:
-    """Make an ioctl call with an integer and return the integer it gives; None if the driver does not offer it."""
+    """Make an ioctl call with an integer and return its integer result; None if the driver does not offer it."""
     buffer = bytearray(struct.pack("i", value))
     if not asked(ioctl, descriptor, request, buffer):
         return None

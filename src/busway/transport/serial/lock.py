@@ -43,7 +43,7 @@ def refuse_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
 
 
 def admit_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
-    """Let the system open the serial port again, after `refuse_others`, which lasts as long as a descriptor is open."""
+    """Let the system open the port again after `refuse_others`, which would hold as long as a descriptor is open."""
     try:
         asked(ioctl, descriptor, TIOCNXCL, bytearray())
     except OSError:
@@ -68,7 +68,7 @@ def holder_of(path: str, processes: Path = PROCESSES) -> Holder | None:
 
 
 def _who_locked(place: str, processes: Path) -> int | None:
-    """Return the process number in a line of /proc/locks such as ``1: FLOCK  ADVISORY  WRITE 4711 00:1a:3 0 EOF``."""
+    """Return the process number in a line of /proc/locks, as ``1: FLOCK  ADVISORY  WRITE 4711 00:1a:3 0 EOF``."""
     try:
         lines = (processes / "locks").read_text().splitlines()
     except OSError:
@@ -81,7 +81,7 @@ def _who_locked(place: str, processes: Path) -> int | None:
 
 
 def _who_opened(status: os.stat_result, processes: Path) -> Iterator[int]:
-    """Return the numbers of other processes that have the serial port open, as far as they can be seen."""
+    """Return the numbers of other processes that have the port open, as far as this process may see them."""
     for directory in _listed(processes):
         if not directory.name.isdigit() or int(directory.name) == os.getpid():
             continue

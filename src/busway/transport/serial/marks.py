@@ -39,7 +39,7 @@ class MarkDecoder:
         self._within = _Within.DATA
 
     def feed(self, stream: bytes) -> Received:
-        """Return the next received bytes without marks. They may be empty if a mark has only begun."""
+        """Return the next received bytes without damage marks; empty if so far only a mark has begun."""
         if self._within is _Within.DATA and MARK not in stream:
             return Received(stream, 0)
         data = bytearray()

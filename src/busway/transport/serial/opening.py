@@ -18,12 +18,12 @@ from .reopen import ReopenPolicy
 
 
 def reopen_policy(parameters: OpeningParameters) -> ReopenPolicy:
-    """Return how long to wait between endless attempts to open a serial port again."""
+    """Return the pauses between attempts to open a lost serial port again, without end."""
     return ReopenPolicy(first=parameters.reopen_first, most=parameters.reopen_most)
 
 
 class Claim:
-    """The right of one user in this process to a serial port. Keep it as long as the port is used."""
+    """The exclusive right of one user in this process to a serial port, until `release`."""
 
     __slots__ = ("__weakref__", "port", "user")
 
@@ -61,5 +61,5 @@ _claims: "weakref.WeakValueDictionary[str, Claim]" = weakref.WeakValueDictionary
 
 
 def _key(port: str) -> str:
-    """Return one name for a serial device, whatever symbolic link leads to it."""
+    """Return the same name for a serial device whatever symbolic link was used."""
     return os.path.realpath(port) if port.startswith("/") and os.path.exists(port) else port

@@ -16,7 +16,9 @@ class Overruns:
     __slots__ = ("_counters", "_lost")
 
     def __init__(self, counters: Callable[[], LineCounters | None]) -> None:
-        """Start with the current count of lost characters. ``counters`` reads it, and may raise `LinkDown`."""
+        """Start counting lost characters from now on. ``counters`` reads the driver's counts, and may
+        raise `LinkDown`.
+        """
         self._counters = counters
         self._lost = self._read()
 

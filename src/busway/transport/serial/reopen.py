@@ -56,7 +56,7 @@ async def open_when_there(
     waiting: Callable[[LinkDown, float], None] = _ignore,
     sleep: Callable[[float], Awaitable[object]] | None = None,
 ) -> Port:
-    """Open a serial port, waiting for a missing one as long as the policy says. Cancel it to stop waiting.
+    """Open a serial port; if it is missing, wait as long as the policy allows. Cancel it to stop waiting.
 
     Args:
         opener: opens the port once, for example ``lambda: SerialConnection.open(…)``.

@@ -28,7 +28,7 @@ _LAYOUT = struct.Struct("III20x")
 
 
 class DriverDirection(Enum):
-    """What switches an open RS-485 port between sending and receiving."""
+    """How an open RS-485 port is switched between sending and receiving."""
 
     NONE = "none"
     KERNEL = "kernel"
@@ -36,7 +36,7 @@ class DriverDirection(Enum):
 
 
 def settle_direction(descriptor: int, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> DriverDirection:
-    """Set up the direction control of an open RS-485 port as its settings say. Returns what switches it.
+    """Set up the direction control of an open RS-485 port by its settings. Returns how it is switched.
 
     Raises:
         ConfigError: the kernel's mode is asked for and this port does not have it.

@@ -70,9 +70,7 @@ def client_context(parameters: TlsParameters) -> ssl.SSLContext:
 
 
 def timeless_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """Build a client's context that accepts expired certificates, to find out when one expired. No data is sent over
-    it.
-    """
+    """Return a client's context that accepts expired certificates, only to find out when one expired."""
     context = client_context(parameters)
     context.verify_flags |= ssl.VerifyFlags(_NO_CHECK_TIME)
     return context
@@ -262,7 +260,7 @@ class WatchedContext:
         _log.info("%s: certificates read anew", self.name)
 
     def _files(self) -> tuple[tuple[str, int, int], ...]:
-        """Return modification time and size of each certificate file, to notice changes; zero for a missing file."""
+        """Return modification time and size of each certificate file, to notice changes; zero for a missing one."""
         chosen = self.parameters
         own = (chosen.certificate, chosen.key, chosen.password_file, chosen.revocation_list)
         names = [one for one in own if one is not None]

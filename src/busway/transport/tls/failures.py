@@ -60,7 +60,7 @@ def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
 
 
 def dated(failure: TlsFailure, certificate: Mapping[str, object], now: float) -> TlsFailure:
-    """Return a failure with the expiry date of the peer's certificate added; ``now`` is seconds since 1970."""
+    """Return a copy of a failure that also tells when the peer's certificate expired; ``now``: seconds since 1970."""
     begins, ends = (ssl.cert_time_to_seconds(str(certificate[key])) for key in ("notBefore", "notAfter"))
     if now > ends:
         sentence = f"the server's certificate has expired on {date_of(ends)}"

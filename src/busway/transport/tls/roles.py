@@ -20,7 +20,7 @@ _LONG_LENGTH: Final = 0x80
 
 @dataclass(frozen=True, slots=True)
 class RoleReading:
-    """What was read from a certificate: the client's role, or why there is none.
+    """Result of reading a certificate: the client's role, or why it has none.
 
     Attributes:
         role: the role; None without one.

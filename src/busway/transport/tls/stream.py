@@ -96,7 +96,7 @@ class TlsStream:
             raise failure_of(error, server_side=self._server_side) from error
 
     def end_reason(self, error: Exception | None) -> Exception | None:
-        """Return why a connection without a TLS failure ended; ``error`` is that of the network.
+        """Return why a connection ended that had no TLS failure; ``error`` is that of the network.
 
         Many servers of TLS 1.3 refuse a certificate by closing, without the alert that says so, and after the client
         believes itself connected. Only that nothing was ever heard tells that from other ends.
@@ -113,7 +113,7 @@ class TlsStream:
         return self._outgoing.read() if self._outgoing.pending else b""
 
     def finish(self) -> None:
-        """Tell the peer that nothing more is sent (close_notify); without it the session could not be resumed."""
+        """Announce to the peer that nothing more is sent (close_notify); else the session could not be resumed."""
         try:
             self._ssl.unwrap()
         except (ssl.SSLError, ValueError):

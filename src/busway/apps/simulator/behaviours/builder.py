@@ -30,7 +30,7 @@ from .waves import Constant, Ramp, Sine, Square
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a behaviour needs beside its section: range and first value of the point, seed, other points.
+    """What a behaviour depends on besides its section: the point's range and first value, seed, other points.
 
     Attributes:
         key: of the point, ``UNIT/NAME``.
@@ -55,7 +55,7 @@ class Surroundings:
 
 
 def make_behaviour(section: BehaviourSection, around: Surroundings) -> Behaviour:
-    """Build the behaviour that a section of a simulation file declares."""
+    """Create the behaviour of a simulated point that a section of a simulation file declares."""
     match section:
         case ConstantSection():
             return Constant(section)

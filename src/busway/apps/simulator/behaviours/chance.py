@@ -16,12 +16,12 @@ _TO_UNIT: Final = 2.0**-53
 
 
 def stream_of(seed: int, key: str) -> int:
-    """Return the number that starts a point's own sequence of random numbers."""
+    """Return the start number of a point's own sequence of random numbers."""
     return int.from_bytes(blake2b(f"{seed}/{key}".encode(), digest_size=8).digest())
 
 
 def drawn(stream: int, index: int) -> float:
-    """Return random number ``index`` of a sequence, 0 ≤ x < 1, uniform: SplitMix64 by position."""
+    """Return number ``index`` of a random sequence, 0 ≤ x < 1, uniform: SplitMix64 by position."""
     word = (stream + index * _GOLDEN) & _WORD
     word = ((word ^ word >> 30) * 0xBF58476D1CE4E5B9) & _WORD
     word = ((word ^ word >> 27) * 0x94D049BB133111EB) & _WORD

@@ -70,7 +70,7 @@ class Counter:
         return self._value
 
     def observe(self, time: float) -> None:
-        """Note the value of the rate at a time; it counts until the next moment."""
+        """Take over the counter's rate at a time; it holds until the next moment."""
         rate = self._rate(time)
         self._seen = rate if math.isfinite(rate) else 0.0
 
@@ -102,7 +102,7 @@ class SteadyLag:
         self._since = 0.0
 
     def value(self, time: float) -> float:
-        """Return the value at a time while it approaches its target."""
+        """Return the value at a time, while it approaches its target."""
         way = self._start - self._target
         return self._target + way * math.exp(min(self._since - time, 0.0) / self._time_constant)
 
@@ -143,7 +143,7 @@ class Lag:
         return self._value
 
     def observe(self, time: float) -> None:
-        """Note the value of the target at a time, to approach it until the next moment."""
+        """Take over the lag's target at a time, to approach it until the next moment."""
         self._seen = self._target(time)
 
     def resume(self, time: float, value: float) -> None:

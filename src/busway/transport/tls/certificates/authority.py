@@ -168,7 +168,9 @@ def _build(
     starts_in: float = 0.0,
     extensions: "Sequence[x509.ExtensionType]",
 ) -> Issued:
-    """Sign a certificate with the issuer's key, or its own. Valid for ``days`` from now; negative: expired."""
+    """Create and sign a certificate with the issuer's key, or its own. Valid for ``days`` from now;
+    negative: expired.
+    """
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec

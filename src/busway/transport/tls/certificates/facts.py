@@ -50,11 +50,13 @@ class CertificateFacts:
     fingerprint: str
 
     def days_left(self, now: float | None = None) -> float:
-        """Return days until the certificate expires; negative after. ``now``: seconds since 1970, None the present."""
+        """Return the days until the certificate expires; negative after that. ``now``: seconds since 1970, None the
+        present.
+        """
         return (self.not_after - (time.time() if now is None else now)) / DAY
 
     def validity(self, now: float | None = None) -> str:
-        """Return a warning about expiry; empty while the certificate is valid for more than 30 days."""
+        """Return a warning if the certificate has expired or expires within 30 days; else an empty text."""
         moment = time.time() if now is None else now
         if moment < self.not_before:
             return f"is not valid before {date_of(self.not_before)}"
