@@ -147,7 +147,7 @@ def write_whole(path: str | os.PathLike[str], text: str, *, like: os.stat_result
 
 
 def _give_rights(handle: int, like: os.stat_result) -> None:
-    """Give an open file the rights of another one. Another group gets none that all others have not."""
+    """Copy the access rights of an open file to another one, except rights that a different group would gain."""
     mode = stat.S_IMODE(like.st_mode)
     own = os.fstat(handle)
     try:

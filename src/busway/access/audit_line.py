@@ -21,7 +21,7 @@ key              value
 ``code``         exception code; null where there is none
 ``rule``         name of the rule that decided; ``default`` where none did
 ``repeated``     of denials: how many there were since the line before of the same host, role and rule; this line shows
-                 the last of them. Not there where a line stands for itself alone
+                 the last of them. Not there where a line is about one denial alone
 ===============  =====================================================================================
 
 Beside these: ``masks`` of function 22, ``records`` (``[file, record, count]``) of 20 and 21, ``data`` (hexadecimal) of

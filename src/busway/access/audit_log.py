@@ -112,7 +112,7 @@ class AuditLog:
 
     Args:
         path: the file; made with rights for its owner alone (0600) if it is not there, never truncated.
-        interval: seconds after which a line stands in the file at the latest, 0…10; 0: at once.
+        interval: seconds after which a line is in the file at the latest, 0…10; 0: at once.
         on_failure: ``serve`` goes on, counts and logs while the file cannot be written; ``refuse`` answers writes
             with exception 04 then.
         repeat_interval: seconds after which denials that were repeated leave a line with their number, 0…3600; 0: each
@@ -127,7 +127,7 @@ class AuditLog:
 
     Attributes:
         timestamp: gives the time of a line as text.
-        written: lines that stand in the file.
+        written: lines in the file.
         lost: lines that could be neither written nor kept.
         failures: attempts to write that failed.
         is_failing: whether the last attempt failed.
@@ -169,7 +169,7 @@ class AuditLog:
         self._lock = threading.RLock()
         self._lines: list[str] = []
         self._size = 0
-        self._begun = b""  # the end of a line whose beginning stands in the file
+        self._begun = b""  # the end of a line whose beginning is in the file
         self._untold = 0
         self._due: float | None = None
         self._file: int | None = self._open()

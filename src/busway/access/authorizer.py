@@ -1,6 +1,6 @@
 """The authorizer of a server: permits or denies every request by the rules of a policy (M6, T15).
 
-Knows requests, clients and the policy; answers nothing and stands beside the responder.
+Knows requests, clients and the policy; answers nothing; the responder does.
 
 1. A denied request never reaches the responder. It is answered with the exception code of the rule: 01, or 02 where a
    rule about items chooses it. A permitted request above the rate of its rule is answered 06, because the client may

@@ -27,7 +27,7 @@ class NamedLink:
 
     Attributes:
         name: its name.
-        url: the endpoint, with the options that stand in the URL.
+        url: the endpoint, with the options in the URL.
         options: the others, as `busway.open` and `busway.connect` take them.
         settings: all of it, checked.
     """
@@ -77,7 +77,7 @@ def _named_link(
         section: its own options.
         general, security: those for all links, and certificates for all.
         root: makes paths among options independent of the file's folder.
-        at: where the section stands.
+        at: the path of the section in the file.
         report: collects what is wrong.
     """
     endpoint = parse_endpoint(section.url)

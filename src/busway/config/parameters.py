@@ -1,9 +1,9 @@
 """Parameters of device files: names in the file's texts that an include replaces by values.
 
-Knows TOML data and the names of parameters; what stands in a file is known by its schema.
+Knows TOML data and the names of parameters; what a file contains is known by its schema.
 
 1. A text that is ``${name}`` alone becomes the parameter's value, with its type; inside a longer text it becomes its
-   text. Between the braces an expression may stand: ``${base + 10 * index}``. ``$${`` is ``${`` as it stands.
+   text. Between the braces an expression is allowed: ``${base + 10 * index}``. ``$${`` is ``${`` unchanged.
 2. ``[parameters]`` of a file gives defaults, and ``required`` lists those without any; who takes the file in sets them.
    ``unit`` is the number of the unit that is being made, ``index`` counts those of one include from 0.
 3. What is put into one text is bounded: `LONGEST_TEXT`.

@@ -23,7 +23,7 @@ _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
 def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
-    """Warn of access rules for roles where no client can have one."""
+    """Warn of access rules for roles that no client can have."""
     if file.policy is None or any(parse_endpoint(url).carrier == "tls" for _, url in file.places()):
         return
     for index, rule in enumerate(file.policy.rule):

@@ -2,11 +2,11 @@
 
 Knows characters and the times at which they were read; knows no port and no function's length.
 
-1. ``:`` begins a frame, wherever it stands, also behind CR; a frame in progress is discarded then, and reported when
+1. ``:`` begins a frame, wherever it is, also behind CR; a frame in progress is discarded then, and reported when
    the one that follows it ends: it is one disturbance, however many colons it has. CR and the delimiter end a frame;
    the delimiter is LF until function 08/03 changes it.
 2. Between two characters at most ``character_timeout`` may pass, 1 s by default.
-3. At most 513 characters. What stands between frames is no frame and no error: it is skipped.
+3. At most 513 characters. What is between frames is no frame and no error: it is skipped.
 4. Sent in upper case. Lower case is received too unless ``upper_case_only`` says otherwise: devices send it, and the
    LRC guards the content. With ``strip_parity`` the eighth bit is ignored: ports that cannot do 7 data bits give it.
 """

@@ -4,7 +4,7 @@ Knows the table; knows no stream. The functions say themselves how long their me
 say is turned here into one number per function code, because a receiver asks for every byte of a noisy line.
 
 1. All lengths here are of whole frames: unit, PDU, CRC.
-2. A number above 0 is the length; below 0, the byte count stands that many bytes behind the unit and counts what
+2. A number above 0 is the length; below 0, the byte count is that many bytes behind the unit and counts what
    follows it; 0, the function is unknown; `ASK`, only the table itself can tell (sub-functions, counts of two bytes).
 """
 

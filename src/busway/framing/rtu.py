@@ -134,7 +134,7 @@ class RtuReceiver:
         self._last = NEVER if started is None else started
         self._sent_until = NEVER
         self._quiet = True  # whether the t3.5 after the last byte has been dealt with
-        self._in_step = started is None  # a server opened amid traffic believes what stands between two silences
+        self._in_step = started is None  # a server opened amid traffic believes what is between two silences
         self._skipping = False
         self._lost = LostBytes()
 

@@ -133,11 +133,11 @@ class StrictRtuReceiver:
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:
-        """Note that the master no longer waits for a reply."""
+        """Stop expecting a reply, because the master no longer waits for one."""
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Note that bytes of this station occupy the line until ``ends``; the line is idle again t3.5 later.
+        """Tell the receiver that this station sends bytes until ``ends``; the line is idle again t3.5 later.
 
         Raises:
             ValueError: the line is not idle: emission begins only there.
@@ -150,7 +150,7 @@ class StrictRtuReceiver:
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Note that the port reported an error or lost characters: the frame in progress is not valid."""
+        """Invalidate the frame in progress, because the port reported an error or lost characters."""
         found = self.tick(now)
         self._characters(b"", now, now)
         self._lost.mark(Damage.OVERRUN if overrun else Damage.CHARACTER, now)

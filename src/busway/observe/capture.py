@@ -6,7 +6,7 @@ Knows how Wireshark dissects each kind of packet; knows no driver. Drivers pass 
    default, and others by its preference (``tshark -o mbtcp.tcp.port:502,5020``).
 2. Serial lines: each frame is a packet that Wireshark decodes as Modbus RTU. The master has the address 0.0.0.0,
    unit 7 has 0.0.0.7, so that replies are matched with their requests. Where requests and replies look alike (05, 06,
-   08, 22), Wireshark tells them apart with ``mbrtu.tcp.port:1``: port 1 stands for the units.
+   08, 22), Wireshark tells them apart with ``mbrtu.tcp.port:1``: port 1 means the units.
 3. Wireshark dissects no RTU frame of four bytes (07, 11, 12, 17) and no broadcast: those are written as data, with our
    description as comment (and in the list of packets, from Wireshark 4.2 on). An ASCII frame is written in its RTU
    form, with its characters in the comment: there is no dissector for ASCII.

@@ -150,7 +150,7 @@ class Numbers:
     "7-9"]``.
 
     Attributes:
-        written: what stands in the file.
+        written: how it is written in the file.
         written_as: its type there.
     """
 

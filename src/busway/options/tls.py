@@ -4,7 +4,7 @@ Knows names and ranges; opens no file and no connection, and does not load ``ssl
 
 1. A peer is verified, unless `Verify.OFF_INSECURE` is asked for by that name.
 2. Only suites with ECDHE and AES-GCM can be chosen. A suite without encryption must be named by itself.
-3. A password never stands in a URL; ``password_file`` names the file that holds it.
+3. A password is never in a URL; ``password_file`` names the file that holds it.
 """
 
 from dataclasses import dataclass

@@ -273,7 +273,7 @@ class Request(Message):
         return wire
 
     def remember(self, memo: object) -> None:
-        """Keep data of a client session with this request, in ``memo``."""
+        """Store data of a client session with this request, in ``memo``."""
         _set_memo(self, memo)
 
     def accept(self, pdu: bytes) -> Message:
@@ -295,7 +295,7 @@ class Request(Message):
 
 
 class TypedRequest(Protocol[Reply_co]):
-    """What a type checker knows of a request: `Unit.execute` returns an instance of its ``Reply``."""
+    """Interface of a request for type checkers: `Unit.execute` returns an instance of its ``Reply``."""
 
     @property
     def Reply(self) -> type[Reply_co]:  # noqa: N802

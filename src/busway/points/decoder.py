@@ -159,7 +159,7 @@ class _Number:
 def _number_of(point: Point, start: int) -> _Number | None:
     """Return how the number of a point is unpacked by ``struct``; None if only its value type can do it."""
     form, first = point.form, point.start - start
-    assert form is not None  # it stands in registers
+    assert form is not None  # it is in registers
     name = form.name
     if name.startswith(("bit:", "field:", "int8:", "uint8:")):
         return _Number((first,), byte_order(form.order, 2).mask & 1 == 1, "H")

@@ -1,6 +1,6 @@
 """Formulas over points and time: parsed from text, evaluated without executing Python code.
 
-Knows numbers, names and a few functions; knows no point: the caller says what a name stands for.
+Knows numbers, names and a few functions; knows no point: the caller says what a name means.
 
 1. There are: numbers; ``+ - * / // % **``; comparisons, ``and or not``, ``a if b else c``; the functions below; ``t``,
    seconds since the beginning; ``pi``; names of points, dots included; ``point("…")`` for any other name, such as

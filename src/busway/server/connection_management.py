@@ -172,7 +172,7 @@ class ConnectionManagement:
         return True
 
     def admit(self, connection: ManagedConnection) -> Session | None:
-        """Give a new connection a slot and return its session; None if no slot is free or can be freed."""
+        """Give a new connection a slot, and return its server session; None if no slot is free or can be freed."""
         listener_context = self.listener_context
         connection.is_priority = listener_context.is_priority(connection.host)
         admission = self.pools.admit(connection)

@@ -132,7 +132,7 @@ class Device:
         No Modbus client and no other thread sees some of the group's changes to tables and files without the others,
         not even by several requests one after the other. The group takes effect when the block ends; when it ends with
         an exception, nothing of it does. Inside, the thread or task sees its own changes. Modbus is served meanwhile
-        and nothing it writes is lost; on an item that both wrote, the group's value stands. A group inside a group is
+        and nothing it writes is lost; on an item that both wrote, the group's value remains. A group inside a group is
         part of it. Queues change at once, in a group or not.
         """
         return self._groups.update()

@@ -5,7 +5,7 @@ Knows runs and the lock; knows no table, no hook and no request.
 1. A group never holds the lock while the application works in it: it keeps a journal, and applies it when it ends, to
    fresh copies of what the runs hold then. So a Modbus write that came meanwhile is not lost, and no request waits
    for longer than the copying takes.
-2. Where the group and a Modbus write met on the same item, the group's value stands: it is as if the Modbus write had
+2. Where the group and a Modbus write met on the same item, the group's value remains: it is as if the Modbus write had
    come just before. A value that depends on the one before it (a counter) is changed under ``Device.lock``.
 3. Inside the group, its own thread or task sees what the runs held when the group first touched them, with the group's
    changes. No other thread or request sees anything of it before it ends.
@@ -23,7 +23,7 @@ from .blocks import BitRun, RegisterRun, Run, replace_all
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
-    """One change that an application made inside an open group and that is not visible yet."""
+    """One change in an open group of changes, not visible to Modbus clients yet."""
 
     run: Run
     position: int

@@ -59,7 +59,7 @@ def serve(
 
     Args:
         endpoints: URLs to listen on, 127.0.0.1:5020 without any; port 0 takes a free one. Serial ports
-            (``rtu:///dev/ttyUSB0?baud=9600``) and listeners of every kind go together; what a port is set to stands in
+            (``rtu:///dev/ttyUSB0?baud=9600``) and listeners of every kind go together; what a port is set to is in
             its URL. A `Listener` has access rules, certificates or limits of its own.
         units: devices by unit identifier 0…255; or one device that answers whatever unit it is asked with. On a serial
             line, and where its framing travels over a network, 1…247 of those listed are answered (a sole device: 1).

@@ -2,8 +2,8 @@
 
 Pure: knows the settings of listeners; opens none.
 
-1. Asked for by name (True), it stands beside each ``tcp://`` listener, and must be had.
-2. Left to us (None), it stands beside those that the network can reach, and where it cannot be had the server only
+1. Asked for by name (True), it is added beside each ``tcp://`` listener, and must be had.
+2. Left to us (None), it is added beside those that the network can reach, and where it cannot be had the server only
    says so: below 1024 a port belongs to privileged programs. A loopback address has no clients elsewhere that could
    look there, and a port that the system chose (0) is for clients that are told of it.
 3. Where a listener has it already, there is none beside it.

@@ -3,7 +3,7 @@
 Knows runs and addresses; knows no hook, no group of changes and no request.
 
 1. Adjacent runs are one run, so a range exists only where one run holds all of it.
-2. Runs and read-only ranges never change once the table stands; only what the runs hold does.
+2. Runs and read-only ranges never change once the table exists; only what the runs hold does.
 """
 
 import threading

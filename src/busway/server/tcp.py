@@ -20,7 +20,7 @@ from .connection_management import ConnectionManagement
 from .listener_settings import ListenerSettings
 
 TURNS_TO_SETTLE: Final = 4
-"""Turns of the loop until a connection that is being accepted stands, and until one that was closed has gone."""
+"""Turns of the loop until a connection that is being accepted is open, and until one that was closed has gone."""
 
 
 class TcpListener:

@@ -272,7 +272,7 @@ class _Peer:
             self._traced().received(data)
 
     def attend(self) -> None:
-        """Handle what the session has to report without a new datagram: late replies and failures."""
+        """Handle what the session reports without a new datagram: late replies and failures."""
         session = self.session
         if session.deferred:
             deferred, session.deferred = session.deferred, []

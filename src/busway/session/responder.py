@@ -238,7 +238,7 @@ class ForwardedMessage(Protocol):
         """Return the client's reply to a read, built from the data that the other server sent."""
 
     def client_reply(self, reply: Message) -> Message:
-        """Return the client's reply, translated from the other server's reply."""
+        """Return the client's reply, translated from the reply of the other server."""
 
 
 class Forwarding:
@@ -280,7 +280,7 @@ class Forwarding:
         self._answered(asked[0].of_data(data[0]))
 
     def reply(self, tag: None, asked: ForwardedMessage, reply: Message) -> None:
-        """Answer the client with the reply of a target."""
+        """Answer the client with the reply of the server to which the request was forwarded."""
         self._answered(asked.client_reply(reply))
 
     def refuse(self, tag: None, asked: ForwardedMessage, code: int) -> None:

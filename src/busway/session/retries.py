@@ -235,7 +235,7 @@ class CallTracker:
             self.finish(call)
 
     def finish(self, call: Call) -> None:
-        """Move a call to ``finished``, because all its requests have their outcome."""
+        """Add a call to ``finished``, because all its requests have their outcome."""
         self.finished.append(call)
         self._leave(call)
 

@@ -198,7 +198,7 @@ class MemoryPair:
         self.second.join(self, second)
 
     def open(self) -> None:
-        """Tell both protocols that they are connected; the second one first, like a listener that accepts."""
+        """Call `connection_made` of both protocols; of the second one first, like a listener that accepts."""
         self._protocols[1].connection_made(self.second)
         self._protocols[0].connection_made(self.first)
 

@@ -44,7 +44,7 @@ class Bound:
     _identity: tuple[int, int] = field(default=(0, 0))
 
     def remember(self, made: Path) -> None:
-        """Note which file belongs to the control socket, to remove it later."""
+        """Store which file belongs to the control socket, to remove it later."""
         found = made.lstat()
         self._made, self._identity = made, (found.st_dev, found.st_ino)
 

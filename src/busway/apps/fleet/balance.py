@@ -50,7 +50,7 @@ class Share:
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """A shard that is to move from its owner to another collector."""
+    """A shard (group of links) that is to move from its owner to another collector."""
 
     shard: str
     giver: str
@@ -58,7 +58,8 @@ class Move:
 
 
 def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]:
-    """Return which collector takes which shard without owner; shards that no collector may take are left out.
+    """Return which collector takes which shard (group of links) without owner; shards that no collector may take are
+    left out.
 
     Args:
         free: the cost of each free shard.
@@ -75,7 +76,7 @@ def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]
 
 
 def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, moving: bool = False) -> list[Move]:
-    """Return the moves of shards that make the loads of a zone's collectors fair.
+    """Return the moves of shards (groups of links) that make the loads of a zone's collectors fair.
 
     Args:
         owned: owner and cost of each shard.
@@ -97,7 +98,7 @@ def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, mo
 
 
 def _drained(owned: Mapping[str, tuple[str, float]], state: Mapping[str, Share], able: list[Share]) -> list[Move]:
-    """Return the moves of shards away from collectors that are being emptied."""
+    """Return the moves of shards (groups of links) away from collectors that are being emptied."""
     found: list[Move] = []
     leaving = [(cost, shard, owner) for shard, (owner, cost) in owned.items() if owner in state]
     for cost, shard, owner in sorted(leaving, reverse=True):
@@ -138,7 +139,7 @@ def _level(
 
 
 def _best(costs: list[tuple[float, str]], giver: Share, taker: Share) -> tuple[float, str] | None:
-    """Return the shard whose move levels the loads of two collectors best; None if no move helps."""
+    """Return the shard (group of links) whose move levels the loads of two collectors best; None if no move helps."""
     if giver is taker:
         return None
     wanted = (giver.relative() - taker.relative()) / (1 / giver.capacity + 1 / taker.capacity)

@@ -21,15 +21,15 @@ from ...errors import ModbusError
 
 
 class CoordinatorDown(ModbusError):
-    """Error: the coordinator cannot be reached. Nothing was changed."""
+    """Error: the coordinator, which keeps the table that collectors share, cannot be reached. Nothing was changed."""
 
 
 class OutcomeUnknown(ModbusError):
-    """Error: it is not known whether the coordinator changed the entry."""
+    """Error: it is not known whether the coordinator (the shared table) has made a change."""
 
 
 class RevisionConflict(ModbusError):
-    """Error: the coordinator's entry has another revision than expected. Nothing was changed."""
+    """Error: the entry of the shared table has another revision than expected. Nothing was changed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +55,10 @@ SNAPSHOT_ENDS: Final = Entry("", b"ends", 0)
 
 
 class Coordinator(Protocol):
-    """Interface of a table of entries that the collectors of a zone share."""
+    """Interface of a table of entries that several collectors share and change by compare-and-set."""
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add an entry that never existed; returns its revision.
+        """Add a new entry to the shared table; returns its revision.
 
         Raises:
             RevisionConflict: it exists.
@@ -67,7 +67,7 @@ class Coordinator(Protocol):
         """
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry if it still has this revision; returns the new one.
+        """Change an entry of the shared table if it still has this revision; returns the new one.
 
         Raises:
             RevisionConflict: it has another one, or does not exist.
@@ -76,10 +76,11 @@ class Coordinator(Protocol):
         """
 
     def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """Yield the entries whose keys begin with a prefix, then their changes, until closed (rule 4).
+        """Yield the entries of the shared table whose keys begin with a prefix, then their changes, until closed (rule
+        4).
 
         Raises nothing for a lost connection; `ConfigError` where it can never work (rights, a wrong bucket).
         """
 
     async def close(self) -> None:
-        """End the connection to the coordinator. Entries stay as they are."""
+        """End the connection to the shared table. Its entries stay as they are."""

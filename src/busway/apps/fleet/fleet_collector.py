@@ -126,7 +126,7 @@ class FleetCollector:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Give all owned shards back to the fleet, then stop."""
+        """Give all owned shards (groups of links) back to the fleet, then stop."""
         async with AsyncExitStack() as steps:
             steps.callback(self.ownership.close)
             steps.push_async_exit(self.collector)

@@ -47,13 +47,15 @@ class LeaseTimes:
         return asked + self.ttl - self.guard
 
     def free_at(self, seen: float) -> float:
-        """Return when a shard may be taken from its owner if its lease has not changed since ``seen``."""
+        """Return when a shard (group of links) may be taken from its owner if its lease has not changed
+        since ``seen``.
+        """
         return seen + self.ttl + self.guard
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Epoch:
-    """The number of an ownership of a shard: a later owner has a greater one.
+    """The number of an ownership of a shard (group of links): a later owner has a greater one.
 
     Attributes:
         generation: raised by an operator who restores the coordinator from a backup, so that epochs never go back.

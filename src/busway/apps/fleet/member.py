@@ -58,7 +58,7 @@ class Step(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ShardEvent:
-    """One event of a shard, for the collector: it may begin or must stop to poll the shard's links.
+    """One event of a shard (group of links), for the collector: it may begin or must stop to poll the shard's links.
 
     Attributes:
         shard: its name.
@@ -75,7 +75,7 @@ class ShardEvent:
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """One change that this collector asks the coordinator to make in the shared table.
+    """One change that this collector wants to make in the table that collectors share.
 
     Attributes:
         key, value: the entry.
@@ -90,7 +90,7 @@ class Proposal:
 
 
 class NotConfirmed(Enum):
-    """Why the coordinator did not confirm a change that this collector asked for."""
+    """Why a change that this collector wanted to make in the shared table was not confirmed."""
 
     CONFLICT = "conflict"
     UNKNOWN = "unknown"
@@ -112,7 +112,7 @@ class _SeenMember:
 
 @dataclass(slots=True)
 class OwnedShard:
-    """A shard that this collector owns, with its lease.
+    """A shard (group of links) that this collector owns, with its lease.
 
     Attributes:
         epoch: of the ownership.
@@ -135,7 +135,7 @@ class OwnedShard:
 
 @dataclass(slots=True)
 class MemberCounts:
-    """What this collector has counted as a member of the fleet since it began."""
+    """Counters of a collector's dealings with the fleet since it began."""
 
     taken: int = 0
     lapsed: int = 0
@@ -146,7 +146,8 @@ class MemberCounts:
 
 
 class FleetMember:
-    """One collector's view of its zone: its shards and leases, the other members, and changes to ask for.
+    """One collector's view of its zone: its shards (groups of links) and leases, the other members, and changes to ask
+    for.
 
     Args:
         name, run, host: as in `MemberRecord`.
@@ -200,16 +201,18 @@ class FleetMember:
         return self._me.name
 
     def cost(self, shard: str) -> float:
-        """Return the seconds per second that polling the links of a shard needs."""
+        """Return the seconds per second that polling the links of a shard (group of links) needs."""
         return self._costs.get(shard, 0.0)
 
     def set_shards(self, costs: Mapping[str, float]) -> None:
-        """Set which shards the fleet has, with their costs; owned ones that are not among them are given back."""
+        """Set which shards (groups of links) the fleet has, with their costs; owned ones that are not among them are
+        given back.
+        """
         self._costs = costs
         self._look_at = 0.0
 
     def set_revision(self, revision: int) -> None:
-        """Tell the other collectors which configuration this one works with."""
+        """Set the configuration revision that this collector works with, to be told to the others."""
         self._me = replace(self._me, revision=revision)
 
     def drain(self, *, draining: bool = True) -> None:
@@ -218,18 +221,22 @@ class FleetMember:
         self._my_renewal = 0.0
 
     def end(self) -> None:
-        """Release all shards whose links have stopped, then tell the others that this collector leaves."""
+        """Release all shards (groups of links) whose links have stopped, then tell the others that this collector
+        leaves.
+        """
         self._ends = True
         self._me = replace(self._me, draining=True)
         self._my_renewal = self._look_at = 0.0
 
     @property
     def has_ended(self) -> bool:
-        """Whether the collector has released all its shards after `end`."""
+        """Whether the collector has released all its shards (groups of links) after `end`."""
         return self._ends and not self.owned and self._me.gone and f"{MEMBERS}{self.name}" not in self._open
 
     def deadline(self, shard: str) -> float:
-        """Return until when all transactions of a shard must have ended; minus infinity if it is not owned."""
+        """Return until when all transactions of a shard (group of links) must have ended; minus infinity if it is not
+        owned.
+        """
         owned = self.owned.get(shard)
         if owned is None or owned.has_left:
             return float("-inf")
@@ -240,26 +247,26 @@ class FleetMember:
         return now + worst < self.deadline(shard)
 
     def members(self, now: float) -> list[MemberRecord]:
-        """Return the collectors of the zone that live, this one included, by name."""
+        """Return the live collectors of the zone, this one included, by name."""
         found = [each.record for each in self._members.values() if self._lives(each, now)]
         return sorted((*found, self._me), key=lambda each: each.name)
 
     def leases(self) -> dict[str, LeaseRecord]:
-        """Return the last known lease of each shard."""
+        """Return the last known lease of each shard (group of links)."""
         return {shard: each.record for shard, each in self._leases.items() if each.record is not None}
 
     # What comes in.
 
     def begin_snapshot(self) -> None:
-        """Prepare for all existing entries, because following the coordinator's table begins (again)."""
+        """Prepare to receive all entries of the shared table, because following it begins (again)."""
         self._complete_at = None
 
     def end_snapshot(self, now: float) -> None:
-        """Note that all existing entries of the coordinator's table were received; changes follow."""
+        """End the receipt of all existing entries of the shared table; from now on changes come."""
         self._complete_at = now
 
     def entry(self, entry: Entry, now: float) -> None:
-        """Take over an existing or changed entry of the coordinator's table."""
+        """Take over a new or changed entry of the table that collectors share."""
         if entry.key.startswith(LEASES):
             self._lease(entry.key[len(LEASES) :], entry, now)
         elif entry.key.startswith(MEMBERS):
@@ -279,7 +286,9 @@ class FleetMember:
         self._compare(shard)
 
     def _compare(self, shard: str) -> None:
-        """Compare the shards owned here with an entry of the coordinator's table; give up what was lost."""
+        """Compare the shards (groups of links) owned here with an entry of the coordinator's table; give up what was
+        lost.
+        """
         owned, seen = self.owned.get(shard), self._leases.get(shard)
         if owned is None or seen is None or seen.revision <= owned.revision:
             return
@@ -311,7 +320,7 @@ class FleetMember:
             self._members[name] = _SeenMember(record, entry.revision, now)
 
     def outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
-        """Take the coordinator's answer to a proposed change: the new revision, or why it was not made."""
+        """Take the answer to a proposed change of the shared table: the new revision, or why it was not made."""
         if self._open.pop(proposal.key, None) is None:
             return
         if result is NotConfirmed.CONFLICT:
@@ -370,7 +379,7 @@ class FleetMember:
         self._compare(shard)
 
     def left(self, shard: str) -> None:
-        """Give a shard away, whose links have stopped and whose samples are stored."""
+        """Give a shard (group of links) away, whose links have stopped and whose samples are stored."""
         owned = self.owned.get(shard)
         if owned is not None:
             owned.has_left = True
@@ -379,12 +388,12 @@ class FleetMember:
     # What goes out.
 
     def events(self) -> list[ShardEvent]:
-        """Return and forget what has happened to shards since the last call, in order."""
+        """Return and forget what has happened to shards (groups of links) since the last call, in order."""
         found, self._events = self._events, []
         return found
 
     def turn(self, now: float) -> list[Proposal]:
-        """Return the changes to send to the coordinator now; leases that have run out count as free."""
+        """Return the changes to make in the shared table now; leases that have run out count as free."""
         for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
             self.counts.lapsed += 1
             self._lose(shard, "it could not be renewed in time")
@@ -456,7 +465,7 @@ class FleetMember:
                 self._propose(f"{LEASES}{shard}", record.encode(), 0 if seen is None else seen.revision, now, found)
 
     def _free(self, now: float) -> dict[str, float]:
-        """Return the shards that this collector could take now, with their costs."""
+        """Return the shards (groups of links) that this collector could take now, with their costs."""
         found: dict[str, float] = {}
         for shard, cost in self._costs.items():
             if shard in self.owned:
@@ -479,7 +488,7 @@ class FleetMember:
         return seen.at if record.run == self._me.run else self.times.free_at(seen.at)
 
     def _hand_on(self, now: float) -> None:
-        """Start to give away the shards that other collectors should own, by `balance`."""
+        """Start to give away the shards (groups of links) that other collectors should own, by `balance`."""
         leaving = sum(each.leaving is not None for each in self.owned.values())
         for shard, owned in self.owned.items():
             unwanted = shard not in self._costs or self._ends
@@ -540,6 +549,6 @@ class FleetMember:
 
 
 def record_epoch(proposal: Proposal) -> Epoch | None:
-    """Return the epoch in the lease that a proposed change writes; None if it takes the shard."""
+    """Return the epoch in the lease that a proposed change writes; None if it takes the shard (group of links)."""
     record = decode_lease(proposal.value)
     return None if record is None else record.epoch

@@ -44,7 +44,7 @@ async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:
 
 
 class MemberDriver:
-    """Runs one member of a fleet with a coordinator, in a task.
+    """Runs one collector's part in the fleet: connects a `FleetMember`, without IO, to the shared table, in a task.
 
     Args:
         member: whose proposals are made.
@@ -70,7 +70,7 @@ class MemberDriver:
 
     @property
     def error(self) -> str | None:
-        """Why the coordinator did not confirm the last change; None if it did."""
+        """Why the last change of the shared table was not confirmed; None if it was."""
         return self._error
 
     async def run(self) -> None:
@@ -85,11 +85,11 @@ class MemberDriver:
             await asyncio.gather(*self._asking, return_exceptions=True)
 
     def wake(self) -> None:
-        """Let the driver ask the member for changes now, because its state was changed from outside."""
+        """Ask the `FleetMember` for changes now, because its state was changed from outside."""
         self._wake.set()
 
     async def end(self, seconds: float) -> bool:
-        """Release all shards while `run` still runs; returns whether that was done in time.
+        """Release all shards (groups of links) while `run` still runs; returns whether that was done in time.
 
         Args:
             seconds: how long it may take.

@@ -67,7 +67,7 @@ class OutboxStatus:
 
 
 class Outbox:
-    """Sends the samples of a collector's store to the stream of its zone.
+    """Sends the samples of a collector's store to the message stream of its fleet until all sinks have them.
 
     Args:
         folder, manifest: of the store.

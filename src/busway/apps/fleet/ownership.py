@@ -33,7 +33,7 @@ CREATE TABLE IF NOT EXISTS ownership (
 
 @dataclass(frozen=True, slots=True)
 class Ownership:
-    """A period in which this collector owned a link, with its epoch and commits.
+    """A period in which this collector owned a link: its epoch (number) and first and last commits.
 
     Attributes:
         link: its name.

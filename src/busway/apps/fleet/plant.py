@@ -36,7 +36,7 @@ def longest_transaction(configuration: CollectorConfiguration, link: str) -> flo
 
 
 def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) -> None:
-    """Raise `ConfigError` for a link whose transactions may last longer than a lease allows."""
+    """Raise `ConfigError` for a link whose transactions may last longer than a collector's right to poll it."""
     longest = times.ttl - times.guard - 2 * times.renew
     for name in configuration.links:
         seconds = longest_transaction(configuration, name)

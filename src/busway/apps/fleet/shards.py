@@ -19,7 +19,7 @@ _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 
 
 def shard_of(link: str, shards: int) -> str:
-    """Return the name of the shard that a link belongs to: ``0000`` … ``1023``.
+    """Return the name of the shard (group of links) that a link belongs to: ``0000`` … ``1023``.
 
     With another number of shards as few links as possible move: n of n + 1 stay where a shard is added.
 
@@ -38,17 +38,21 @@ def shard_of(link: str, shards: int) -> str:
 
 
 def pinned_shard(hosts: Sequence[str]) -> str:
-    """Return the name of the shard for links that only these hosts can reach: ``pin.<first host>.<second>``."""
+    """Return the name of the shard (group of links) for links that only these hosts can reach: ``pin.<first
+    host>.<second>``.
+    """
     return PINNED + ".".join(hosts)
 
 
 def hosts_of(shard: str) -> tuple[str, ...]:
-    """Return the hosts whose collectors may own a shard, the preferred one first; empty for all of the zone."""
+    """Return the hosts whose collectors may own a shard (group of links), the preferred one first; empty for all of the
+    zone.
+    """
     return tuple(shard.removeprefix(PINNED).split(".")) if shard.startswith(PINNED) else ()
 
 
 def shard_names(shards: int) -> list[str]:
-    """Return the names of all shards of a zone that any host may own."""
+    """Return the names of all shards (groups of links) of a zone that any host may own."""
     return [f"{number:04d}" for number in range(shards)]
 
 
@@ -66,7 +70,7 @@ def links_by_shard(links: Iterable[tuple[str, Sequence[str]]], shards: int) -> d
 
 
 def checked_name(name: str, what: str) -> str:
-    """Check the name of a zone, host or collector, which becomes part of keys and subjects. Raises `ConfigError`."""
+    """Return the name of a zone, host or collector after checking it: it becomes part of keys. Raises `ConfigError`."""
     if not _NAME.fullmatch(name):
         raise ConfigError(
             f"{what} {name!r} cannot be a name: use up to 63 letters, digits, - and _, the first a letter or digit",

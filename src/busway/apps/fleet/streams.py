@@ -36,7 +36,7 @@ _log = logging.getLogger("busway.fleet")
 
 @dataclass(frozen=True, slots=True)
 class StreamOptions:
-    """Options of a zone's stream: how long, and on how many servers, it keeps messages.
+    """Options of the message stream with a zone's samples: how long, and on how many servers, it keeps messages.
 
     Attributes:
         replicas: servers that keep each message, 1…5.
@@ -52,7 +52,7 @@ class StreamOptions:
 
 
 async def make_stream(client: Any, zone: str, options: StreamOptions | None = None) -> str:
-    """Find or create the stream of a zone; returns its name. Raises `ConfigError`, `StreamDown`."""
+    """Find or create the message stream for a zone's samples; returns its name. Raises `ConfigError`, `StreamDown`."""
     nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
     options = options or StreamOptions()
     name = f"busway-samples-{zone}"
@@ -86,7 +86,7 @@ async def make_stream(client: Any, zone: str, options: StreamOptions | None = No
 
 
 class NatsStream:
-    """The connection through which one collector sends samples into the stream of its zone.
+    """The connection through which one collector sends samples into the message stream of its zone.
 
     Args:
         client: of nats-py, connected.
@@ -222,7 +222,7 @@ class SinkProgress:
 
 
 class StreamSink:
-    """Passes the samples in the stream of a zone on to one sink, each at least once.
+    """Passes the samples in a zone's message stream on to one sink, each at least once.
 
     Args:
         client: of nats-py, connected.

@@ -131,7 +131,7 @@ class Batch(Call):
 
 
 class ForwardTarget:
-    """A unit of an upstream, to which one listener's requests are forwarded.
+    """A unit of an upstream, as the destination of one listener's requests.
 
     Args:
         forwarder: of the upstream.

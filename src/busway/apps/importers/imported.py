@@ -71,7 +71,7 @@ class ImportedDevice:
         self.points.setdefault(unit, []).append(ImportedPoint(kept, where))
 
     def omit(self, where: str, what: str, why: str) -> None:
-        """Note something in the imported file that is not carried over."""
+        """Report that something in the imported file is not carried over."""
         self.omissions.append(Omission(where, what, why))
 
     @contextmanager

@@ -40,7 +40,7 @@ class AccessInForce:
         self._allow_lists: dict[str, ReloadableAllowList] = {}  # of single listeners, by URL
 
     def guard(self, listeners: Sequence[Listener]) -> Policy | None:
-        """Begin to apply the access rules. Returns the policy to start the server with; None if it needs none."""
+        """Start to apply the access rules. Returns the policy to start the server with; None if it needs none."""
         self.allow_list.lists = self._lists(self.rules)
         self.is_guarded = (
             self.rules is not None

@@ -25,7 +25,7 @@ def watch_writes(device: Device, points: Sequence[SimulatedPoint], told: Told) -
 
 
 class _Writes:
-    """The points in one table of a unit whose writes are reported.
+    """Reports Modbus writes to points in one table of a unit.
 
     Args:
         points: those that stand in it.

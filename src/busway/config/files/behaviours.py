@@ -3,7 +3,7 @@
 Knows the keys of each kind and what they may be; computes no value (`apps.simulator.behaviours` does) and reads no
 formula (only their position; the simulator, which knows the points, checks them).
 
-An example stands in `docs/simulator.md`.
+An example is in `docs/simulator.md`.
 
 1. ``rate``, ``target`` and ``formula`` take an expression, a text; the first two also a number.
 2. Numbers are in the point's unit of measure. One bit is on where the value is 0.5 or more.

@@ -2,7 +2,7 @@
 
 Knows what can be written and which names have to be there; profiles are read by `busway.apps.collector.configuration`.
 
-An example stands in `docs/reference/collector-file.md`.
+An example is in `docs/reference/collector-file.md`.
 
 Rules:
 

@@ -2,16 +2,16 @@
 
 Knows what can be written and what fits together; knows no device (`busway.config.devices` makes them).
 
-An example stands in `docs/reference/device-file.md`.
+An example is in `docs/reference/device-file.md`.
 
 Rules:
 
 1. A table that is not declared has exactly the items of its points; in one that is, every point must lie.
 2. ``first`` and the starts of ranges are offsets, 0-based; addresses of points are notations
    (`busway.values.addresses`).
-3. A group of points is written once, and stands at each of its places.
+3. A group of points is written once, and repeated at each of its places.
 4. Points do not share bits of registers, unless one says ``overlaps``.
-5. What is written of one point stands in `points`.
+5. The keys of one point are in `points`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -283,7 +283,7 @@ class PlacedPoint:
 
     Attributes:
         path: where it is written in the unit's section.
-        section: what is written; of a group, as it stands at its place.
+        section: its keys in the file; for a point of a group, adjusted to the place of the group.
         exists, group: as of `busway.points.Point`.
     """
 

@@ -3,7 +3,7 @@
 Knows the keys, and which requests a section chooses; what goes wrong is in the fault profiles, which
 `busway.apps.simulator.fault_sections` looks up with their parameters.
 
-An example stands in `docs/simulator.md`.
+An example is in `docs/simulator.md`.
 """
 
 import math

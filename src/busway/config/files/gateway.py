@@ -4,7 +4,7 @@ Knows the keys; `busway.apps.gateway.configuration` checks what goes together.
 The sections of configuration files that concern servers ([server], [security], [policy], [audit], [metrics], [control])
 are the same here.
 
-An example stands in `docs/gateway.md`.
+An example is in `docs/gateway.md`.
 
 Rules:
 
@@ -151,7 +151,7 @@ class GatewayFile(SystemFile):
 
     @model_validator(mode="before")
     @classmethod
-    def _names_in_rules(cls, value: Any) -> Any:  # what stands in the file, of any type
+    def _names_in_rules(cls, value: Any) -> Any:  # the value in the file, of any type
         """Replace listener names in the rules of the policy by URLs; other texts are left to the rule."""
         if not isinstance(value, dict) or not isinstance(value.get("policy"), dict):
             return value
@@ -198,7 +198,7 @@ def _list(value: object) -> list[Any]:
     return value if isinstance(value, list) else []
 
 
-def _with_urls(rule: Any, urls: dict[str, Any]) -> Any:  # what stands in the file, of any type
+def _with_urls(rule: Any, urls: dict[str, Any]) -> Any:  # the value in the file, of any type
     listeners = rule.get("listeners") if isinstance(rule, dict) else None
     if not isinstance(listeners, list):
         return rule

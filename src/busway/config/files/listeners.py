@@ -63,7 +63,7 @@ def clashes(places: Sequence[tuple[Path, str]]) -> Iterator[tuple[Path, str]]:
     """Return errors for listeners that use the same address and port: the path of the later one, and a sentence.
 
     Args:
-        places: where each URL stands in the file, and the URL.
+        places: the path of each URL in the file, and the URL.
     """
     taken: dict[tuple[object, ...], dict[str, str]] = {}
     for path, url in places:

@@ -3,7 +3,7 @@
 Knows what can be written and what fits together within a point or a group; what a point then does is known by
 `busway.points`, and what fits together in a unit by `device`.
 
-An example stands in `docs/reference/device-file.md`.
+An example is in `docs/reference/device-file.md`.
 
 Rules:
 
@@ -220,7 +220,7 @@ class AlarmSection(Section):
 
 
 STAND_IN: Final = "0"
-"""The formula of a point that stands for one that is wrong, while those around it are checked."""
+"""The formula that replaces a wrong one, while those around it are checked."""
 
 
 class WholeSection(Section):
@@ -674,7 +674,7 @@ class PointSection(WholeSection):
                 yield ("enumeration", name), error.message
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "PointSection":
-        """Return a copy of the point for one place of its group, with name and address of that place.
+        """Return a copy of the point for one place where its group is repeated, with that place's name and address.
 
         Args:
             prefix: put before its name.

@@ -2,7 +2,7 @@
 
 Knows the keys; `busway.access` knows what they mean and what goes together.
 
-An example stands in `docs/security.md`; ``policy = "read-only"`` is a policy in one word.
+An example is in `docs/security.md`; ``policy = "read-only"`` is a policy in one word.
 """
 
 from typing import Annotated, Any, Final, Literal
@@ -144,7 +144,7 @@ class PolicySection(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _from_word(cls, value: Any) -> Any:  # what stands in the file, of any type
+    def _from_word(cls, value: Any) -> Any:  # the value in the file, of any type
         """Accept ``policy = "read-only"`` as a policy of its default alone, and refuse too many rules early."""
         if isinstance(value, str):
             return {"default": value}

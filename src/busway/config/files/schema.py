@@ -141,8 +141,8 @@ class Source:
 
     Attributes:
         name: of the file, for the sentences.
-        data: what stands in it.
-        lines: at which line each key and element stands.
+        data: its contents.
+        lines: the line of each key and element.
     """
 
     name: str

@@ -3,7 +3,7 @@
 Knows what can be written and what fits together; knows no device that behaves (`apps.simulator`). Every device file
 and every configuration file is a simulation file too.
 
-An example stands in `docs/simulator.md`.
+An example is in `docs/simulator.md`.
 
 Rules:
 
@@ -84,7 +84,9 @@ class SimulatedPointSection(PointSection):
         yield from faults or self._behaviour_faults()
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "SimulatedPointSection":
-        """Return a copy of the point for one place of its group; names in its behaviour are adjusted too."""
+        """Return a copy of the point for one place where its group is repeated, with adjusted names in
+        its behaviour.
+        """
         moved = super().moved(prefix, by, known)
         assert isinstance(moved, SimulatedPointSection)
         if moved.behaviour is None:

@@ -2,7 +2,7 @@
 
 Knows the keys; what they mean is declared in `busway.options.sinks`, and `busway.apps.collector.sinks` makes the sinks.
 
-An example stands in `docs/how-to/send-samples-on.md`.
+An example is in `docs/how-to/send-samples-on.md`.
 """
 
 from collections.abc import Mapping
@@ -161,7 +161,7 @@ KINDS: Final[Mapping[str, type[SinkSection]]] = {
 """The kinds by the scheme of their URL. To add one: its options, its section here, and what makes it."""
 
 
-def sink_section(value: Any) -> SinkSection:  # what stands in the file, of any type
+def sink_section(value: Any) -> SinkSection:  # the value in the file, of any type
     """Check a table ``[[sink]]`` by the section class of its kind. Raises `FileProblems`."""
     if isinstance(value, SinkSection):
         return value

@@ -3,12 +3,12 @@
 Knows what can be written and what goes together; knows no component (`busway.config` makes them). Every device file
 is a configuration file too.
 
-An example stands in `docs/reference/configuration.md`.
+An example is in `docs/reference/configuration.md`.
 
 Rules:
 
 1. What belongs to one listener or link goes before what its section says for all, and that before the defaults.
-2. A key that has no effect where it stands is refused: it would be believed to work.
+2. A key that has no effect in its place is refused: it would be believed to work.
 3. Paths are those of the system, or relative to the file's folder.
 """
 

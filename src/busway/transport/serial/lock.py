@@ -38,7 +38,7 @@ class Holder:
 
 
 def refuse_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
-    """Make the system refuse that the serial port is opened again, by other programs or this one."""
+    """Let the system refuse any further opening of the serial port, by other programs or this one."""
     asked(ioctl, descriptor, TIOCEXCL, bytearray())
 
 

@@ -39,7 +39,7 @@ _log = logging.getLogger("busway.collector.commands")
 
 @dataclass(frozen=True, slots=True)
 class InputRights:
-    """Which points the commands from one server may write.
+    """The points that commands from one server may write.
 
     Attributes:
         where: topic or subject, with ``{device}`` and ``{point}`` as levels of their own.

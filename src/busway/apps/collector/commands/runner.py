@@ -136,7 +136,7 @@ class _Running:
 
 
 def _ignore_step(name: str) -> None:
-    """Do nothing at a step of a command; tests end the process there instead."""
+    """Do nothing between two steps of a command; tests replace this to end the process there."""
 
 
 class CommandRunner:
@@ -174,7 +174,7 @@ class CommandRunner:
             self._append(each)
 
     def subscribe(self, told: Callable[[CommandResult], None]) -> None:
-        """Have a function called with the result of each command, in the event loop: it must be quick."""
+        """Register a function that is called in the event loop with the result of each command. It must be quick."""
         self._subscribers.append(told)
 
     async def close(self) -> None:
@@ -614,7 +614,7 @@ async def _asked(poller: LinkPoller, device: str, request: Request, seconds: flo
 
 
 async def _in_turn(poller: LinkPoller, device: str, make: Callable[[], Awaitable[_T]]) -> _T:
-    """Have the poller of a link call a function before its next reads, and wait for the result.
+    """Let the poller of a link call a function before its next reads, and return the result.
 
     Raises:
         Overloaded: too many wait for the link.

@@ -129,10 +129,10 @@ def tls_context(authority: str | None = None, certificate: str | None = None, ke
 
 
 class _Socket(ssl.SSLSocket):
-    """A socket that is closed when its handshake fails, which the library for MQTT does not do."""
+    """A TLS socket that closes itself if its handshake fails, which the library for MQTT does not do."""
 
     def do_handshake(self, block: bool = False) -> None:
-        """Perform the handshake. Raises `OSError`, with the socket closed."""
+        """Perform the TLS handshake; if it fails, close the socket and raise `OSError`."""
         try:
             super().do_handshake(block)
         except BaseException:

@@ -37,7 +37,7 @@ class LastValues:
         self._intervals: dict[str, StateInterval] = {}
 
     def update(self, commit: Commit) -> None:
-        """Take over the samples of a commit."""
+        """Take over the samples of a commit, that is, those just written to the store."""
         with self._lock:
             for batch in commit.last_values:
                 self._batches[batch.group] = batch

@@ -78,8 +78,8 @@ def _copied(folder: Path, target: Path) -> int | None:
 
 
 def _is_listed(folder: Path, part: StorePart) -> bool:
-    """Whether the manifest still lists a missing segment, so that it will be created; else it was
-    turned into Parquet.
+    """Whether the manifest still lists a missing segment file, so that it will be created; else it was turned into
+    Parquet.
     """
     with closing(Manifest(folder)) as manifest:
         return part in manifest.parts()

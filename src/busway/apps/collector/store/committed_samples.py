@@ -166,7 +166,7 @@ class CommitReader:
         return sorted(found, key=lambda part: (part.segment, part.id))
 
     def _facts_of_open(self, part: StorePart) -> StorePart:
-        """Return what an open segment holds. Raises `FileNotFoundError` if it was sealed meanwhile."""
+        """Return what an open segment file holds. Raises `FileNotFoundError` if it was sealed meanwhile."""
         try:
             return open_part_facts(self._folder, part)
         except FileNotFoundError:
@@ -207,7 +207,7 @@ class CommitReader:
         return self._name_at(self._points[row.point], row.commit_number)
 
     def _of_intervals_alone(self, after: int) -> CommitRange | None:
-        """Return silences and alarms of segments without any sample, for which no Parquet file was made."""
+        """Return silences and alarms of segment files without any sample, for which no Parquet file was made."""
         intervals = self._manifest.intervals(after)
         alarms = self._manifest.alarms(after)
         numbers = [row.commit_number for row in intervals] + [row.commit_number for row in alarms]
@@ -261,7 +261,9 @@ class CommitReader:
         return self._sealed[1]
 
     def _intervals(self, parts: Sequence[StorePart], after: int) -> Iterable[IntervalRow]:
-        """Return the silences of devices in a segment, and those of earlier segments stored after their last sample."""
+        """Return the silences of devices in a segment file, and those of earlier segments stored after their last
+        sample.
+        """
         own = [] if parts[0].kind == "sealed" else part_intervals(self._folder, parts[0])
         # The manifest last: a segment that is sealed meanwhile has moved its intervals there.
         return dict.fromkeys([*own, *self._manifest.intervals(after)])

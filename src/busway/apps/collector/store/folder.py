@@ -65,7 +65,7 @@ class StoreLock:
                 time.sleep(0.01)
 
     def _holder(self) -> int | None:
-        """Return the number of the process that wrote itself into the lock file."""
+        """Return the number of the process that wrote it into the store's lock file."""
         text = os.pread(self._handle, 32, 0).decode("ascii", "replace").strip()
         return int(text) if text.isdigit() else None
 

@@ -153,7 +153,7 @@ class KeptSamples:
                     choice.counters[device, each.point] = each
 
     def _part(self, batch: SampleBatch, places: tuple[int, ...]) -> SampleBatch:
-        """Return those samples of a read that are at some positions of it."""
+        """Return a batch with those samples of a read that are at some positions of it."""
         parts = self._parts.setdefault(batch.group, {})
         group = parts.get(places)
         if group is None:

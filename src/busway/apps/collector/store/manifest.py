@@ -77,7 +77,7 @@ INSERT_ALARM: Final = "INSERT OR REPLACE INTO alarms VALUES (?, ?, ?, ?, ?, ?, ?
 
 @dataclass(frozen=True, slots=True)
 class StorePart:
-    """One file with samples (a segment or a sealed file), as the manifest lists it.
+    """One file with samples (a segment file or a sealed file), as the manifest lists it.
 
     Attributes:
         id: number of the part.
@@ -280,7 +280,7 @@ class Manifest:
         *,
         is_mended: bool = False,
     ) -> None:
-        """Record what a finished segment contains, and copy its alarms and accumulators.
+        """Record what a finished segment file contains, and copy its alarms and accumulators.
 
         With ``is_mended`` its times are corrected, and so are those of all segments before it.
         """
@@ -307,7 +307,9 @@ class Manifest:
             )
 
     def replace_part(self, old: StorePart, new: Sequence[StorePart], intervals: Iterable[IntervalRow]) -> None:
-        """List Parquet files in place of the segment that they were made from, whose file is to be deleted then."""
+        """List Parquet files in place of the segment file that they were made from, whose file is to be
+        deleted then.
+        """
         with self.transaction() as database:
             database.execute("DELETE FROM parts WHERE id = ?", (old.id,))
             for part in new:
@@ -354,7 +356,7 @@ class Manifest:
     # Alarms, accumulators, maintenance
 
     def alarms(self, after: int = 0) -> list[AlarmRow]:
-        """Return the alarm events of finished segments after a commit, in the order of their commits."""
+        """Return the alarm events of finished segment files after a commit, in the order of their commits."""
         rows = self._all("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", after)
         return [AlarmRow(*row) for row in rows]
 
@@ -367,7 +369,7 @@ class Manifest:
             )
 
     def counters(self) -> list[CounterRow]:
-        """Return the states of accumulators at the end of finished segments."""
+        """Return the states of accumulators at the end of finished segment files."""
         return [CounterRow(*row) for row in self._all("SELECT * FROM counters")]
 
     def maintenance(self) -> list[MaintenanceRow]:

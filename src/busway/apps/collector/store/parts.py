@@ -69,7 +69,7 @@ _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason"
 
 
 def open_part_facts(folder: Path, part: StorePart) -> StorePart:
-    """Return what the manifest would say about a segment that is being written, from its commits so far."""
+    """Return what the manifest would say about a segment file that is being written, from its commits so far."""
     path = folder / SEGMENTS / part.file
     try:
         with closing(open_for_reading(path)) as database:

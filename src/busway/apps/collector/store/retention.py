@@ -30,7 +30,7 @@ class Retention:
 
 
 def parts_to_drop(parts: Sequence[StorePart], retention: Retention, now: int) -> list[StorePart]:
-    """Return the finished files beyond the limits of retention, oldest first; never the open segment.
+    """Return the finished files beyond the limits of retention, oldest first; never the open segment file.
 
     Args:
         parts: all parts.

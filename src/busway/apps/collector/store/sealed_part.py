@@ -49,7 +49,7 @@ PointTexts = Sequence[tuple[int, str, str, str | None]]
 
 
 def write_parts(segment: Path, points: PointTexts, parent: int) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Write the samples of a closed segment as Parquet; returns each file with its name, bounds, rows and bytes.
+    """Write the samples of a closed segment file as Parquet; returns each file with its name, bounds, rows and bytes.
 
     Ends without the rest where the process ``parent`` has ended: then the files will not be listed.
     """
@@ -111,7 +111,7 @@ def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int,
 
 
 def first_time_of(database: sqlite3.Connection) -> int | None:
-    """Return the time before which samples of a segment count as late; None if it has none."""
+    """Return the time before which samples of a segment file count as late; None if it has none."""
     row = database.execute("SELECT min(at) FROM commits").fetchone()
     if row[0] is None or database.execute("SELECT 1 FROM samples LIMIT 1").fetchone() is None:
         return None
@@ -120,7 +120,7 @@ def first_time_of(database: sqlite3.Connection) -> int | None:
 
 
 def _table(segment: Path, kinds: set[str], low: int, high: int) -> Any:
-    """Return the samples of a segment from ``low`` up to ``high``, sorted by point and time."""
+    """Return the samples of a segment file from ``low`` up to ``high``, sorted by point and time."""
     pa = arrow()
     import adbc_driver_sqlite  # with its own SQLite: not beside an open connection of Python's
     from adbc_driver_manager import AdbcConnection, AdbcStatement
@@ -182,7 +182,7 @@ class _NotNeeded(MetaPathFinder):
 
 
 def main() -> None:
-    """Write the sealed files of the segment that standard input names, and list them on standard output."""
+    """Write the sealed files of the segment file that standard input names, and list them on standard output."""
     asked = json.load(sys.stdin)
     sys.meta_path.insert(0, _NotNeeded())
     os.nice(_NICENESS)

@@ -33,11 +33,11 @@ _LONGEST: Final = 1800
 
 
 class SealingFailed(OSError):
-    """Error: the process that converts a finished segment to Parquet failed; the segment is unchanged."""
+    """Error: the process that converts a finished segment file to Parquet failed; the segment is unchanged."""
 
 
 def can_seal() -> bool:
-    """Whether the packages are installed that turning segments into Parquet needs."""
+    """Whether the packages are installed that convert segment files to Parquet."""
     return find_spec("pyarrow") is not None and find_spec("adbc_driver_sqlite") is not None
 
 
@@ -48,7 +48,9 @@ def arrow(module: str = "") -> Any:  # pyarrow has no types of its own
 
 
 def seal(folder: Path, manifest: Manifest, part: StorePart, step: Step) -> list[StorePart]:
-    """Turn a closed segment into Parquet files, and return them. Raises `SealingFailed`, `OSError`, `sqlite3.Error`."""
+    """Turn a closed segment file into Parquet files, and return them. Raises `SealingFailed`, `OSError`,
+    `sqlite3.Error`.
+    """
     source = folder / SEGMENTS / part.file
     with closing(open_for_reading(source)) as database:
         intervals = intervals_of(database)
@@ -104,7 +106,7 @@ def remove_unlisted(folder: Path, manifest: Manifest) -> None:
 
 
 def remove_unfinished(folder: Path, manifest: Manifest) -> None:
-    """Delete incomplete Parquet files that a crash left; their samples are still in the segment."""
+    """Delete incomplete Parquet files that a crash left; their samples are still in the segment file."""
     parts = manifest.parts()
     listed = {part.file for part in parts}
     segments = {part.file.removesuffix(".sqlite") for part in parts if part.kind != "sealed"}

@@ -95,7 +95,7 @@ class Segment:
         alarms: Sequence[KeyedAlarm] = (),
         counters: Sequence[KeyedCounter] = (),
     ) -> None:
-        """Write samples to the segment without ending the transaction; `commit` or `rollback` follows."""
+        """Write samples to the segment file without ending the transaction; `commit` or `rollback` follows."""
         database = self._database
         database.execute("BEGIN IMMEDIATE")
         for ids, batch in batches:
@@ -130,23 +130,25 @@ class Segment:
             self._database.execute("ROLLBACK")
 
     def log_size(self) -> int:
-        """Return the size of the segment's write-ahead log in bytes."""
+        """Return the size of the segment file's write-ahead log in bytes."""
         try:
             return self._log.stat().st_size
         except FileNotFoundError:
             return 0
 
     def has_ended(self, begun: int, now: int, most: int) -> bool:
-        """Whether the segment, begun at ``begun``, takes no further commit at ``now`` (rule 5); ``most``: its bytes."""
+        """Whether the segment file, begun at ``begun``, takes no further commit at ``now`` (rule 5); ``most``: its
+        bytes.
+        """
         return now // SLOT != begun // SLOT or self.size() > most or self.is_stuck
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the segment's write-ahead log keeps growing because a reader holds it open."""
+        """Whether the segment file's write-ahead log keeps growing because a reader holds it open."""
         return self.log_size() > LOG_STUCK
 
     def size(self) -> int:
-        """Return the size of the segment on disk in bytes."""
+        """Return the size of the segment file on disk in bytes."""
         return size_of(self.path)
 
     def mend(self, first: int, shift: int) -> int:
@@ -260,7 +262,7 @@ def _stored_number(value: float) -> object:
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
-    """Open a segment for reading only. Raises `FileNotFoundError` if the file is gone."""
+    """Open a segment file for reading only. Raises `FileNotFoundError` if the file is gone."""
     if not path.exists():
         raise FileNotFoundError(os.fspath(path))
     try:
@@ -272,7 +274,7 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
 
 
 def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StorePart:
-    """Return what the manifest says about a segment, from its commits."""
+    """Return what the manifest says about a segment file, from its commits."""
     low, high, first, last, alive, rows = database.execute(
         "SELECT min(low), max(high), min(number), max(number),"
         " (SELECT at FROM commits ORDER BY number DESC LIMIT 1), coalesce(sum(samples), 0) FROM commits"
@@ -281,12 +283,12 @@ def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StoreP
 
 
 def is_unmade(error: sqlite3.OperationalError) -> bool:
-    """Whether an error means that a segment's tables do not exist yet, so that it has no samples."""
+    """Whether an error means that a segment file's tables do not exist yet, so that it has no samples."""
     return "no such table" in str(error)
 
 
 def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
-    """Return the alarm events of a segment after a commit, in the order of their commits."""
+    """Return the alarm events of a segment file after a commit, in the order of their commits."""
     try:
         rows = database.execute("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", (after,))
     except sqlite3.OperationalError as error:
@@ -297,7 +299,9 @@ def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
 
 
 def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
-    """Return the latest running total of each counter point in a segment, with the counter value it continues from."""
+    """Return the latest running total of each counter point in a segment file, with the counter value it continues
+    from.
+    """
     try:
         rows = database.execute("SELECT point, total, last, commit_number FROM counters")
     except sqlite3.OperationalError as error:
@@ -308,5 +312,5 @@ def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
 
 
 def intervals_of(database: sqlite3.Connection) -> list[IntervalRow]:
-    """Return the intervals of a segment in which devices were not read, in the order of their commits."""
+    """Return the intervals of a segment file in which devices were not read, in the order of their commits."""
     return [IntervalRow(*row) for row in database.execute("SELECT * FROM intervals ORDER BY commit_number")]

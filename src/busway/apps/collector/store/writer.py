@@ -44,7 +44,7 @@ Durability = Literal["process", "power"]
 
 @dataclass(frozen=True, slots=True)
 class StoreOptions:
-    """Options of writing a store: when a segment ends, what is kept how long, and durability.
+    """Options of writing a store: when a segment file ends, what is kept how long, and durability.
 
     Attributes:
         durability: ``process``: what was committed survives the end of the process, and a power failure costs the last
@@ -145,7 +145,7 @@ class StoreWriter:
             opened.callback(self._close_segment)
 
     def close(self, now: int) -> None:
-        """Note in the store that it was closed on purpose, and close all files. Raises `sqlite3.Error`."""
+        """Record in the store that it was closed on purpose, and close all files. Raises `sqlite3.Error`."""
         try:
             self.manifest.set_fact("ended", now)
         finally:
@@ -182,7 +182,7 @@ class StoreWriter:
         return max((at for at in right if at is not None and at <= now), default=now)
 
     def _finish_listing(self, part: StorePart) -> None:
-        """Record in the manifest what a segment contains; an empty segment is removed from the list."""
+        """Record in the manifest what a segment file contains; an empty segment is removed from the list."""
         path = self.folder / SEGMENTS / part.file
         found = part
         alarms: list[AlarmRow] = []
@@ -260,11 +260,11 @@ class StoreWriter:
         return Commit(number, now, batches, intervals, alarms)
 
     def begin_mending(self, shift: int) -> None:
-        """Begin to correct times from before the wall clock was set, by ``shift`` nanoseconds."""
+        """Prepare the correction of times from before the wall clock was set, by ``shift`` nanoseconds."""
         self.manifest.begin_mending(self._first, shift, EARLIEST)
 
     def mend_next(self) -> bool:
-        """Correct times in one segment; returns whether more may follow. Continues after a crash where it was.
+        """Correct times in one segment file; returns whether more may follow. Continues after a crash where it was.
 
         Raises:
             sqlite3.Error, OSError: the segment is as it was.
@@ -312,13 +312,13 @@ class StoreWriter:
             self._segment.sync()
 
     def limit_pages(self, pages: int) -> None:
-        """Limit the number of pages of the open segment, as on a full disk; for tests."""
+        """Limit the number of pages of the open segment file, as on a full disk; for tests."""
         if self._segment is not None:
             self._segment.limit_pages(pages)
 
     @property
     def log_size(self) -> int:
-        """Return the size of the open segment's write-ahead log in bytes."""
+        """Return the size of the open segment file's write-ahead log in bytes."""
         return 0 if self._segment is None else self._segment.log_size()
 
     @property
@@ -361,7 +361,7 @@ class StoreWriter:
         return self._segment
 
     def _forget_segment(self) -> None:
-        """Close the file of the open segment; the next commit opens the same one again."""
+        """Close the open segment file; the next commit opens the same file again."""
         if self._segment is not None:
             self._segment.close()
         self._segment = None
@@ -388,7 +388,7 @@ class StoreWriter:
     # Upkeep, in another thread
 
     def seal_closed(self) -> int:
-        """Turn finished segments into Parquet; returns how many there were. Without pyarrow they stay."""
+        """Turn finished segment files into Parquet; returns how many there were. Without pyarrow they stay."""
         if not self.options.seals or not can_seal():
             return 0
         with self._files:

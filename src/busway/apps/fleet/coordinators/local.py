@@ -25,12 +25,14 @@ _T = TypeVar("_T")
 
 
 async def open_local(folder: str, zone: str) -> "LocalCoordinator":
-    """Open the file of a zone in a folder, created if it is missing. Raises `ConfigError`."""
+    """Open the table that a zone's collectors share, as a file in a folder, created if missing. Raises
+    `ConfigError`.
+    """
     return await asyncio.to_thread(LocalCoordinator, Path(folder or "."), checked_name(zone, "zone"))
 
 
 class LocalCoordinator:
-    """Coordinator whose entries for one zone are in the file ``<folder>/<zone>.fleet``."""
+    """Shared table of a zone's collectors in the file ``<folder>/<zone>.fleet``."""
 
     def __init__(self, folder: Path, zone: str) -> None:
         self.path: Path = folder / f"{zone}.fleet"
@@ -47,15 +49,15 @@ class LocalCoordinator:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="busway-fleet")
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add a new entry to the zone's table. Raises as `Coordinator.create`."""
+        """Add a new entry to the shared table. Raises as `Coordinator.create`."""
         return await self._in_thread(lambda: self._changed(key, value, None))
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry if it still has this revision. Raises as `Coordinator.replace`."""
+        """Change an entry of the shared table if it still has this revision. Raises as `Coordinator.replace`."""
         return await self._in_thread(lambda: self._changed(key, value, revision))
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """Yield the zone's entries, then their changes, until the iterator is closed."""
+        """Yield the entries of the shared table, then their changes, until the iterator is closed."""
         last = 0
         first = True
         while True:
@@ -68,7 +70,7 @@ class LocalCoordinator:
             await asyncio.sleep(LOOK_EVERY)
 
     async def close(self) -> None:
-        """Close the file with the zone's entries."""
+        """Close the file of the shared table."""
         await asyncio.to_thread(self._thread.shutdown)
         with self._lock:
             self._database.close()

@@ -38,7 +38,9 @@ _MOST_WAITING: Final = 65_536
 
 
 async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCoordinator":
-    """Connect to NATS, and find or make a zone's bucket. Raises `ConfigError`, `CoordinatorDown`, `MissingExtra`."""
+    """Open the table that a zone's collectors share in NATS. Raises `ConfigError`, `CoordinatorDown`,
+    `MissingExtra`.
+    """
     require("nats", "a coordinator on NATS")
     bucket = f"busway-{checked_name(zone, 'zone')}"
     client = await connect_nats(url, options)
@@ -141,7 +143,7 @@ async def _find_bucket(client: Any, bucket: str, options: CoordinatorOptions) ->
 
 
 class NatsCoordinator:
-    """Coordinator whose entries for one zone are in a key-value bucket of NATS.
+    """Shared table of a zone's collectors in a key-value bucket of NATS.
 
     Attributes:
         client: the connection, for the streams of the same collector.
@@ -153,11 +155,11 @@ class NatsCoordinator:
         self._jetstream = client.jetstream(timeout=answer)
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add a new entry to the zone's table. Raises as `Coordinator.create`."""
+        """Add a new entry to the shared table. Raises as `Coordinator.create`."""
         return await self._changed(key, value, 0)
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry if it still has this revision. Raises as `Coordinator.replace`."""
+        """Change an entry of the shared table if it still has this revision. Raises as `Coordinator.replace`."""
         return await self._changed(key, value, revision)
 
     async def _changed(self, key: str, value: bytes, revision: int) -> int:
@@ -181,7 +183,7 @@ class NatsCoordinator:
         return int(made.seq)
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """Yield the zone's entries, then their changes, until the iterator is closed."""
+        """Yield the entries of the shared table, then their changes, until the iterator is closed."""
         first = True
         while True:
             if not first:
@@ -193,7 +195,7 @@ class NatsCoordinator:
             await asyncio.sleep(0.2)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Yield the entries that one NATS consumer gets, until it has a gap or is silent; raises nothing then."""
+        """Yield the entries that one NATS consumer gets; end, without an error, when it has a gap or is silent."""
         nats, errors = import_module("nats"), import_module("nats.js.errors")
         waiting: asyncio.Queue[Any] = asyncio.Queue(_MOST_WAITING)
         inbox = self.client.new_inbox()
@@ -235,7 +237,7 @@ class NatsCoordinator:
                     await subscription.unsubscribe()
 
     async def _consume(self, prefix: str, inbox: str) -> int:
-        """Make the NATS consumer of a watch; returns how many entries exist."""
+        """Create the NATS consumer that follows the shared table; returns how many entries exist."""
         api = import_module("nats.js.api")
         config = api.ConsumerConfig(
             deliver_subject=inbox,

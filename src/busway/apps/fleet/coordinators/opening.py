@@ -10,7 +10,7 @@ from ..coordinator import Coordinator
 
 @dataclass(frozen=True, slots=True)
 class CoordinatorOptions:
-    """Options of the connection to a coordinator: user, credentials, TLS files, replicas.
+    """Options of the connection to the table that collectors share: user, credentials, TLS files, replicas.
 
     Attributes:
         user, password, token: for the server; None where the URL or the credentials file says all.
@@ -32,7 +32,7 @@ class CoordinatorOptions:
 
 
 async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | None = None) -> Coordinator:
-    """Connect to the coordinator of a zone, whose table is created if it is missing.
+    """Open the table that the collectors of a zone share, in a file, NATS or PostgreSQL; created if missing.
 
     Args:
         url: ``local:FOLDER`` for the collectors of one machine, ``nats://host:4222`` (several hosts with commas,

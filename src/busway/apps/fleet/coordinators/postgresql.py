@@ -48,7 +48,9 @@ WHERE zone = $1 AND key = $2 AND revision = $5 RETURNING revision, pg_notify($4,
 
 
 async def open_postgresql(url: str, zone: str, options: CoordinatorOptions) -> "PostgresqlCoordinator":
-    """Connect to PostgreSQL, and find or make the table. Raises `ConfigError`, `CoordinatorDown`, `MissingExtra`."""
+    """Open the table that a zone's collectors share in PostgreSQL. Raises `ConfigError`, `CoordinatorDown`,
+    `MissingExtra`.
+    """
     require("asyncpg", "a coordinator on PostgreSQL")
     coordinator = PostgresqlCoordinator(url, checked_name(zone, "zone"), options)
     await coordinator.open()
@@ -56,7 +58,7 @@ async def open_postgresql(url: str, zone: str, options: CoordinatorOptions) -> "
 
 
 class PostgresqlCoordinator:
-    """Coordinator whose entries for one zone are in the table ``busway_fleet`` of PostgreSQL."""
+    """Shared table of a zone's collectors: the table ``busway_fleet`` of PostgreSQL."""
 
     def __init__(self, url: str, zone: str, options: CoordinatorOptions) -> None:
         self._url, self._zone, self._options = url, zone, options
@@ -111,11 +113,11 @@ class PostgresqlCoordinator:
                 )
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add a new entry to the zone's table. Raises as `Coordinator.create`."""
+        """Add a new entry to the shared table. Raises as `Coordinator.create`."""
         return await self._changed(key, value, _CREATE)
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry if it still has this revision. Raises as `Coordinator.replace`."""
+        """Change an entry of the shared table if it still has this revision. Raises as `Coordinator.replace`."""
         return await self._changed(key, value, _REPLACE, revision)
 
     async def _changed(self, key: str, value: bytes, statement: str, *revision: int) -> int:
@@ -139,7 +141,7 @@ class PostgresqlCoordinator:
         return int(made)
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """Yield the zone's entries, then their changes, until the iterator is closed."""
+        """Yield the entries of the shared table, then their changes, until the iterator is closed."""
         first = True
         while True:
             if not first:
@@ -151,7 +153,7 @@ class PostgresqlCoordinator:
             await asyncio.sleep(0.2)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Yield entries over one database connection, until it is lost; raises nothing then."""
+        """Yield entries over one database connection; end, without an error, when it is lost."""
         pg = import_module("asyncpg")
         told: set[str] = set()
         wake = asyncio.Event()
