@@ -25,10 +25,12 @@ class AuditObserver:
         self._log = log
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Do nothing for a request answered on the fast path: reads are not recorded, and writes record themselves."""
+        """Do nothing for requests answered from bytes: reads are not recorded, and writes were recorded
+        when executed.
+        """
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Do nothing for a request that is forwarded on the fast path: it can only be a read, which is not recorded."""
+        """Do nothing for forwarded reads whose client has gone: reads are not recorded."""
 
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float

@@ -48,7 +48,7 @@ _MOST_RIGHTS: Final = 256
 
 
 class PolicyRights:
-    """The rights that a policy gives to clients, for compiling their fast path; equal for clients with equal rights.
+    """The rights that a policy gives to clients, used to compile functions that answer their requests from bytes.
 
     Attributes:
         rights: the compiled rules.
@@ -61,7 +61,9 @@ class PolicyRights:
         self._audit = audit
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """Return a function that answers one function code for these clients; None if each request needs a decision."""
+        """Return a function that answers requests with one function code from bytes; None if each needs a policy
+        decision.
+        """
         return bind(self.rights, unit, served, kind, self._audit)
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:

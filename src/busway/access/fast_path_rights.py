@@ -36,7 +36,8 @@ _unpack_two = struct.Struct(">HH").unpack_from
 def bind(
     rights: Rights, unit: int, served: ServedUnit, kind: type[Request], audit: AuditLog | None = None
 ) -> Answer | None:
-    """Return a function that answers one function code within these rights; None if requests need full decisions.
+    """Return a function that answers requests with one function code from bytes, within these rights; None if not
+    possible.
 
     Args:
         rights: of the clients.
@@ -150,7 +151,7 @@ Put = Callable[[int, int, bytes], bool | None]
 
 
 class _CheckedDevice:
-    """A device as the fast path uses it under a policy: its memory blocks check what is written to them.
+    """A device whose memory blocks check what is written to them by a policy; for the fast path (from bytes to bytes).
 
     Args:
         device: the device.
@@ -227,7 +228,7 @@ _NOTHING_DONE: Final[_Done] = (0, 0, 0, b"", b"")
 def _audited(
     kind: type[Request], device: DirectModel, zones: Sequence[Zone], unit: int, audit: AuditLog
 ) -> Answer | None:
-    """Build the function that answers a write on the fast path: checks addresses and limits, appends an audit line."""
+    """Return the function that answers writes from bytes: it checks addresses and limits, and appends an audit line."""
     done = _NOTHING_DONE
 
     def recorded(block: Block) -> Put | None:

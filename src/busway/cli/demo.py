@@ -235,10 +235,10 @@ class View(Protocol):
     """Interface of a display of the values that the demonstration has read."""
 
     def show(self, url: str, tags: "Tags", polled: Polled, elapsed: float) -> None:
-        """Show the values that were read last."""
+        """Show the values that were read last on the terminal."""
 
     def close(self) -> None:
-        """End the display of values."""
+        """End the display of values on the terminal."""
 
 
 class LineView:

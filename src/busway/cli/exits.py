@@ -22,7 +22,7 @@ from ..errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, Link
 
 
 class ExitCode(IntEnum):
-    """The exit codes of every command."""
+    """The exit codes that all commands of ``busway`` use."""
 
     DONE = 0
     WRONG_USE = 2

@@ -107,10 +107,10 @@ class Writer(Protocol):
     """Interface of an object that prints rows of values; ``time`` is when they were read, empty if not shown."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
-        """Print these rows of values."""
+        """Print these rows of values on stdout."""
 
     def close(self) -> None:
-        """End the printing of values."""
+        """End the printing of rows, such as the end of a table."""
 
 
 def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writer:

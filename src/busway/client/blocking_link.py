@@ -203,7 +203,9 @@ class BlockingLinkDriver:
         return status_of(self, self.session, self._life, time.monotonic(), local)
 
     def make_room(self) -> bool:
-        """Close the connection if no call uses it. Returns whether it was closed."""
+        """Close the connection of this link, to make room for another one, unless a call uses it. Returns whether it
+        did.
+        """
         if not self._turn.acquire(blocking=False):
             return False  # a thread is using it
         try:
@@ -390,7 +392,7 @@ class BlockingLinkDriver:
         self._done()
 
     def _done(self) -> None:
-        """Wake the threads whose calls are complete."""
+        """Wake the threads that wait for calls which are complete now."""
         if self._line is not None and self._line.notes:
             self._tell_notes(self._line.notes)
         if self.session.finished:

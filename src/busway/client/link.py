@@ -327,7 +327,9 @@ class AsyncLinkDriver:
         return status_of(self, self.session, self._life, self._clock(), local)
 
     def make_room(self) -> bool:
-        """Close the connection if no call uses it. Returns whether it was closed."""
+        """Close the connection of this link, to make room for another one, unless a call uses it. Returns whether it
+        did.
+        """
         if self._transport is None or self._is_used():
             return False
         self._release(self._clock(), "another connection needed the place")
@@ -563,7 +565,7 @@ class AsyncLinkDriver:
         self._wake()
 
     def _wake(self) -> None:
-        """Wake the callers whose calls are complete."""
+        """Wake the callers that wait for calls which are complete now."""
         session = self.session
         finished = session.finished[:]
         session.finished.clear()

@@ -94,7 +94,9 @@ class LocalLink(Protocol):
         """Return state, traffic and counters of the link at this moment."""
 
     def make_room(self) -> bool:
-        """Close the connection if no call uses it; returns whether it was closed. Called on the link's own loop."""
+        """Close the link's connection unless a call uses it; returns whether it did. Called on the link's own event
+        loop.
+        """
 
 
 class LocalConnections:
@@ -110,12 +112,12 @@ class LocalConnections:
         self._lock = threading.Lock()
 
     def add(self, link: LocalLink) -> None:
-        """Add a new link to the registry."""
+        """Add a new link to the registry of this process's links."""
         with self._lock:
             self._links.add(link)
 
     def discard(self, link: LocalLink) -> None:
-        """Remove a closed link from the registry."""
+        """Remove a closed link from the registry of this process's links."""
         with self._lock:
             self._links.discard(link)
 

@@ -15,10 +15,10 @@ from typing import Protocol
 
 
 class Timer(Protocol):
-    """Interface of a call scheduled with a clock."""
+    """Interface of a function call that a clock will make."""
 
     def cancel(self) -> None:
-        """Cancel the scheduled call."""
+        """Cancel the scheduled function call."""
 
 
 class Clock(Protocol):
@@ -66,7 +66,7 @@ class FakeTimer:
         self.cancelled: bool = False
 
     def cancel(self) -> None:
-        """Cancel the scheduled call."""
+        """Cancel the scheduled function call."""
         self.cancelled = True
 
 

@@ -181,7 +181,7 @@ class FaultyConnection:
         self._moved(self)
 
     def end(self) -> None:
-        """Stop sending on this connection for good."""
+        """Send nothing more on this connection: delayed replies are dropped."""
         self._has_ended = True
         self._stop_timer()
         self._moved(self)

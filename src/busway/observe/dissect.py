@@ -79,7 +79,7 @@ class _Frame:
 
     @property
     def title(self) -> str:
-        """Framing and addresses of the frame as text."""
+        """Framing and addresses of the frame as text, for a heading."""
         words = {Framing.MBAP: "MBAP", Framing.RTU: "RTU", Framing.ASCII: "ASCII", Framing.PDU: "PDU"}[self.framing]
         if self.transaction is not None:
             words += f", transaction {self.transaction}"

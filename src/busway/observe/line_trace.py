@@ -44,10 +44,10 @@ class ConnectionTrace(Protocol):
 
 
 class SilenceTimer(Protocol):
-    """Interface of a timer, such as `threading.Timer`."""
+    """Interface of a timer that fires after a silence of the line, such as `threading.Timer`."""
 
     def start(self) -> None:
-        """Start the timer."""
+        """Start the timer that fires after a silence of the line."""
 
     def cancel(self) -> None:
         """Cancel the timer, so that it does not fire."""

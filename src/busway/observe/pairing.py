@@ -271,5 +271,5 @@ class Pairing:
 
 
 def _answers(reply: SerialFrame, asked: SerialFrame) -> bool:
-    """Whether unit and function of a reply are those of the open request."""
+    """Whether unit and function of a reply are those of the request that awaits it."""
     return reply.unit == asked.unit and reply.pdu[0] & 0x7F == asked.pdu[0]

@@ -84,7 +84,7 @@ class DatagramEar:
     """Source of a serial line's bytes: a local UDP port to which a device server sends them, from any address."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
-        """Bind the local UDP port to listen on. Raises `LinkDown`."""
+        """Bind the local UDP port at which a device server's datagrams arrive. Raises `LinkDown`."""
         self._name = endpoint.url
         try:
             places = socket.getaddrinfo(

@@ -89,7 +89,7 @@ class RouteParameters:
 
 @dataclass(frozen=True, slots=True)
 class GatewayParameters:
-    """Options that apply to a whole gateway."""
+    """Options that apply to a gateway as a whole."""
 
     own_unit: Annotated[int | None, Range(1, 255), "unit of the gateway itself; None: it is no device."] = (
         TCP_DEVICE_UNIT

@@ -74,7 +74,7 @@ class Offer:
 
     @property
     def options(self) -> dict[str, Option]:
-        """All options that the part accepts, by name."""
+        """All options that this part of busway accepts, by name."""
         return {name: option for options in self.kinds.values() for name, option in options.items()}
 
     @property

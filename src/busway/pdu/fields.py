@@ -74,10 +74,10 @@ class Item(Protocol):
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the item at offset ``at``. Returns it and the offset after it; `ValueError` if it is invalid."""
+        """Decode one element at offset ``at``. Returns it and the offset after it; `ValueError` if it is invalid."""
 
     def encode(self) -> bytes:
-        """Return the item as bytes."""
+        """Return one element of a repeated field as bytes."""
 
 
 @dataclass(frozen=True, slots=True)

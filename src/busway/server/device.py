@@ -352,7 +352,7 @@ class Device:
 
     @property
     def generation(self) -> int:
-        """A number that changes when memory got from ``plain_block``, or the set of enabled functions,
+        """A number that changes when memory given by ``plain_block``, or the set of enabled functions,
         is out of date.
         """
         return self._generation

@@ -234,7 +234,7 @@ class _Socket(asyncio.DatagramProtocol):
         return SocketAddresses(own, address, is_datagram=True)
 
     def close(self) -> None:
-        """Close this UDP socket."""
+        """Close the UDP socket, whose peers are dropped."""
         if self._transport is not None:
             self._transport.close()
         elif not self.closed.done():

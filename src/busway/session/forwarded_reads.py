@@ -95,7 +95,7 @@ class ForwardPlans:
         return key in self.known or key in self.others
 
     def learn(self, key: bytes, plan: ForwardPlan | None) -> None:
-        """Remember how a read is forwarded; None means that it takes the generic path."""
+        """Store how a read is forwarded; None means that such reads must be decoded and forwarded one by one."""
         if plan is None:
             if len(self.others) >= _PLAN_LIMIT:
                 self.others.clear()
@@ -134,7 +134,7 @@ class ReadForwarder(Protocol):
     """Interface of a gateway's responder that can forward several reads together."""
 
     def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
-        """Return how a read is forwarded; None if the read has to take the generic path."""
+        """Return how a read is forwarded; None if it has to be decoded and forwarded by itself."""
 
 
 @lru_cache(maxsize=64)

@@ -50,7 +50,9 @@ class ClientRights(Protocol):
     """Interface of what a policy permits to certain clients; equal for clients with equal rights."""
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """Return a function that answers one function code for these clients; None if each request needs a decision."""
+        """Return a function that answers requests with one function code from their bytes; None if each needs a policy
+        decision.
+        """
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
         """Whether a read request is always permitted, without a rate limit, so that it may be forwarded unchecked."""
@@ -76,7 +78,9 @@ class RequestObserver(Protocol):
     """Observer of requests and their outcomes, without influence on them. Seconds count from a request's arrival."""
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Called with replies of the fast path, as Modbus TCP frames, and the seconds that all of them took."""
+        """Called with replies of the fast path (from bytes to bytes), as Modbus TCP frames, and the seconds all of them
+        took.
+        """
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
         """Called when a client disconnected before so many of its forwarded requests were answered."""
@@ -84,7 +88,9 @@ class RequestObserver(Protocol):
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
     ) -> None:
-        """Called with the outcome of a request on the generic path: a reply, `SILENCE`, or None after a disconnect."""
+        """Called with the outcome of a request that the fast path did not answer: a reply, `SILENCE`, or None after a
+        disconnect.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +150,7 @@ class RequestPipeline:
         return found
 
     def answer(self, context: RequestContext, pdu: bytes, failures: list[ResponderFailure]) -> Outcome:
-        """Answer a request on the generic path. A failure of the responder is added to ``failures``."""
+        """Decode and answer a request that the fast path did not answer. Responder errors are added to ``failures``."""
         function = context.function
         was_listen_only = context.diagnostics.listen_only
         if was_listen_only and function != _DIAGNOSTICS:
@@ -176,7 +182,9 @@ class RequestPipeline:
         return outcome
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], began: float) -> None:
-        """Report to the observers replies that the fast path gave, to requests that arrived at ``began``."""
+        """Report to the observers replies of the fast path (from bytes to bytes) to requests that
+        arrived at ``began``.
+        """
         seconds = self.clock() - began
         for observer in self.observers:
             observer.answered(client, replies, seconds)
@@ -219,7 +227,9 @@ class FastPath:
         self.forwards: ForwardPlans = ForwardPlans()
 
     def bind(self, unit: int, function: int) -> Answer | None:
-        """Find and keep the function that answers one function code of a unit; None if that takes the generic path."""
+        """Find and keep the function that answers one function code of a unit from bytes; None if requests must be
+        decoded.
+        """
         answer = self._bound(unit, function)
         if len(self.functions) >= _MOST_FUNCTIONS:
             self.functions.clear()
@@ -245,7 +255,7 @@ class FastPath:
         return len(self.reads) < MOST_READS
 
     def can_forward(self, forwarder: ReadForwarder, context: RequestContext, adu: bytes) -> bool:
-        """Decide how a new read is forwarded. Returns whether it takes the fast path from now on."""
+        """Find out how a new read is forwarded. Returns whether such reads are forwarded undecoded from now on."""
         key = adu[2:]
         if not is_read(adu) or key in self.forwards:
             return False  # a known read comes here if no slot is left, or it needs the generic path
@@ -256,7 +266,7 @@ class FastPath:
         return plan is not None
 
     def _direct(self, unit: int, function: int) -> tuple[ServedUnit | None, type[Request] | None]:
-        """Return the unit and the request class of a function code, if the unit's device offers it on the fast path."""
+        """Return unit and request class of a function code if the unit's device can answer it from bytes; else None."""
         served = self._responder.serves(unit)
         if served is None or served.device is None or not served.is_direct or not served.device.enabled(function):
             return None, None
@@ -275,7 +285,7 @@ class _NoUnits:
     generation = 0
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return None, as the server has no units."""
+        """Return None: a server without units has none that could answer."""
         return None
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:

@@ -210,7 +210,7 @@ class RequestQueue:
             self.waiting -= freed
 
     def pick_same(self, eligible: Eligible | None = None) -> Call | None:
-        """Return another call of the caller that was picked last, for the same turn; None if it has none."""
+        """Return a further call of the caller that `pick` chose last, so that its turn goes on; None without one."""
         caller = self._last
         if caller is None or not caller.calls:
             return None

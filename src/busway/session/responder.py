@@ -276,7 +276,7 @@ class Forwarding:
         context.gone = self._client_gone
 
     def answer(self, tags: Sequence[None], asked: Sequence[ForwardedMessage], data: Sequence[bytes]) -> None:
-        """Answer the client with the data of a read."""
+        """Answer the client with data that were read upstream."""
         self._answered(asked[0].of_data(data[0]))
 
     def reply(self, tag: None, asked: ForwardedMessage, reply: Message) -> None:
@@ -284,7 +284,7 @@ class Forwarding:
         self._answered(asked.client_reply(reply))
 
     def refuse(self, tag: None, asked: ForwardedMessage, code: int) -> None:
-        """Answer the client with an exception code."""
+        """Answer the client of a forwarded request with an exception code."""
         self._reply = None
         self._answered(ExceptionResponse(self._context.function, code))
 
@@ -310,7 +310,7 @@ Outcome = Message | Awaitable[Message] | Deferral | Forwarding
 
 
 class DirectDevice(DirectModel, Protocol):
-    """A device in this process that the fast path can read and write without its responder."""
+    """Interface of a device in this process whose memory the fast path can use without the responder."""
 
     def enabled(self, code: int) -> bool:
         """Whether the device offers the function with this code."""
@@ -318,7 +318,7 @@ class DirectDevice(DirectModel, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ServedUnit:
-    """A unit that a responder answers for, with its device if the fast path can use it.
+    """A unit for which a responder answers, with its device if the fast path can use that directly.
 
     Attributes:
         unit: the unit as which its device is configured; the first where a sole device has several.

@@ -333,7 +333,7 @@ class TcpServerSession:
             self._deliver(adu)
 
     def _count(self, units: bytes | bytearray) -> None:
-        """Count requests that the fast path has answered, for each unit."""
+        """Count, for each unit, the requests that were answered on the fast path (from bytes to bytes)."""
         direct = len(units)
         self.requests += direct
         exchanged = self._diagnostics.exchanged

@@ -146,7 +146,7 @@ class CertificateStore:
 
 
 def _identifier(dotted: str) -> bytes:
-    """Return an object identifier in DER."""
+    """Return an object identifier such as ``1.3.6.1`` encoded in DER."""
     first, second, *rest = (int(part) for part in dotted.split("."))
     content = bytes([first * 40 + second])
     for number in rest:

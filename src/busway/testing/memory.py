@@ -58,7 +58,7 @@ class MemoryTransport(asyncio.Transport):
     # What a protocol asks.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send bytes to the other end, as one segment."""
+        """Send bytes to the other end of the connection in memory, as one segment."""
         if self._closing or not data:
             return
         assert self._pair is not None

@@ -138,7 +138,7 @@ class FaultyServer:
         return self._tap.accepted
 
     async def start(self) -> None:
-        """Start the server on a free port of ``host``."""
+        """Start the faulty server on a free port of ``host``."""
         self.loop = asyncio.get_running_loop()
         if self._clock is None:
             self._clock = LoopClock(self.loop)

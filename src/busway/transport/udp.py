@@ -37,7 +37,7 @@ class DatagramConnection(asyncio.DatagramProtocol):
     # What asyncio calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Keep the transport of the opened UDP socket."""
+        """Keep the transport of the opened UDP socket, for sending."""
         self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no such class
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family

@@ -71,7 +71,7 @@ class BitCodec:
         self.expects: str = f"one of {', '.join(_STATES)}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Return this bit of each register as ``bool``."""
+        """Return one bit, the same one, of each register as ``bool``."""
         whole = swapped(data, self._swaps)
         column = whole[1::2] if self._bit < 8 else whole[::2]
         position = self._bit & 7

@@ -36,7 +36,7 @@ class MaintenanceBook:
 
     @property
     def devices(self) -> Mapping[str, MaintenanceRow]:
-        """The devices in maintenance, by name."""
+        """The devices that are in maintenance and so not polled, by name."""
         return self._rows
 
     def begin(self, device: str, at: int, by: str, why: str) -> MaintenanceRow:

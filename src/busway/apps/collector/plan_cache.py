@@ -77,7 +77,7 @@ class PlanBook:
 
     @property
     def classes(self) -> Classes:
-        """The names of the poll classes in which the device has points."""
+        """The names of the poll classes (points with the same period) that the device has."""
         return frozenset(name for name, items in self._items.items() if items)
 
     @property

@@ -67,7 +67,7 @@ class TurnOutcome(Enum):
 
 @dataclass(slots=True)
 class PollRound:
-    """One polling round of a device: the poll classes that are due, and their reads.
+    """One polling round of a device: reading the points of all poll classes (points with one period) that are due.
 
     Attributes:
         device: its name.
@@ -537,7 +537,7 @@ class LinkSchedule:
 
 
 def lateness_bound(period: float, blocking: float) -> float:
-    """Return the seconds that a round may be late because of others, if the admission test has passed."""
+    """Return by how many seconds other requests may delay a polling round, if the admission test has passed."""
     return max(SLACK * period, blocking)
 
 

@@ -43,7 +43,7 @@ class SampleStream(Protocol):
     """Interface of a stream that takes messages with samples, as the outbox needs it."""
 
     async def publish(self, message: SampleMessage) -> None:
-        """Send a message with samples; when it returns, the stream has it. Raises `StreamDown`."""
+        """Send a message with samples to the stream; when this returns, the stream has it. Raises `StreamDown`."""
 
     def kept(self, collector: str, store: str) -> int | None:
         """Return the commit up to which all sinks have the samples of a store; None if no sink is known."""
@@ -51,7 +51,7 @@ class SampleStream(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class OutboxStatus:
-    """The status of an outbox: what it has sent, how far behind it is, what is wrong.
+    """How far the sending of stored samples to the message stream has come, and what is wrong.
 
     Attributes:
         sent: the last commit that the stream has.
@@ -105,11 +105,11 @@ class Outbox:
         self._error: str | None = None
 
     def status(self) -> OutboxStatus:
-        """Return the current status of the outbox."""
+        """Return how far the sending of stored samples to the message stream has come."""
         return OutboxStatus(self._sent, self._kept, self._messages, self._error)
 
     async def run(self) -> None:
-        """Send samples to the stream until cancelled."""
+        """Send stored samples to the message stream until cancelled."""
         wait = PAUSE
         while True:
             try:

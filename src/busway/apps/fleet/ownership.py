@@ -87,7 +87,7 @@ class OwnershipLog:
             self._epochs.setdefault(each.link, []).append((each.after_commit, each.epoch))
 
     def close(self) -> None:
-        """Close the file of the record."""
+        """Close the file that records which links were owned."""
         with self._lock:
             self._database.close()
 

@@ -66,7 +66,7 @@ class GatewayConfiguration:
 
     @property
     def name(self) -> str:
-        """Name of the gateway file."""
+        """Name of the gateway file that was read."""
         return self.common.name
 
     @property

@@ -390,7 +390,7 @@ def _standard_port(listener: GatewayListener, plan: GatewayPlan) -> bool | None:
 
 
 def _to_zero(counters: "DataclassInstance") -> None:
-    """Set the counters in a dataclass to zero."""
+    """Set every counter in a dataclass of counters to zero."""
     for one in fields(counters):
         setattr(counters, one.name, 0)
 

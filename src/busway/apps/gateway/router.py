@@ -126,7 +126,9 @@ class ListenerRouter:
         return self._served.get(unit)
 
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
-        """Return how to forward a read directly; None if it is refused, split, cached, or its reply must be checked."""
+        """Return how to forward a read without decoding it; None if it is refused, split, cached, or its reply is
+        checked.
+        """
         request = self.functions.decode_request(pdu)
         if not isinstance(request, ReadRegisters | ReadBits) or request.take is None:
             return None

@@ -141,7 +141,7 @@ class Route:
 
     @property
     def title(self) -> str:
-        """The name of the route in messages."""
+        """The name of the route, as used in messages about it."""
         return self.name or f"units {units_text(self.units)} to {self.upstream or self.action.value}"
 
 

@@ -64,7 +64,7 @@ class _Reader:
         self._name, self._loader, self._left = name, loader, MOST_NODES
 
     def value(self, node: Any, place: Place) -> Any:  # a node of PyYAML, and what YAML has
-        """Return the data of one YAML node."""
+        """Return a parsed YAML node as plain Python data."""
         self._left -= 1
         kind = node.tag.removeprefix(_TAG)
         if self._left < 0:

@@ -70,7 +70,7 @@ class DeclaredServer(Protocol):
 
     @property
     def audit(self) -> str | None:
-        """Path of the audit log; None without one."""
+        """Path of the audit log that the configuration declares; None without one."""
 
     @property
     def control(self) -> str | None:

@@ -104,7 +104,7 @@ def _bytes(data: bytes, *, running: bool) -> Any:
 
 
 def written(value: Any) -> str:
-    """Return a value in TOML syntax."""
+    """Return a Python value as text in TOML syntax."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):

@@ -161,7 +161,7 @@ class _Including:
         self._count = count
 
     def all_of(self, file: ParameterKeys, source: Source) -> Iterator[DeclaredUnit]:
-        """Return the units of all includes of a file."""
+        """Return the units that all includes of a file add."""
         for index, section in enumerate(file.include):
             yield from self._one(section, source, ("include", index))
 

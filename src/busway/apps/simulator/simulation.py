@@ -55,14 +55,14 @@ class SimulationTimer(Protocol):
     """Interface of a call scheduled with the simulation's clock."""
 
     def cancel(self) -> None:
-        """Cancel the scheduled call."""
+        """Cancel the scheduled call of a function."""
 
 
 class SimulationClock(Protocol):
     """Interface of a clock that also calls functions at a time; `busway.testing.FakeClock` is one."""
 
     def now(self) -> float:
-        """The current time in seconds, monotonic."""
+        """The current time of the simulation's clock in seconds, monotonic."""
 
     def call_at(self, when: float, callback: Callable[[], object]) -> SimulationTimer:
         """Call ``callback`` once, when ``now()`` has reached ``when``."""

@@ -96,7 +96,7 @@ _HEADERS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """One file of the web page, with its type."""
+    """One static file of the web page: its bytes and content type."""
 
     content: bytes
     kind: str
@@ -300,7 +300,7 @@ class _Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Leave signals such as Ctrl-C to the program."""
+        """Handle no signals, such as Ctrl-C: the program does."""
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -328,7 +328,7 @@ def _configured(application: Application, context: WatchedContext | None) -> uvi
 
 
 def _read_files(shown: FilesByPath) -> dict[str, _File]:
-    """Return the files of a page by path."""
+    """Return the static files of a web page by path."""
     place = files(__package__) / "page"
     found = {}
     for path, (name, kind) in shown.items():

@@ -125,7 +125,7 @@ class Traffic:
         TRACE.capture_into(self)
 
     def stop(self) -> None:
-        """Stop recording frames; those recorded stay."""
+        """Stop recording Modbus frames; those recorded are kept."""
         self._is_on = False
         if TRACE.capture is self:
             below = self._before

@@ -95,7 +95,7 @@ class MetricsEndpoint:
         classify: Classify | None = None,
         links: Callable[[], Iterable[Any]] | None = None,
     ) -> None:
-        """Bind the address and register the observer that counts; arguments as of `start_metrics`."""
+        """Bind the address of the HTTP service, and register the observer that counts requests; as `start_metrics`."""
         host, port = host_and_port(where, "metrics")
         need_prometheus()
         from .metric_families import ClientCollector, ServerCollector, registry_of

@@ -64,7 +64,7 @@ class MetricsObserver:
         self._counted: dict[tuple[PeerClass, bytes], tuple[Series, Durations]] = {}  # by unit and function
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Count requests that the fast path has answered."""
+        """Count requests that the fast path (from bytes to bytes) has answered."""
         if not replies:
             return
         peer_class = self._classify(client)
@@ -103,7 +103,7 @@ class MetricsObserver:
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
     ) -> None:
-        """Count a request that took the generic path, with its outcome and duration."""
+        """Count a request that the fast path (from bytes to bytes) did not answer, with its outcome and duration."""
         if context.executed is not None:  # a broadcast: each unit executes it, and none answers
             self.tally.unanswered(Unanswered.BROADCAST)
         elif outcome is None:

@@ -62,7 +62,7 @@ class Alarm:
         self._handle = self._loop.call_later(max(when - time.monotonic(), 0.0), self._late)
 
     def cancel(self) -> None:
-        """Unset the timer; it can be set again."""
+        """Unset the timer, so that it calls nothing; it can be set again."""
         if self._descriptor is not None:
             _set_timer(self._descriptor, _NEVER)
         elif self._handle is not None:

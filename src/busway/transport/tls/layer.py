@@ -247,7 +247,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self.abort()
 
     def abort(self) -> None:
-        """Close the TLS connection at once."""
+        """Close the TLS connection at once, without sending what waits."""
         if self._below is not None:
             self._below.abort()
 
@@ -261,7 +261,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         self._below.pause_reading()
 
     def resume_reading(self) -> None:
-        """Receive again after `pause_reading`."""
+        """Receive from the peer again, after `pause_reading`."""
         if self._reading_paused and not self._below.is_closing():
             self._reading_paused = False
             if self._stream.may_hold_more:

@@ -156,7 +156,7 @@ def alarms_after(journal: Iterable[AlarmEvent]) -> dict[AlarmKey, RaisedAlarm]:
 
 
 def fold_event(alarms: dict[AlarmKey, RaisedAlarm], event: AlarmEvent) -> None:
-    """Change a dict of current alarms by one event."""
+    """Change a dict of current alarms, by key, according to one alarm event."""
     before = alarms.get(event.key)
     after = alarm_after(before, event)
     if after is before:

@@ -47,7 +47,7 @@ class AlarmMachine:
 
     @property
     def state(self) -> AlarmState:
-        """The state of the alarm now."""
+        """The state of the alarm now: normal, active or not acknowledged."""
         if self.alarm is not None:
             return self.alarm.state
         return AlarmState.NORMAL if self._beyond_since is None else AlarmState.PENDING

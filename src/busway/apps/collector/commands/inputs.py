@@ -103,7 +103,7 @@ class DescribedDevice(Protocol):
 
     @property
     def name(self) -> str:
-        """Name of the device."""
+        """Name of the device in the collector's configuration."""
 
     @property
     def points(self) -> Sequence[Point]:
@@ -162,7 +162,7 @@ class CommandReceiver:
         self._repeats = Repeats()
 
     def status(self) -> InputStatus:
-        """Return the status of this server of commands."""
+        """Return the status of the server from which this receiver gets commands."""
         return InputStatus(self._name, self._taken, self._refused, self._error)
 
     async def run(self) -> None:

@@ -84,7 +84,7 @@ class SparkplugCommands:
     # In the event loop of the collector.
 
     async def run(self, receiver: CommandReceiver) -> None:
-        """Execute commands until cancelled."""
+        """Execute the commands of Sparkplug hosts until cancelled."""
         async with MessageTasks() as tasks:
             self._receiving = _Receiving(receiver, tasks, asyncio.get_running_loop())
             self._tell(receiver)

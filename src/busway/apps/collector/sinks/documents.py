@@ -34,7 +34,7 @@ class Document:
     content: dict[str, Any]
 
     def encode(self) -> bytes:
-        """Return the document as JSON bytes."""
+        """Return the document with samples as JSON bytes."""
         return _encoded(self.content)
 
 

@@ -61,10 +61,10 @@ class FileSink:
         )
 
     async def open(self) -> None:
-        """Do nothing: files are opened for each batch."""
+        """Do nothing: the sink opens its files anew for each batch of samples."""
 
     async def close(self) -> None:
-        """Do nothing: no file stays open."""
+        """Do nothing: the sink keeps no file open between batches of samples."""
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Append a batch of samples to the files, durably. Raises `SinkDown`."""

@@ -64,7 +64,7 @@ class MqttPublisher:
 
     @property
     def has_ended(self) -> bool:
-        """Whether the connection has ended."""
+        """Whether the connection to the MQTT broker has ended."""
         return bool(self._client._disconnected.done())
 
     def check_size(self, topic: str, payload: bytes, properties: Any = None) -> None:

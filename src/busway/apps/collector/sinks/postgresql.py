@@ -113,7 +113,7 @@ class PostgresqlSink:
             )
 
     async def close(self) -> None:
-        """Disconnect from the database."""
+        """Disconnect the sink from its PostgreSQL database."""
         connection, self._connection = self._connection, None
         if connection is not None:
             pg = import_module("asyncpg")

@@ -254,7 +254,7 @@ class Committer:
         )
 
     def _wait_for_work(self) -> bool:
-        """Wait until a commit is due; returns False when the committer is to end."""
+        """Wait until samples are due to be written; returns False when the thread is to end."""
         with self._changed:
             idle_until = time.monotonic() + ALIVE
             while not self._ending and not self._is_due():
@@ -272,7 +272,7 @@ class Committer:
             return not self._ending
 
     def _is_due(self) -> bool:
-        """Whether anything waits to be stored or corrected. Call with the lock held."""
+        """Whether samples wait to be written, or times to be corrected. Call with the lock held."""
         return self._has_queued() or self._shift is not None
 
     def _has_queued(self) -> bool:

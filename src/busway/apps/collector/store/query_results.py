@@ -75,7 +75,7 @@ class SampleTable(ColumnTable):
 
     @property
     def quality(self) -> list[Quality]:
-        """Return the quality of each sample."""
+        """Return the quality of each sample: good, uncertain or bad."""
         return [quality_of(reason) for reason in self.reason]
 
     def columns(self) -> dict[str, list[Any]]:  # columns have different types

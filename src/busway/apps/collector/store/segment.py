@@ -95,7 +95,7 @@ class Segment:
         alarms: Sequence[KeyedAlarm] = (),
         counters: Sequence[KeyedCounter] = (),
     ) -> None:
-        """Write samples to the segment file without ending the transaction; `commit` or `rollback` follows."""
+        """Write samples to the segment file in a transaction; `commit` or `rollback` must follow."""
         database = self._database
         database.execute("BEGIN IMMEDIATE")
         for ids, batch in batches:
@@ -125,7 +125,7 @@ class Segment:
                 self._database.execute("PRAGMA wal_checkpoint(PASSIVE)")
 
     def rollback(self) -> None:
-        """Undo the commit that was begun."""
+        """Undo the transaction that `begin` started."""
         with contextlib.suppress(sqlite3.Error):
             self._database.execute("ROLLBACK")
 
@@ -137,8 +137,8 @@ class Segment:
             return 0
 
     def has_ended(self, begun: int, now: int, most: int) -> bool:
-        """Whether the segment file, begun at ``begun``, takes no further commit at ``now`` (rule 5); ``most``: its
-        bytes.
+        """Whether the segment file is full or too old for another commit at ``now`` (rule 5); ``most``: bytes it may
+        have.
         """
         return now // SLOT != begun // SLOT or self.size() > most or self.is_stuck
 

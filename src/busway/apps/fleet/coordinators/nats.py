@@ -253,7 +253,7 @@ class NatsCoordinator:
         return int(info.num_pending or 0) + int(info.delivered.consumer_seq if info.delivered else 0)
 
     async def close(self) -> None:
-        """Disconnect from NATS."""
+        """Close the connection to NATS, where the shared table is."""
         nats = import_module("nats")
         with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone already
             await self.client.close()

@@ -211,6 +211,6 @@ class PostgresqlCoordinator:
         return [Entry(key, bytes(value), revision) for key, value, revision in rows if key.startswith(prefix)]
 
     async def close(self) -> None:
-        """Disconnect from PostgreSQL."""
+        """Close the connection to PostgreSQL, where the shared table is."""
         if self._pool is not None:
             self._pool.terminate()

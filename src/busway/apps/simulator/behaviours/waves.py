@@ -18,7 +18,7 @@ class _Timeless:
         """Do nothing: the value follows from the time alone."""
 
     def state(self, time: float) -> float | None:
-        """Return None, as there is no state to keep."""
+        """Return None: the behaviour depends on time alone and has no state to keep."""
         return None
 
 
