@@ -192,7 +192,7 @@ class PolicyAuthorizer:
         units it is about. A refusal is counted, logged and recorded as that of a request to one unit is.
 
         Args:
-            context: of the request as it was received.
+            context: the context of the request as received.
             request: the request.
             units: the units that it reaches.
             charged: ids of the rules that have counted it already; rules that count it now are added.

@@ -40,9 +40,9 @@ def bind(
     possible.
 
     Args:
-        rights: of the clients.
+        rights: the rights of the clients.
         unit: the unit asked, 0…255.
-        served: what answers for it.
+        served: the unit, with its device.
         kind: the function, of a device that offers it.
         audit: where each write is recorded.
 
@@ -194,7 +194,7 @@ def _zone_finder(first: int, zones: Sequence[Zone]) -> Callable[[int, int, bytes
 
     Args:
         first: the address of the block's first item; positions count from there.
-        zones: what may be written, by address.
+        zones: the address ranges, each with the rule that decides there.
     """
     firsts, ends = [zone.first for zone in zones], [zone.end for zone in zones]
     limits = [zone.limits for zone in zones]

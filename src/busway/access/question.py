@@ -103,7 +103,7 @@ class Question:
         """Collect the facts of a decoded request for the decision of a policy.
 
         Args:
-            request: what was decoded.
+            request: the decoded request.
             unit: the unit asked, 0…255.
             listed: the units under which its device is configured; empty for ``unit``.
             peer: ``host:port`` or host of the client; with ``role`` and ``listener``, who asks.

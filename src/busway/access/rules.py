@@ -117,8 +117,8 @@ class Rule:
     `Rule.of` takes the texts that people write.
 
     Attributes:
-        name: what logs call it; a policy names those without by their number.
-        action: what is done.
+        name: its name in logs; a policy numbers rules without a name.
+        action: what happens to these requests.
         peers: hosts of the clients.
         roles: roles of their certificates; a client without one is in no role.
         listeners: URLs of listeners, or schemes (``tls://``).
@@ -127,7 +127,7 @@ class Rule:
         items: ranges (first, end) of items by table; an empty mapping for requests of any kind.
         files: ranges (first, end) of file numbers.
         access: reads, writes, or both.
-        limits: what may be written to holding registers.
+        limits: the values that may be written to holding registers.
         rate: requests per second that a host may send through this rule; more are answered with exception 06.
         code: exception code of a refusal, 1 or 2.
 
@@ -192,7 +192,7 @@ class Rule:
         """Build an access rule from texts as people write them in files.
 
         Args:
-            name: what logs call it.
+            name: its name in logs.
             action: ``allow``, ``deny`` or ``read-only``.
             peers: addresses and networks of the clients, ``["10.0.0.0/8"]``.
             roles: roles of their certificates.

@@ -40,7 +40,7 @@ class CloneOptions:
         ranges: offsets to search without a map: ``0-999,40000-40199``.
         thorough: whether to search blocks that seem empty too.
         force: whether ``out`` may be written over.
-        timeout, retries: of the link.
+        timeout, retries: the options of the link.
         verbose: level of the trace.
     """
 

@@ -35,7 +35,7 @@ class PointRecord:
     """One point that was read: its value, quality and bytes.
 
     Attributes:
-        point: it.
+        point: the point.
         reading: its value, or why there is none.
         raw: its items in wire order; empty where they are not known.
     """

@@ -124,7 +124,7 @@ async def read_again_on_hangup(
     """Context manager that reloads the configuration at each SIGHUP and prints the result.
 
     Args:
-        service: what runs.
+        service: the running service.
         told: called with False before, and with True after.
     """
     loop = asyncio.get_running_loop()

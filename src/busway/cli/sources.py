@@ -57,7 +57,7 @@ class Chosen:
     """The simulation that the arguments choose, and the name of its source.
 
     Attributes:
-        name: of the file or device.
+        name: the name of the file or device.
         load: reads it, now and whenever it is read again.
     """
 
@@ -74,7 +74,7 @@ def chosen_source(
         file: path of a simulation file.
         device: a ready-made device.
         map_file: path of a register map.
-        unit: of the map.
+        unit: the unit number for the register map.
         changes: options of listeners that go before those of the file.
 
     Raises:

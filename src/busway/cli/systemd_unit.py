@@ -29,10 +29,10 @@ class ServiceUnit:
 
     Attributes:
         command: the program and its arguments, the first an absolute path.
-        plan: what the gateway is told.
+        plan: the arguments of the gateway's command.
         drain: seconds that it may take to end.
         written: folders that it writes into: of the audit log.
-        name: of its control socket.
+        name: the name of its control socket.
     """
 
     command: Sequence[str]

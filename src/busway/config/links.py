@@ -74,8 +74,8 @@ def _named_link(
     """Return the link that a section declares; None, with a problem in the report, if it is invalid.
 
     Args:
-        section: its own options.
-        general, security: those for all links, and certificates for all.
+        section: the link's section in the file.
+        general, security: options for all links, and certificates for all.
         root: makes paths among options independent of the file's folder.
         at: the path of the section in the file.
         report: collects what is wrong.

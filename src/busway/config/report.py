@@ -21,8 +21,8 @@ class ConfigurationReport:
         source: the file.
 
     Attributes:
-        problems: what is wrong so far.
-        warnings: what is odd, but possible.
+        problems: the errors found so far.
+        warnings: the warnings found so far.
     """
 
     def __init__(self, source: Source) -> None:

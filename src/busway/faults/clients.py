@@ -57,7 +57,7 @@ def misbehaving_client(
     Args:
         endpoint: URL of the server.
         fault_profile: the client fault profile.
-        options: of the fault profile.
+        options: the options of the fault profile.
     """
     where = parse_endpoint(endpoint)
     with socket.create_connection((where.host, where.port or 0), 5.0) as connection:

@@ -146,7 +146,7 @@ class Fault:
     """One way to misbehave, as functions that replace parts of a device's behaviour; None leaves a part as it is.
 
     Args:
-        name: of the fault profile.
+        name: the name of the fault profile.
         admits: whether a new connection may stay.
         asked: the PDU that answers a request instead of the device, `SILENCE` for none; None lets the device answer.
         answered: the frames that leave, made from those that would.
@@ -266,7 +266,7 @@ class AppliedFault:
 
     Attributes:
         label: its name, unique in the server.
-        fault: what it does.
+        fault: how it changes the device's behaviour.
         selection: which requests it applies to.
         enabled: whether it is switched on.
         struck: number of requests it has changed and of connections it has refused or closed.

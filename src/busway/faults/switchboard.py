@@ -107,7 +107,7 @@ class FaultSwitchboard:
             probability: 0…1, the part of those requests that it changes.
             schedule: when it is active.
             on: whether it is switched on.
-            parameters: of the fault profile.
+            parameters: the options of the fault profile.
 
         Returns:
             The name of the fault.

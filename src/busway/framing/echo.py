@@ -31,7 +31,7 @@ class EchoFilter:
     """Removes the echo of each frame that this station sends from the bytes that it receives.
 
     Attributes:
-        mode: what was configured.
+        mode: the configured option.
         present: whether the line echoes: True, False, or None while that is not known.
         window: seconds after the end of a frame within which its copy begins.
     """

@@ -54,7 +54,7 @@ class Conversation:
     """Follows the frames on one line, to tell requests from replies by what came before.
 
     Attributes:
-        role: whose receiver it is.
+        role: the role of the station that receives.
         units: the own units of a server; a live view is welcome.
         due: the reply that is expected, or None.
         reply_window: seconds for which a server or observer expects the reply to a foreign request.

@@ -85,7 +85,7 @@ class AskedLengths:
     """Lengths of frames that depend on more than one byte; computed for each frame from its beginning.
 
     Attributes:
-        answers: what it said lately, by the first three bytes of the PDU.
+        answers: recently computed lengths, by the first three bytes of the PDU.
     """
 
     __slots__ = ("_ask", "_find", "_is_reply", "_rules", "answers")

@@ -230,7 +230,7 @@ class LineCapture:
         """Write a frame, or damaged bytes, that were on the serial line.
 
         Args:
-            found: what it found.
+            found: the frame or damaged bytes.
             at: seconds since 1970 at which it began; None for now.
             direction: request or reply, if the caller knows better than the receiver.
             is_outgoing: whether it was sent from here.

@@ -99,7 +99,7 @@ class LineTrace:
 
         Args:
             framing: ``rtu`` or ``ascii``.
-            name: what the line is called.
+            name: the line's name in the log.
             functions: the functions whose lengths are known.
             is_server: whether replies are sent here, and not requests.
             clock: seconds, monotonic.

@@ -46,7 +46,7 @@ class Heard:
     """One event heard on a serial line: a request, a reply, damaged bytes, or a missing reply.
 
     Attributes:
-        kind: what it is.
+        kind: which of these it is.
         frame: the frame; of `Kind.UNANSWERED` the request; None for damaged bytes.
         damaged: the damaged bytes; of `Kind.UNANSWERED` those that came in place of the reply.
         gap: seconds of silence before it; None for the first frame and for `Kind.UNANSWERED`.
@@ -103,7 +103,7 @@ class UnitStatistics:
     Attributes:
         requests: asked of it, repeats included.
         repeats: requests that were asked again because no reply came.
-        replies: that answered a request, exceptions included.
+        replies: number of replies that answered a request, exceptions included.
         exceptions: replies that refused.
         unanswered: requests without a reply, those with a damaged one included.
         damaged_replies: requests after which damaged bytes came in place of the reply.
@@ -132,7 +132,7 @@ class LineStatistics:
         damaged: disturbances by their reason.
         damaged_bytes: in them.
         busy: seconds that frames and disturbances lasted; 0 over a network.
-        units: by number.
+        units: the statistics of each unit, by number.
     """
 
     frames: int = 0
@@ -152,7 +152,7 @@ class Pairing:
     """Finds out which reply on a serial line answers which request, from the frames heard in order.
 
     Attributes:
-        statistics: what was heard so far.
+        statistics: counts and response times so far.
         reply_window: seconds for which a reply is waited for.
     """
 

@@ -133,8 +133,8 @@ class LineToHear:
     Attributes:
         endpoint: where it is.
         framing: how frames are found.
-        port: what the line is set to; None over a network.
-        sockets: of the connection, over a network.
+        port: settings of the serial line; None over a network.
+        sockets: options of the connection, over a network.
         opening: how often a port that has vanished is tried.
     """
 
@@ -204,7 +204,7 @@ class Listening:
     """Listens to one serial line and pairs requests and replies; a context manager that closes it.
 
     Attributes:
-        pairing: what is made of the frames, with the statistics.
+        pairing: pairs the frames to events, and has the statistics.
         bytes_heard: all bytes, good or not.
         lost: why nothing is heard: the port has vanished, and is tried again; None while it is there.
     """
@@ -222,11 +222,11 @@ class Listening:
 
         Args:
             line: where to listen.
-            pairing: what is made of the frames; a new one if None.
+            pairing: pairs the frames to events; a new one if None.
             clock: seconds of what `hear` reports.
-            vanished: told when a serial port goes away, which is then opened again as soon as it is there; None ends
+            vanished: called when a serial port goes away, which is then opened again as soon as it is there; None ends
                 the listening instead.
-            returned: told when it is there again.
+            returned: called when the port is there again.
 
         Raises:
             LinkDown: port or connection cannot be had.

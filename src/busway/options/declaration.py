@@ -76,8 +76,8 @@ class Name:
     """Mark of an option that is a text or list and must not be empty, such as the name of a user.
 
     Attributes:
-        words: what the text is.
-        pattern: what it looks like, as a regular expression.
+        words: what the text means, in words for errors.
+        pattern: a regular expression that the text must match.
     """
 
     words: str
@@ -180,12 +180,12 @@ class Option:
         is_optional: whether it may be None.
         default: its default, where the framing does not say another.
         help: what it means, in a sentence.
-        limits: what a value must be, beside its type.
-        strict: what the preset ``strict`` says about it.
+        limits: the allowed values, beside the type.
+        strict: the value that the preset ``strict`` sets, with its clause.
         by_framing: its defaults by framing.
         on: where it has an effect; all of them must fit.
         aliases: its other names.
-        marks: what else is known about it.
+        marks: its further marks (`Mark`).
     """
 
     name: str

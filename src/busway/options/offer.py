@@ -88,7 +88,7 @@ class Offer:
 
         Args:
             given: values or their texts by name, ``preset`` among them or not.
-            of: what has the options, for the message about an unknown one.
+            of: the part that has the options, for the message about an unknown one.
 
         Raises:
             ConfigError: there is no such option, or it cannot have this value.
@@ -108,7 +108,7 @@ class ChosenOptions:
     """The options that a user gave, sorted by the parameter class that holds them.
 
     Attributes:
-        offer: what could be given.
+        offer: the options that could be given.
         values: values or their texts by name, by class.
     """
 

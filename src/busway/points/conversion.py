@@ -29,7 +29,7 @@ class Linear:
     """A linear scale of a point: a range of raw numbers that corresponds to a range of values.
 
     Attributes:
-        raw: its two ends as raw numbers.
+        raw: the two ends of the range as raw numbers.
         value: the values at these ends.
         clamp: whether values beyond the ends become the ends.
     """

@@ -50,7 +50,7 @@ class DecodedRead:
 
     Attributes:
         values: one for each point, in the order of the points; None where there is none.
-        flaws: by the place of the point, why its value is not good (`Reason`); all others are.
+        flaws: the reason (`Reason`) by position of the point, for values that are not good.
     """
 
     values: list[Any]  # what the points' types say
@@ -62,8 +62,8 @@ class ReadDecoder:
 
     Args:
         points: those that the read serves, in the order in which their values are wanted.
-        table: of the read.
-        start: its first item.
+        table: the table that is read.
+        start: the offset of the first item read.
         count: how many items it asks for.
 
     Raises:

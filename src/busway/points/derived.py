@@ -23,9 +23,9 @@ class Accumulator:
         rollover: the number at which it begins again from 0.
 
     Attributes:
-        total: what it has come to.
+        total: the present total.
         resets: how often the device set it back.
-        last: what the counter showed last; None for nothing yet.
+        last: the last reading of the counter; None before the first.
     """
 
     __slots__ = ("last", "resets", "rollover", "total")
@@ -62,7 +62,7 @@ class Derivation:
         ConfigError: a formula is none.
 
     Attributes:
-        accumulators: by the name of their points.
+        accumulators: running totals by the names of their points.
     """
 
     def __init__(self, points: Iterable[Point]) -> None:
@@ -97,7 +97,7 @@ class Derivation:
 
         Args:
             latest: the latest reading of each point that was read; each reading of an accumulator is given once.
-            time: what ``t`` is in formulas, in seconds.
+            time: the value of ``t`` in formulas, in seconds.
 
         Returns:
             The readings of accumulators that have a value in ``latest``, and of all computed points.

@@ -41,13 +41,13 @@ class Point:
         rollover: the number of an accumulator at which it begins again from 0, in the unit of measure; None if it is
             none.
         poll_class: how often it is read; empty for the class of its device.
-        writing: what may be written, and how; None if nothing.
+        writing: which values may be written, and how; None for none.
         reporting: which of its samples are handed on to sinks that have no rule of their own.
         storing: which of its samples a store keeps; None where the device, its class or the collector say that.
-        alarms: its limits.
+        alarms: its alarm limits.
         was: the name that it had before; its history goes on.
         description: what it is, for people.
-        meta: what else its file says of it.
+        meta: further facts from its file.
     """
 
     name: str

@@ -48,7 +48,7 @@ class ReadRules:
         max_bits: widest read of bits, 1…2000.
         readable: by table, the ranges that exist: a read stays in one of them, and may read any hole in it. Without
             any, the whole table exists, and nothing is known of its holes.
-        forbidden: by table, what no read may touch.
+        forbidden: by table, ranges that no read may touch.
         exact: by table, blocks that are read as a whole or not at all.
         borders: by table, offsets that a read may end before or begin at, but not cross.
         bridge: whether holes outside readable ranges may be read too.

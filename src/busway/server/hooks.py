@@ -58,7 +58,7 @@ class Change:
         address: first item, 0-based.
         count: number of items.
         old: what the items held before, ``int`` for registers, ``bool`` for bits.
-        new: what they are to hold.
+        new: the values that the write sets.
         function: function code of the request; None if it is not known. 22 and 23 read and write in one request.
         role: role of the client's certificate; None without one.
     """

@@ -96,7 +96,7 @@ class ListenerContext:
         diagnostics: communication counters of the listener and its units (functions 08, 11, 12).
         diagnosis: for the status indicators.
         rates: of requests; None without a limit.
-        damaged: what could not be followed.
+        damaged: streams and datagrams that were no valid frames.
         late_answers: tasks that await responders, also of ended connections, whose tasks are cancelled.
     """
 

@@ -31,9 +31,9 @@ class ListenerSettings:
     Attributes:
         endpoint: where.
         framing: how frames are found, where the framing is RTU or ASCII.
-        port: what the line is set to; None over a network.
+        port: settings of the serial line; None over a network.
         opening: how the port is opened.
-        limits: of its connections.
+        limits: limits and timeouts of its connections.
         access: which hosts may connect here; they must be allowed by the server too. None: those of the server.
         tls: certificate, key and authorities; None where the carrier is not TLS.
         is_optional: whether the others go on where it cannot be had.

@@ -30,7 +30,7 @@ class DeviceResponder:
     Args:
         units: device by unit identifier, 0…255.
         unit_policy: `UnitPolicy`; ``ANY`` needs exactly one device.
-        unlisted: what a unit gets that is not there.
+        unlisted: how a request to a unit that does not exist is answered.
         functions: the table of functions, with the user's own if there are any.
 
     Attributes:

@@ -39,14 +39,14 @@ class Opening:
     Attributes:
         loop: the event loop they live on.
         pipeline: answers the requests.
-        parameters: of conversations.
-        limits: of connections, where a listener has none of its own.
+        parameters: options of the server's sessions.
+        limits: limits and timeouts of connections, for listeners without their own.
         sockets: parameters of sockets.
-        counters: what happens is counted here.
+        counters: the server's counters.
         authorize: who may connect.
         tap: is told of the ways in which bytes leave.
-        slots: of transactions, where the server has them as a whole.
-        shared_pools: that listeners share, where they do.
+        slots: transaction slots, if the whole server shares them.
+        shared_pools: connection slots that all listeners share, if they do.
         epoll_set: where all TCP connections wait together; None where the event loop can have none.
         turns: where they wait when they have more to do than one turn of the loop allows.
     """

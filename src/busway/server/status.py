@@ -36,7 +36,7 @@ class ConnectionStatus:
     Attributes:
         peer: ``host:port``.
         listener: URL of the listener.
-        state: what it does.
+        state: the state of the connection.
         pool: where it has its place.
         role, subject: of the client's certificate; None and empty without one.
         age: since it was accepted.
@@ -94,7 +94,7 @@ class ListenerStatus:
     Attributes:
         endpoint: its URL, as it is bound.
         is_open: whether it can be reached: False while a port is waited for.
-        indicators: what its status indicators show.
+        indicators: the states of its status indicators.
         counters: the diagnostic counters of function 08 (Serial Line V1.02 appendix A). Bus messages, communication
             errors and overruns are those of the line since the start, whatever a unit has cleared. The others are sums
             over its units, since the last restart or clear of each; a broadcast counts once for each unit.

@@ -38,7 +38,7 @@ class UdpListener:
     """One UDP endpoint of a server with the peers that send to it; it has one socket, or one each for IPv4 and IPv6.
 
     Attributes:
-        listener_context: what the listener knows beside its peers.
+        listener_context: what all peers of the listener share.
         names: URLs as they are bound.
     """
 

@@ -71,7 +71,7 @@ class ConnectionLife:
         self._move(ConnectionEvent.DIALLED, now)
 
     def connected(self, now: float) -> None:
-        """Record that the connection is open, and tell the session."""
+        """Record that the connection is open, so that the session sends requests."""
         self.failure = None
         self._asked_before = self._conversation.counters.requests
         self._move(ConnectionEvent.CONNECTED, now)

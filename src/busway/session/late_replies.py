@@ -42,7 +42,7 @@ _EXCEPTION: Final = 0x80
 
 
 class MarkerKind(Enum):
-    """Kinds of markers, harmless requests whose reply shows that no older one is still to come, in the order tried."""
+    """Kinds of marker requests: harmless ones whose reply proves that no older reply will come, in the order tried."""
 
     RETURN_QUERY_DATA = "08/00 with a number of its own"
     OTHER_LENGTH = "a read that was answered before, with another length"
@@ -98,7 +98,7 @@ class OwedReply:
 
 @dataclass(slots=True)
 class UnitDoubt:
-    """The replies that one unit may still send late, and which kinds of markers it answers.
+    """The late replies that one unit may still send, and which kinds of marker requests (see `Marker`) it answers.
 
     Attributes:
         owed: the replies that may still come, in the order of their requests.

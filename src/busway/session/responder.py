@@ -81,7 +81,7 @@ class Judged:
         is_denied: whether it is refused.
         is_write: whether the responder is to show what the request replaces, and the audit log records it.
         check: called with what the request replaces; may raise `Refusal`. None permits every value.
-        replaced: what the request replaces; None where that is not known.
+        replaced: the values that the request replaces; None if not known.
     """
 
     __slots__ = ("check", "is_denied", "is_write", "replaced", "rule")
@@ -106,7 +106,7 @@ class RequestContext:
         executed: for a broadcast, which goes to every unit of a line: ``id`` of each device that has executed it, so
             that a device with several units executes it once. None otherwise.
         gone: called if the client disconnects before its late reply; a responder that returned `LATER` may set it.
-        judged: what the authorizer says of it; None without one.
+        judged: the authorizer's decision about the request; None without an authorizer.
     """
 
     __slots__ = (
@@ -248,13 +248,13 @@ class Forwarding:
 
     Args:
         context: the request.
-        asks: what is asked of each target.
+        asks: the requests to each target.
         reply: answers the request unless a target refuses it; None for the reply of the only target.
 
     Attributes:
         asks: as above.
         peer, is_priority: the client.
-        batches: what works for it; it adds and removes itself.
+        batches: the batches with its requests, which add and remove themselves.
     """
 
     __slots__ = ("_context", "_left", "_reply", "asks", "batches", "is_priority", "peer")

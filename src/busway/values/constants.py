@@ -33,8 +33,8 @@ def string(
 
     Args:
         length: bytes, 1…250.
-        encoding: of its characters.
-        padding: what fills it up.
+        encoding: the encoding of its characters.
+        padding: the character that fills the rest of the registers.
 
     Raises:
         InvalidRequest: there is no such length, encoding or padding.

@@ -151,7 +151,7 @@ class ValueType(Generic[Value]):
 
         Args:
             value: as for `encode`.
-            held: what the registers hold now, ``2 * registers`` bytes; only looked at where `is_part`.
+            held: the registers' present bytes, ``2 * registers`` bytes; only looked at where `is_part`.
 
         Raises:
             InvalidRequest: the value does not fit. Nothing was sent.

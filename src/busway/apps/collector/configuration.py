@@ -59,9 +59,9 @@ class CollectedDevice:
         name, link, unit: its name, that of its link, and its unit identifier.
         profile, firmware: what kind of device it is; empty for unknown.
         points: all its points, computed ones too.
-        rules: what it allows.
+        rules: limits and ranges of reads that it allows.
         items: the points that are read, by class.
-        cost: what its reads cost until that is known.
+        cost: the assumed cost of its reads until it is learnt.
         fixed: whether the price of a register is known.
     """
 
@@ -99,9 +99,9 @@ class CollectorConfiguration:
         store: the folder of the store.
         periods: seconds by class.
         devices: by name.
-        sinks: by name, where samples are handed on, and how.
+        sinks: by name, the systems that samples are sent to.
         pages: by name, the pages for Prometheus.
-        inputs: by name of the sink, what receives commands from the same server.
+        inputs: by name of the sink, the receiver of commands from the same server.
     """
 
     common: Configuration

@@ -177,9 +177,9 @@ class _Part:
     """A read that a device refused, and how the reads of its two halves ended.
 
     Attributes:
-        read: it.
-        halves: those that are to be asked, or were.
-        succeeded: how many of them did.
+        read: the refused read.
+        halves: the halves that are to be read, or were.
+        succeeded: how many halves were accepted.
     """
 
     read: PlannedRead

@@ -26,7 +26,7 @@ class MaintenanceBook:
     """The devices of a collector that are in maintenance and not polled.
 
     Args:
-        manifest: of the store, open for writing.
+        manifest: the store's manifest, open for writing.
         audit: the audit log.
     """
 

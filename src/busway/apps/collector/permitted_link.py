@@ -12,8 +12,8 @@ class PermittedLink:
     """A link that sends requests only after a function has permitted it.
 
     Args:
-        name: of the link.
-        link: what sends.
+        name: the name of the link.
+        link: the link that sends the requests.
         permit: called with the name right before each transaction; raises `LinkDown` where it may not begin.
     """
 

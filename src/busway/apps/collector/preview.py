@@ -19,12 +19,12 @@ class PreviewedRead:
     """One read request that a device would get from the collector.
 
     Attributes:
-        device, poll_class: whose, and of which class.
+        device, poll_class: the device and the poll class that it reads.
         first: the address of its first item.
         count: registers or bits.
         points: how many points it brings, those of other classes too.
-        seconds: what it costs.
-        undeclared: what it touches that belongs to no point and no readable range: ``4x5…4x9``.
+        seconds: how long it takes.
+        undeclared: addresses it reads that belong to no point and no readable range: ``4x5…4x9``.
     """
 
     device: str
@@ -41,7 +41,7 @@ class CollectorPreview:
     """What a collector would do if it were started: reads, loads, undeclared registers.
 
     Attributes:
-        reads: by device and class.
+        reads: the reads of all devices and poll classes.
         unreadable: points that no read may bring, each with the reason.
         loads: the admission test of each link.
         learnt: by device, what is known from before; and what its first reads would teach.

@@ -22,7 +22,7 @@ def store_rules(configuration: CollectorConfiguration, device: str | None = None
     """Return, by device and point, the report rules of those points of which the store keeps only some samples.
 
     Args:
-        configuration: of the collector.
+        configuration: the collector's configuration.
         device: its name; None for all devices.
     """
     wanted = configuration.devices.keys() if device is None else {device} & configuration.devices.keys()

@@ -100,8 +100,8 @@ class CounterState:
 
     Attributes:
         point: name of the point.
-        total: what it has come to.
-        last: what the counter showed last.
+        total: the present total.
+        last: the last reading of the counter.
     """
 
     point: str

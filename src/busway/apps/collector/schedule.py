@@ -71,10 +71,10 @@ class PollRound:
 
     Attributes:
         device: its name.
-        classes: what is due.
+        classes: the poll classes that are due.
         due: when.
         deadline: until when it should have ended.
-        reads: those that are left.
+        reads: the reads that are still to be sent.
         own: seconds that its own reads took so far.
         began: when its first read began; None before.
         skipped_since: the first due time of the device that was passed over before it; None where none was.
@@ -102,8 +102,8 @@ class Turn:
     Attributes:
         kind: why.
         device: whom to ask.
-        reads: what to ask, one after the other, or as one batch.
-        write: what `LinkSchedule.write` was given.
+        reads: the reads to send, one after the other or as one batch.
+        write: the write given to `LinkSchedule.write`.
         round: the round that it belongs to.
     """
 
@@ -120,9 +120,9 @@ class ScheduledDevice:
 
     Attributes:
         name: its name.
-        book: its plans.
+        book: its read plans.
         periods: seconds by class.
-        due: by class, when it is due next.
+        due: when each poll class is due next.
         lives: whether it has answered last time; None before the first answer.
         silences: in a row.
         probe_at: when it may be probed next, while it does not live.

@@ -115,7 +115,9 @@ class OwnershipLog:
             )
 
     def epoch_of(self, link: str, commit: int) -> Epoch | None:
-        """Return the epoch in which a link's sample with this commit was taken; None for one from before the fleet."""
+        """Return the number of the ownership under which a link's sample with this commit was read; None before the
+        fleet.
+        """
         known = self._epochs.get(link, ())
         place = bisect_left(known, commit, key=lambda each: each[0])
         return known[place - 1][1] if place else None

@@ -22,7 +22,7 @@ class AccessInForce:
 
     Args:
         configuration: the one that the service starts with.
-        overrides: what the command line says instead of it.
+        overrides: options of the command line that replace it.
 
     Attributes:
         rules: the access rules in force; None without a policy.

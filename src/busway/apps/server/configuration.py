@@ -52,7 +52,7 @@ class Configuration:
         name: the file's name.
         file: its sections.
         listeners: where a server of it listens, each with what holds there.
-        limits: of the listeners that have none of their own.
+        limits: limits and timeouts of listeners without their own.
         tls: certificates of the listeners that have none of their own; None without ``[security]``.
         access: rules on what may be asked, and on who may connect; None if there are none.
         audit: path of the audit log; None if there is none.

@@ -151,7 +151,7 @@ def read_again(
         old: the configuration that the server was started with.
         new: the configuration that was read.
         rules_in_force: the rules on access until now.
-        rules: those that were read.
+        rules: the access rules that were read.
 
     Raises:
         ConfigError: a certificate cannot be used.

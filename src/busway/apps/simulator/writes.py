@@ -28,8 +28,8 @@ class _Writes:
     """Reports Modbus writes to points in one table of a unit.
 
     Args:
-        points: those that stand in it.
-        told: called after each write that touches some.
+        points: the points in the table.
+        told: called after each write that touches some of them.
     """
 
     def __init__(self, points: Sequence[SimulatedPoint], told: Told) -> None:

@@ -179,7 +179,7 @@ class Streams:
     """The WebSockets of all open pages of a simulation.
 
     Args:
-        api: the resources that they watch.
+        api: the simulation's HTTP API.
     """
 
     def __init__(self, api: Api) -> None:

@@ -46,8 +46,8 @@ def parse_policy_file(text: str, name: str) -> AccessRules:
     """Parse and check a whole policy file. Raises `FileError` with all problems.
 
     Args:
-        text: its content.
-        name: its name, for the sentences.
+        text: the file's text.
+        name: the file's name, for messages.
 
     Raises:
         FileError: all that is wrong with it, each with file, line and key.

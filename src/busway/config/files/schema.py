@@ -140,7 +140,7 @@ class Source:
     """A parsed TOML file: its data, and the line of each key.
 
     Attributes:
-        name: of the file, for the sentences.
+        name: the file's name, for messages.
         data: its contents.
         lines: the line of each key and element.
     """
@@ -181,7 +181,7 @@ def parse_with_source(text: str, schema: type[File], name: str) -> tuple[File, S
 
     Args:
         text: the file's text, in TOML.
-        schema: what it has to look like.
+        schema: the class that describes the file's sections and keys.
         name: the file's name, for messages.
 
     Raises:

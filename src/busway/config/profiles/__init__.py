@@ -43,7 +43,7 @@ class ReadyMade:
 
     Attributes:
         name: as ``busway simulate --device`` takes it.
-        file: its name in sentences about it.
+        file: its name in messages.
         text: the simulation file.
     """
 

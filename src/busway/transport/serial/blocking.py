@@ -37,7 +37,7 @@ class BlockingSerialPort:
     Attributes:
         port: the name it was opened by.
         path: the path that this name stood for.
-        settings: what the line is set to.
+        settings: baud rate, parity and the other settings of the line.
         pseudo_terminal: whether the system only keeps the bytes and no times.
     """
 
@@ -46,7 +46,7 @@ class BlockingSerialPort:
 
         Args:
             port: a path, a name under by-id, or a USB identity (see `resolve_port`).
-            settings: what the line is set to.
+            settings: baud rate, parity and the other settings of the line.
             ioctl: asks the driver; a test may hand in its own.
 
         Raises:

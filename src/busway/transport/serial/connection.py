@@ -36,7 +36,7 @@ class SerialConnection:
     Attributes:
         port: the name it was opened by.
         path: the path that this name stood for.
-        settings: what the line is set to.
+        settings: baud rate, parity and the other settings of the line.
         pseudo_terminal: whether the system only keeps the bytes and no times.
     """
 
@@ -77,9 +77,9 @@ class SerialConnection:
 
         Args:
             port: a path, a name under by-id, or a USB identity (see `resolve_port`).
-            settings: what the line is set to.
+            settings: baud rate, parity and the other settings of the line.
             received: gets bytes, and how many of them the port marked as damaged.
-            lost: told once if the port vanishes; not told after `close`.
+            lost: called once if the port vanishes; not after `close`.
             ioctl: asks the driver; a test may hand in its own.
 
         Raises:

@@ -29,7 +29,7 @@ def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDo
     """Return the error for a port that could not be opened, from the system's error. No byte was sent.
 
     Args:
-        error: what was raised.
+        error: the system's error.
         port: the path that was opened.
         settings: what the line was to be set to, in words, for the message.
     """

@@ -61,7 +61,7 @@ async def open_when_there(
     Args:
         opener: opens the port once, for example ``lambda: SerialConnection.open(…)``.
         policy: the pauses.
-        waiting: told about each failure and the pause after it, in seconds.
+        waiting: called with each failure and the pause after it, in seconds.
         sleep: waits.
 
     Raises:

@@ -209,7 +209,7 @@ class WatchedContext:
     Args:
         parameters: which files.
         make: `server_context` or `client_context`.
-        name: of the listener or link, for the log.
+        name: the name of the listener or link, for the log.
         clock: monotonic seconds.
 
     Raises:

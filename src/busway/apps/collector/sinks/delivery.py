@@ -53,7 +53,7 @@ class SinkStatus:
     """The status of one sink: what it has got, how far behind it is, and what is wrong.
 
     Attributes:
-        name: of the sink.
+        name: the name of the sink.
         cursor: number of the last commit that is delivered.
         sent: samples that were taken since the start.
         lost: samples that were dropped for it, ever.
@@ -88,12 +88,12 @@ class Delivery:
         """Continue after the sink's cursor, the last commit it got; a new sink begins with the oldest samples.
 
         Args:
-            name: of the sink; its cursor has this name.
+            name: the name of the sink and of its cursor.
             sink: the receiver.
             folder: the store.
-            manifest: of the store, opened for writing.
+            manifest: the store's manifest, opened for writing.
             options: how samples are handed on.
-            point_rules: by device and point, the rules of points that hand on not every sample.
+            point_rules: by device and point, the rules of points of which only some samples are sent.
             now: nanoseconds since 1970 UTC.
             monotonic: seconds of a clock that is never set.
             pause: waits some seconds.

@@ -26,7 +26,7 @@ class Document:
     Attributes:
         device: its name.
         key: the same at a repetition, and different for every other document.
-        content: what becomes JSON.
+        content: the data that become JSON.
     """
 
     device: str

@@ -49,7 +49,7 @@ class MqttPublisher:
     """Publishes messages over one connection of an MQTT client, and waits for the broker's answers.
 
     Args:
-        client: of aiomqtt, not connected yet.
+        client: a client of aiomqtt, not connected yet.
         timeout: seconds for an answer.
     """
 

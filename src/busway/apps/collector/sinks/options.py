@@ -39,8 +39,8 @@ def make_sink(section: SentSection, folder: Path | None = None) -> tuple[Sink, D
     """Create a sink and the options of its delivery from a table of the collector file.
 
     Args:
-        section: of the sink, with paths that can be opened.
-        folder: of the store, for what a sink has to keep over a restart; None where nothing is kept.
+        section: the sink's table, with paths that can be opened.
+        folder: the store's folder, for what a sink keeps over a restart; None to keep nothing.
 
     Raises:
         ConfigError: values that do not go together, or a secret cannot be had; names the key.

@@ -74,7 +74,7 @@ class PostgresqlSink:
             url: ``postgresql://user@host:5432/database``, without a password.
             table: name of the table, ``schema.table`` where it is not in the search path; small letters, digits, ``_``.
             alarm_table: name of the table of events of alarms, likewise.
-            password: of the user.
+            password: the user's password.
             tls: how to encrypt; None for as the server wants.
             timescale: make the table a hypertable; the extension must be in the database.
             timeout: seconds for each command.

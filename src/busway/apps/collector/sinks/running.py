@@ -32,8 +32,8 @@ class SinkThread:
 
         Args:
             writer: the open store; cursors are in its manifest.
-            sinks: by name; a name keeps its cursor over a restart.
-            point_rules: by device and point, when its samples are handed on.
+            sinks: the sinks by name; a name keeps its cursor over a restart.
+            point_rules: by device and point, the rule for which samples are sent.
 
         Raises:
             ConfigError: a name is empty or has a character that a file's name cannot have.

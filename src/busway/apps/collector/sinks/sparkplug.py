@@ -174,7 +174,9 @@ class SparkplugSink:
     # Life
 
     async def open(self) -> None:
-        """Connect, wait for the primary host, and publish births of all known devices. Raises `SinkDown`."""
+        """Connect, wait for the primary host, and publish births (names and types) of all known devices. Raises
+        `SinkDown`.
+        """
         mqtt = import_module("aiomqtt")
         self._number = await asyncio.to_thread(self._next_number)
         will = mqtt.Will(self._topic("NDEATH"), self._death(), qos=1, retain=False)
@@ -269,7 +271,9 @@ class SparkplugSink:
     # Births, deaths, data; the lock is held
 
     async def _births(self) -> None:
-        """Publish the birth message of the edge node, then those of devices that answer."""
+        """Publish the birth messages (which announce names and types of metrics) of the edge node, then of devices that
+        answer.
+        """
         self._sequence = 0
         self._born_at = self._now()
         self._last_birth = time.monotonic()
@@ -393,7 +397,7 @@ class SparkplugSink:
             self._rebirth = asyncio.create_task(self._births_again(), name="busway sparkplug rebirth")
 
     async def _births_again(self) -> None:
-        """Publish all births again, not too soon after the last time (rule 5)."""
+        """Publish all birth messages again, but not too soon after the last time (rule 5)."""
         asked_at = time.monotonic()
         await asyncio.sleep(max(0.0, self._last_birth + REBIRTH_PAUSE - asked_at))
         with contextlib.suppress(import_module("aiomqtt").MqttError, SinkDown, SinkRefused):  # sending finds that out

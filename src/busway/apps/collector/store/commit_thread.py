@@ -159,7 +159,7 @@ class Committer:
             self._changed.notify_all()
 
     def describe(self, descriptions: Iterable[PointDescription], rules: StoreRules | None = None) -> None:
-        """Queue descriptions of points and rules of kept samples, which apply after all samples queued so far."""
+        """Queue new descriptions of points and report rules, which apply after all samples queued so far."""
         with self._changed:
             self._descriptions.append((self._taken + len(self._batches), list(descriptions), rules))
             self._changed.notify_all()

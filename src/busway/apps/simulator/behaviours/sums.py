@@ -70,7 +70,7 @@ class Counter:
         return self._value
 
     def observe(self, time: float) -> None:
-        """Take over the counter's rate at a time; it holds until the next moment."""
+        """Take over the counter's rate, computed by a formula, at a time; it holds until the next moment."""
         rate = self._rate(time)
         self._seen = rate if math.isfinite(rate) else 0.0
 
@@ -143,7 +143,7 @@ class Lag:
         return self._value
 
     def observe(self, time: float) -> None:
-        """Take over the lag's target at a time, to approach it until the next moment."""
+        """Take over the target of the lag, computed by a formula, at a time; it holds until the next moment."""
         self._seen = self._target(time)
 
     def resume(self, time: float, value: float) -> None:
