@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import re
 import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -89,6 +90,47 @@ async def test_the_audit_log_has_who_revision_and_difference_of_each_change(tmp_
             assert (wrong["outcome"], wrong["before"]) == ("refused", revision_of(new))
             assert "device[0].unit" in wrong["done"][0]
             assert (other["outcome"], other["by"], other["origin"]) == ("refused", "bernd", "api")
+
+
+async def test_keys_that_need_a_restart_are_logged_and_kept_until_they_are_changed_back(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = commanded_plant(tmp_path, "tcp://127.0.0.1:1")
+    text = file.read_text()
+    async with busway.collect(file) as collector:
+        file.write_text(text.replace('page = "off"', 'page = "127.0.0.1:0"'))
+        assert await collector.read_again() == ["[collector] page holds after the next start"]
+        assert collector.restart_needed == ["[collector] page"]
+        assert "a restart is needed: changes of [collector] page hold" in caplog.text
+        caplog.clear()
+        file.write_text(text)
+        await collector.read_again()
+        assert (collector.restart_needed, caplog.text) == ([], "")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('"data"', '"other"', "store: the store cannot be another while the collector runs: restart it"),
+        ('url = "tcp:', 'url = "tcp://joe:secret@x?bad=1"\n#', r"line \d+: link\[0\].url"),
+        ("[collector]", "[collector\nsecret", r"line 1"),
+    ],
+)
+async def test_a_file_that_is_refused_is_logged_with_its_keys_and_no_values_until_another_holds(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, old: str, new: str, told: str
+) -> None:
+    file = commanded_plant(tmp_path, "tcp://127.0.0.1:1")
+    text = file.read_text()
+    async with busway.collect(file) as collector:
+        file.write_text(text.replace(old, new))
+        with pytest.raises(ConfigError):
+            await collector.read_again()
+        (refused,) = collector.refused_file
+        assert re.fullmatch(told, refused)
+        assert f"refused, nothing was changed: {refused}" in caplog.text
+        assert "secret" not in caplog.text
+        await collector.replace_configuration(text.replace("0.1", "0.2"), by="anna")
+        assert collector.refused_file == []
 
 
 @asynccontextmanager

@@ -419,6 +419,16 @@ class Collector:
         """The revision of the configuration in force: 16 hexadecimal digits that change with its text."""
         return revision_of(self.configuration.text)
 
+    @property
+    def restart_needed(self) -> list[str]:
+        """Keys of the file, such as ``[collector] page``, whose changes hold after the next start."""
+        return list(self._reloading.waiting)
+
+    @property
+    def refused_file(self) -> list[str]:
+        """Lines and keys for which the file was refused when it was read last; empty if it is in force."""
+        return list(self._reloading.refusal)
+
     async def reload(
         self, configuration: CollectorConfiguration, *, by: str = "this program", origin: str = "program"
     ) -> list[str]:

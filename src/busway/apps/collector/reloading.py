@@ -3,19 +3,23 @@
 Knows two configurations, a file and the audit log; how another configuration is put into use is the collector's.
 
 1. Store and sinks are those of the start: another one is refused, and nothing is changed.
-2. Other settings that are read at the start alone are named: they hold after the next start.
+2. Other settings that are read at the start alone are named, also in the log: they hold after the next start.
 3. A file is replaced whole, with the rights that it had: after a crash it is as before or as after.
 4. One change at a time. What has begun is done to its end, whatever comes of the caller.
 5. Each change, and each that was refused, is a line of the audit log.
+6. A file that was read again and refused is not what is in use; log and page name the keys until another holds. They
+   have no values: a line that is wrong may hold a secret, and many read them.
 """
 
 import asyncio
+import logging
 import os
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import Any, Final
 
 from ...access.audit_log import AuditLog
 from ...config.files.collector import CollectorSection
+from ...config.files.problems import FileError
 from ...config.reading import read_text
 from ...errors import ConfigError
 from ...safe_files import write_whole
@@ -26,6 +30,7 @@ _READ_AT_THE_START: Final = tuple(
     key for key in CollectorSection.model_fields if key not in ("store", "learn", "store_report")
 )
 """Keys of ``[collector]``; another store is refused, `learn` and `store_report` hold at once."""
+_log = logging.getLogger("busway.collector")
 
 
 class Reloading:
@@ -35,6 +40,10 @@ class Reloading:
         current: gives the configuration that is in use.
         audit: gives the audit log; None while there is none.
         apply: puts another configuration into use. Returns what changed, each as a sentence.
+
+    Attributes:
+        waiting: keys of the file that have changed since the start, and hold after the next one.
+        refusal: where and why the file was refused when it was read last, each a sentence; empty if it is in use.
     """
 
     def __init__(
@@ -48,6 +57,8 @@ class Reloading:
         self._lock = asyncio.Lock()
         self.running: set[asyncio.Task[list[str]]] = set()
         self.is_ending: bool = False
+        self.waiting: list[str] = []
+        self.refusal: list[str] = []
 
     async def reload(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
         """Use another configuration in the running collector; as `Collector.reload`."""
@@ -85,8 +96,13 @@ class Reloading:
         audit = self._audit()
         if audit is not None:
             audit.reopen()
-        text = await asyncio.to_thread(read_text, self._current().name)
-        return await self._use(await self._parsed(text, by, origin), by, origin)
+        try:
+            text = await asyncio.to_thread(read_text, self._current().name)
+            return await self._use(await self._parsed(text, by, origin), by, origin)
+        except ConfigError as error:
+            self.refusal = _places(error)
+            _log.warning("the file was read again and refused, nothing was changed: %s", "; ".join(self.refusal))
+            raise
 
     async def _replace(self, text: str, by: str, origin: str, revision: str | None) -> list[str]:
         in_use = revision_of(self._current().text)
@@ -115,7 +131,11 @@ class Reloading:
         except ConfigError as error:
             self._record(configuration.text, [str(error)], False, by, origin)
             raise
-        done = [*await self._apply(configuration), *left_for_the_next_start(self._started_with, configuration)]
+        done = await self._apply(configuration)
+        self.waiting, self.refusal = left_for_the_next_start(self._started_with, configuration), []
+        if self.waiting:
+            _log.warning("a restart is needed: changes of %s hold after the next start", ", ".join(self.waiting))
+        done = [*done, *(f"{key} holds after the next start" for key in self.waiting)]
         self._record(configuration.text, done, True, by, origin, old.text)
         return done or ["nothing changed"]
 
@@ -133,25 +153,40 @@ class Reloading:
             )
 
 
+class NeedsRestart(ConfigError):
+    """Error: a key of a configuration cannot change while the collector runs."""
+
+
+def _places(error: ConfigError) -> list[str]:
+    """Return where a file was refused, without what stands there (rule 6)."""
+    if isinstance(error, NeedsRestart):
+        return [f"{error.key}: {error.message}"]
+    problems = error.problems if isinstance(error, FileError) else [error]
+    return [
+        ": ".join(filter(None, [f"line {each.line}" if each.line else "", each.key])) or "it cannot be read"
+        for each in problems
+    ]
+
+
 def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfiguration) -> None:
-    """Raise `ConfigError` if a new configuration has another store or other sinks."""
+    """Raise `NeedsRestart` if a new configuration has another store or other sinks."""
     if new.file.sink != old.file.sink:
-        raise ConfigError("sinks cannot change while the collector runs: restart it", file=new.name, key="sink")
+        raise NeedsRestart("sinks cannot change while the collector runs: restart it", file=new.name, key="sink")
     if new.store != old.store:
-        raise ConfigError(
+        raise NeedsRestart(
             "the store cannot be another while the collector runs: restart it", file=new.name, key="store"
         )
 
 
 def left_for_the_next_start(started: CollectorConfiguration, new: CollectorConfiguration) -> list[str]:
-    """Return sentences about changes of the configuration that take effect only at the next start."""
+    """Return the keys of a configuration whose changes take effect only at the next start."""
     before, after = started.file.collector, new.file.collector
     keys = [f"[collector] {key}" for key in _READ_AT_THE_START if getattr(before, key) != getattr(after, key)]
     if started.file.audit != new.file.audit:
         keys.append("[audit]")
     if started.file.page_access != new.file.page_access:
         keys.append("[page_access]")
-    return [f"{key} holds after the next start" for key in keys]
+    return keys
 
 
 def replace_file(path: str, text: str) -> None:

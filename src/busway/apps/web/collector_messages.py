@@ -27,6 +27,8 @@ class CollectorAnswer(Answer):
     waiting: int = Field(description="Samples that are not yet committed.")
     lost: int = Field(description="Samples that could not be stored.")
     error: str | None = Field(description="What is wrong with the store.")
+    restart_needed: list[str] = Field(description="Keys of the file whose changes hold after the next start.")
+    refused: list[str] = Field(description="Lines and keys for which the file was refused when it was read last.")
 
 
 class CollectedPoint(Answer):

@@ -195,6 +195,8 @@ class CollectorApi:
             waiting=store.waiting,
             lost=store.lost,
             error=store.error or store.upkeep_error,
+            restart_needed=self._collector.restart_needed,
+            refused=self._collector.refused_file,
         )
 
     async def list_points(self) -> CollectedPoints:

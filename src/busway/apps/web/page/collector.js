@@ -67,6 +67,15 @@ async function about() {
   const found = await ask("GET", "/api/collector");
   setText(byId("name"), found.name);
   setText(byId("store"), `${found.store}: ${found.samples} samples${found.lost ? `, ${found.lost} lost` : ""}${found.error ? `: ${found.error}` : ""}`);
+  setText(byId("file"), fileText(found));
+}
+
+/** How the file differs from what is in use. */
+function fileText({ restart_needed: keys, refused }) {
+  const lines = [];
+  if (refused.length) lines.push(`The file was read again and refused, and nothing was changed: ${refused.join("; ")}.`);
+  if (keys.length) lines.push(`A restart is needed: changes of ${keys.join(", ")} hold after the next start.`);
+  return lines.join("\n");
 }
 
 /** Show what the view has now; what is wrong is said in its place. */
