@@ -48,10 +48,10 @@ class LinkSettings:
 
     Attributes:
         endpoint: where the link leads.
-        parameters: of the conversation.
-        sockets: of the connection; without effect on a serial port.
+        parameters: the options of the client session.
+        sockets: socket options of the connection; without effect on a serial port.
         management: when connections come and go; without effect on a serial port.
-        line: of the line, where the framing is RTU or ASCII.
+        line: settings of the line, if the framing is RTU or ASCII.
         breaker: when units are given up, where the framing is another; None: never.
         security: certificates and what else TLS needs, where the carrier is TLS.
     """

@@ -20,7 +20,7 @@ class ClientFaultProfile:
         name: as in the documentation.
         happens: what the client does, in words.
         seen_in: where it was reported.
-        answer: how a server that copes with it reacts.
+        answer: the right reaction of a server.
         make: the bytes that are sent before the silence; its keyword arguments are the options.
     """
 

@@ -151,7 +151,7 @@ class Fault:
         asked: the PDU that answers a request instead of the device, `SILENCE` for none; None lets the device answer.
         answered: the frames that leave, made from those that would.
         closes_at: when the connection is closed, in the clock of ``now``; None for never.
-        carriers: where it can occur.
+        carriers: the kinds of transport on which it can occur.
         options: the options of the fault profile that it was made with.
     """
 

@@ -32,9 +32,9 @@ class FaultProfile:
         name: as in the documentation.
         happens: what the device does, in words.
         seen_in: where it was reported, repository and issue.
-        answer: how a client that copes with it reacts.
+        answer: the right reaction of a client.
         make: makes the fault; its keyword arguments are the options, each with a default.
-        carriers: where it can occur.
+        carriers: the kinds of transport on which it can occur.
     """
 
     name: str

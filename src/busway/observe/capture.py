@@ -65,7 +65,7 @@ class Capture:
         """Begin a capture file in the binary ``stream``, which `close` closes.
 
         Args:
-            stream: where to write, opened in binary mode.
+            stream: the file to write, opened in binary mode.
             clock: seconds since 1970.
 
         Raises:

@@ -50,10 +50,10 @@ class Heard:
         frame: the frame; of `Kind.UNANSWERED` the request; None for damaged bytes.
         damaged: the damaged bytes; of `Kind.UNANSWERED` those that came in place of the reply.
         gap: seconds of silence before it; None for the first frame and for `Kind.UNANSWERED`.
-        request: of a reply, the request that it answers.
-        response_time: of a reply, seconds from the end of the request to its beginning; of `Kind.UNANSWERED`, seconds
+        request: for a reply, the request that it answers.
+        response_time: for a reply, seconds from the end of the request to its beginning; of `Kind.UNANSWERED`, seconds
             that were waited.
-        is_repeat: of a request, whether the same was asked just before and not answered.
+        is_repeat: for a request, whether the same was asked just before and not answered.
     """
 
     kind: Kind
@@ -108,7 +108,7 @@ class UnitStatistics:
         unanswered: requests without a reply, those with a damaged one included.
         damaged_replies: requests after which damaged bytes came in place of the reply.
         stray_replies: unsolicited replies.
-        response_times: of the replies.
+        response_times: the response times of the replies.
     """
 
     requests: int = 0

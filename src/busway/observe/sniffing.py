@@ -131,8 +131,8 @@ class LineToHear:
     """A serial line to listen to, as its URL describes it; not opened yet. Created by `line_to_hear`.
 
     Attributes:
-        endpoint: where it is.
-        framing: how frames are found.
+        endpoint: its endpoint.
+        framing: options of the framing.
         port: settings of the serial line; None over a network.
         sockets: options of the connection, over a network.
         opening: how often a port that has vanished is tried.
@@ -221,7 +221,7 @@ class Listening:
         """Open a serial line and start listening to it.
 
         Args:
-            line: where to listen.
+            line: the line to listen to.
             pairing: pairs the frames to events; a new one if None.
             clock: seconds of what `hear` reports.
             vanished: called when a serial port goes away, which is then opened again as soon as it is there; None ends

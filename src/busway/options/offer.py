@@ -50,7 +50,7 @@ class Offer:
 
     Attributes:
         kinds: the options of each class, by name.
-        framing: of the endpoint; empty without one.
+        framing: the framing of the endpoint; empty without one.
     """
 
     kinds: Mapping[type[Any], Mapping[str, Option]]

@@ -27,8 +27,8 @@ class Point:
     """One named value of a device: its address, type, conversion and rules.
 
     Attributes:
-        name: one of a kind in its device.
-        table: where it stands; for a computed point the table of nothing, holding registers.
+        name: its name, unique in the device.
+        table: its table; for a computed point, which is in none, holding registers.
         start: its first register or bit, 0-based.
         form: the type of its registers, also of one bit of one (``bit:3``); None for a coil or discrete input.
         conversion: how raw numbers become values.
@@ -40,9 +40,9 @@ class Point:
         formula: the expression of a computed point; empty for one that is read.
         rollover: the number of an accumulator at which it begins again from 0, in the unit of measure; None if it is
             none.
-        poll_class: how often it is read; empty for the class of its device.
+        poll_class: its poll class, which says how often it is read; empty for that of its device.
         writing: which values may be written, and how; None for none.
-        reporting: which of its samples are handed on to sinks that have no rule of their own.
+        reporting: which of its samples are sent to sinks without a rule of their own.
         storing: which of its samples a store keeps; None where the device, its class or the collector say that.
         alarms: its alarm limits.
         was: the name that it had before; its history goes on.

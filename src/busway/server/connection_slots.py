@@ -74,7 +74,7 @@ class PoolLimits:
         priority: slots of the priority pool.
         other: slots of the other pool.
         priority_per_device: priority slots that one host may use.
-        per_device: of the other places, for one host without priority; None for all of them.
+        per_device: limit of the other slots for one host without priority; None for all of them.
     """
 
     priority: int

@@ -65,7 +65,7 @@ class SecurityStatus:
     """The TLS status of a listener: its certificate, and counts of handshakes and refusals.
 
     Attributes:
-        subject: of the listener's own certificate.
+        subject: the subject of the listener's own certificate.
         not_after: when it expires, seconds since 1970.
         days_left: days until then; negative after it.
         reloads: how often the files were read again since the start.

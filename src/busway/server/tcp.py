@@ -27,13 +27,13 @@ class TcpListener:
     """One TCP or TLS endpoint of a server, with a listening socket for each of its addresses.
 
     Args:
-        management: of its connections.
+        management: the management of its connections.
         settings: where it listens, and how.
         sockets: parameters of its sockets.
         epoll_set: where its sockets and connections wait; None leaves them to the event loop.
 
     Attributes:
-        management: of its connections.
+        management: the management of its connections.
         names: URLs as they are bound.
     """
 

@@ -241,7 +241,7 @@ class CommunicationState:
         line: the line or listener that the unit is on; one of its own if left out.
         unit: its number, 0…255.
         heard_before: events of damaged frames, the newest first, from before anything was sent to the unit.
-        changes_allowed: of a line of its own.
+        changes_allowed: the same for a line of its own.
 
     Attributes:
         line: as above.

@@ -85,8 +85,8 @@ class Reconnect:
         """Change the state of the connection by an event; one that the table has no entry for changes nothing.
 
         Args:
-            event: what happened.
-            now: when, in seconds.
+            event: the event.
+            now: the time of the event, in seconds.
             reason: why, in words.
             had_reply: for `LOST`: whether the connection had brought a valid reply.
 

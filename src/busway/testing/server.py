@@ -49,7 +49,7 @@ class FaultyServer:
         clock: clock of delays; the event loop's by default.
         host: address to listen on; the port is a free one.
         functions: the table of functions.
-        options: of the named fault profiles, each for those that have it.
+        options: the options of the named fault profiles, each for those that have it.
 
     Raises:
         ConfigError: an unknown name or option.
@@ -109,7 +109,7 @@ class FaultyServer:
             addresses: items, 0-based; requests that touch one of them.
             probability: 0…1, the part of those requests that it strikes.
             schedule: when it is on.
-            options: of the fault profile.
+            options: the options of the fault profile.
 
         Returns:
             The fault with its switch: ``on()``, ``off()``, ``struck``.

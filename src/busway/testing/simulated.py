@@ -171,7 +171,7 @@ class SimulatedDevice:
             probability: 0…1, the part of those requests that it strikes.
             skip: requests, of those, that pass first.
             times: requests that it strikes; None for any number.
-            parameters: of the fault profile.
+            parameters: the parameters of the fault profile.
 
         Returns:
             The fault: ``struck`` counts, ``off()`` and ``on()`` switch it within the block.

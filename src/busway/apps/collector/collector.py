@@ -83,8 +83,8 @@ class Collector:
     """A running collector of device values; an asynchronous context manager, made by `collect`.
 
     Attributes:
-        configuration: what its file says.
-        knowledge: what was learnt of its devices.
+        configuration: the contents of its file.
+        knowledge: facts learnt about its devices.
         values: the last committed value of each point.
         alarms: its alarms, once it has begun.
     """
@@ -95,7 +95,7 @@ class Collector:
         """Create a collector from its configuration; nothing is opened yet.
 
         Args:
-            configuration: what its file says.
+            configuration: the contents of its file.
             permit: called with the name of a link right before each of its transactions, reads and writes; an error
                 that it raises (a `LinkDown`) is that of the transaction, of which nothing is sent then.
         """
@@ -391,7 +391,7 @@ class Collector:
         """Write a value to a point, at most once, and return the result.
 
         Args:
-            device, point: whose value.
+            device, point: the point to write.
             value: in the unit of measure, or a name of a number; checked against the rule of the point.
             by: who wants it, for the journal and the audit log.
             expires: until when it may be sent, seconds since 1970 UTC; None for half a minute from now.
@@ -461,7 +461,7 @@ class Collector:
         Args:
             text: the whole file.
             by, origin: who changes it, and how, for the audit log.
-            revision: of the text that it is a change of; another one holds already: it is refused. None for any.
+            revision: that of the text that was changed; refused if another one is in force. None: not checked.
 
         Returns:
             What changed, each as a sentence.

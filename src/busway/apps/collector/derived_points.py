@@ -23,7 +23,7 @@ class DerivedPoints:
     Args:
         device: its name.
         points: all of it.
-        counters: how far accumulators were before a restart.
+        counters: the states of accumulators before a restart.
     """
 
     def __init__(self, device: str, points: Sequence[Point], counters: Iterable[CounterState] = ()) -> None:

@@ -17,8 +17,8 @@ class CollectedDeviceStatus:
         state: ``polled``, ``silent``, ``maintenance`` or ``not asked yet``.
         reads, failures, rounds, skipped: how many there were since the start.
         worst_wait: the longest time in seconds that a round waited for others.
-        last_error: what was wrong last; empty where nothing ever was.
-        learnt: what was learnt of it, in sentences.
+        last_error: the last error; empty if there was none.
+        learnt: facts learnt about it, as sentences.
         silent_since: since when its rounds have stopped, nanoseconds since 1970 UTC; None while it is polled.
     """
 

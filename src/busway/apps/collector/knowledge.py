@@ -27,7 +27,7 @@ class LearntHole:
     """A range of items that a device was found to refuse, or a border that no read may cross.
 
     Attributes:
-        table: where.
+        table: the table of the items.
         start, end: the first of them, and the one after the last; equal for the border before ``start``.
         code: the exception code that it answered; 0 for silence.
         pinned: whether it stays until it is forgotten by name.
@@ -79,7 +79,7 @@ class DeviceKnowledge:
     Attributes:
         profile, firmware: what kind of device it is; empty for unknown.
         base: seconds of a read apart from its registers; None where too few reads were made.
-        holes: what it refuses to read.
+        holes: the ranges it refuses to read.
         limits: the widest reads, one for registers and one for bits at most.
         place: endpoint and unit where it was learnt; empty for unknown.
     """

@@ -65,7 +65,7 @@ class CostLearner:
         fixed: whether the price of a register is that of ``assumed``; otherwise it is learnt too.
 
     Attributes:
-        reads: how many reads it has seen.
+        reads: number of reads it has learnt from.
         widths: the widths that these had.
     """
 
@@ -217,11 +217,11 @@ class MapLearner:
     """Learns which reads one device refuses, and why, by trying parts of refused reads.
 
     Args:
-        knowledge: what is known of the device already; what is learnt is added.
+        knowledge: facts already known about the device; new ones are added.
         cost: prices the reads that it asks for.
 
     Attributes:
-        knowledge: what is known, by now.
+        knowledge: the facts known now.
         asked: reads that it has asked for.
         inconclusive: refusals that did not happen again when the halves were asked.
     """
@@ -256,8 +256,8 @@ class MapLearner:
         """Learn from the result of an ordinary read which ranges the device refuses.
 
         Args:
-            read: it.
-            outcome: what became of it.
+            read: the ordinary read.
+            outcome: its result.
             code: the exception code, where there is one.
         """
         place = (read.table, read.start, read.width)

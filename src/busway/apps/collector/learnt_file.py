@@ -14,7 +14,7 @@ class LearntFile:
     """The file in which a collector keeps what it learns about devices.
 
     Attributes:
-        path: where it is.
+        path: the path of the file.
     """
 
     def __init__(self, path: Path) -> None:

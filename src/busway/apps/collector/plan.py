@@ -68,7 +68,7 @@ class PlainItem:
         table: the table it stands in.
         start: its first register or bit, 0-based.
         width: registers or bits that it takes, 1 or more.
-        key: what the caller knows it by.
+        key: the caller's name for it.
         group: the atomic group that it is read with, or None.
     """
 
@@ -84,9 +84,9 @@ class PlannedRead:
     """One read request of a plan: its range and the items it fetches.
 
     Attributes:
-        table, start, width: what it asks for.
+        table, start, width: the range it asks for.
         items: the items whose values it brings, wanted or not, by their start.
-        seconds: what it costs.
+        seconds: how long it takes.
     """
 
     table: Table
@@ -116,7 +116,7 @@ class DevicePlan:
     Attributes:
         reads: in the order of tables and places.
         unreadable: wanted items that are in no read.
-        seconds: what all reads cost together.
+        seconds: how long all reads take together.
     """
 
     reads: tuple[PlannedRead, ...]
@@ -130,9 +130,9 @@ def plan_reads(
     """Compute the cheapest read requests that fetch some points or other items.
 
     Args:
-        wanted: what is due; in any order.
-        rules: what the device allows.
-        cost: what reads cost.
+        wanted: the items to read, in any order.
+        rules: limits and ranges of reads that the device allows.
+        cost: how long reads take.
         others: items that are not due, but come for nothing where a read covers them.
 
     Returns:

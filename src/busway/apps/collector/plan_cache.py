@@ -33,11 +33,11 @@ class PlanBook:
     """Cache of one device's read plans; plans are computed when first needed, and anew if costs or rules change.
 
     Args:
-        items: by class, the points that it polls.
-        rules: what the device allows.
-        assumed: what its reads cost until that is known.
+        items: the polled points by poll class.
+        rules: limits and ranges of reads that the device allows.
+        assumed: the assumed cost of its reads until it is learnt.
         fixed: whether the price of a register is known, which it is on a line.
-        knowledge: what is known of the device from before.
+        knowledge: facts already known about the device.
 
     Attributes:
         made: how many plans were made so far.

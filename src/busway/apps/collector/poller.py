@@ -106,13 +106,13 @@ class PolledDevice:
         unit: its unit identifier.
         book: its plans.
         timeout: how long to wait for it.
-        derived: what is derived from its reads; None where nothing is.
+        derived: totals and formulas computed from its reads; None without any.
         pause: seconds from a reply to the next request to it, at least.
         ready_at: when it may be asked next.
         scale_factors: the exponents that its points hold, by name.
         reads, failures: how many were made for its values, and how many of these failed.
         last_seconds: how long its last transaction took.
-        last_error: what was wrong last; empty where nothing ever was.
+        last_error: the last error; empty if there was none.
         maintained: the maintenance that ended last.
         suspended: the interval that is open while it is suspended or in maintenance.
         single: the groups of points that were read alone.
@@ -167,8 +167,8 @@ class LinkPoller:
 
     Args:
         name: the link's name.
-        link: where requests go.
-        schedule: what is next; the devices are added to it by `add`.
+        link: sends the requests.
+        schedule: decides what is sent next; `add` adds devices to it.
         clock: the clock of samples.
         samples: takes each batch at once; must not block.
         intervals: takes each interval as it begins and as it ends.
@@ -223,7 +223,7 @@ class LinkPoller:
             name, unit: its name, and its unit identifier.
             book: its plans.
             periods: seconds by class.
-            derived: what is derived from its reads; None where nothing is.
+            derived: totals and formulas computed from its reads; None without any.
             pause: seconds from a reply to the next request to it, at least.
         """
         timeout = ReplyTimeout(self.schedule.timeout, numbered=self._numbered)

@@ -22,7 +22,7 @@ class PreviewedRead:
         device, poll_class: the device and the poll class that it reads.
         first: the address of its first item.
         count: registers or bits.
-        points: how many points it brings, those of other classes too.
+        points: number of points it reads, also of other classes.
         seconds: how long it takes.
         undeclared: addresses it reads that belong to no point and no readable range: ``4x5…4x9``.
     """

@@ -72,7 +72,7 @@ class PollRound:
     Attributes:
         device: its name.
         classes: the poll classes that are due.
-        due: when.
+        due: when the round was due.
         deadline: until when it should have ended.
         reads: the reads that are still to be sent.
         own: seconds that its own reads took so far.
@@ -125,13 +125,13 @@ class ScheduledDevice:
         due: when each poll class is due next.
         lives: whether it has answered last time; None before the first answer.
         silences: in a row.
-        probe_at: when it may be probed next, while it does not live.
+        probe_at: when it may be probed next, while it is silent.
         suspended_at: since when its rounds have stopped.
         was_down: whether the link was not there when it was asked last.
         waiting: the round that has not begun.
         release_at: when its next round begins to wait.
         skipped_since: the first due time that was passed over since its last round began.
-        question_at: when it may be asked a question of learning.
+        question_at: when a read for learning may be sent next.
         leased_until: until when points of it are leased.
         rounds, skipped: how many ended, and how many due times were passed over.
         worst_wait, worst_fast: the longest time that a round waited for others, in seconds; of all rounds, and of those
@@ -174,7 +174,7 @@ class LinkSchedule:
         share: part of the time that probes of silent devices may use.
 
     Attributes:
-        devices: those of the link, by name.
+        devices: the devices of the link, by name.
         refused_writes: writes that found the queue full.
         busy: seconds in which turns were made.
         probing: seconds of those in which silent devices were probed.

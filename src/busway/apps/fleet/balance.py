@@ -33,7 +33,7 @@ class Share:
     Attributes:
         name, host: its names.
         load: seconds of line time per second that its shards need.
-        capacity: how much it may take beside the others.
+        capacity: its share of the work, relative to the others.
         draining: whether it gives all and takes nothing.
     """
 

@@ -43,20 +43,20 @@ class FleetCollector:
     """A collector that shares the links of a plant with others; an asynchronous context manager.
 
     Args:
-        configuration: of the whole plant; each collector of the fleet has a store of its own.
-        coordinator: of the zone; not closed here.
+        configuration: the configuration of the whole plant; each collector of the fleet has a store of its own.
+        coordinator: the coordinator of the zone; not closed here.
         name: of this collector, the only one of its name in the zone.
-        host: of the machine, for links that only some hosts can reach.
+        host: the name of this machine, for links that only some hosts can reach.
         shards: how many the zone has, 1…1024; the same for all collectors.
         hosts: by link, the hosts that can reach it, the preferred one first; links that are missing all can reach.
-        times: of the leases; the same for all collectors.
-        capacity: how much this collector may take beside the others.
-        stream: where its samples are sent; None where they stay in its store alone.
+        times: the lengths of the leases; the same for all collectors.
+        capacity: this collector's share of the work, relative to the others.
+        stream: gets its samples; None if they stay in its own store.
         now: the clock of leases.
 
     Attributes:
-        member: what it owns, as the zone sees it.
-        collector: what polls.
+        member: its state in the zone, such as what it owns.
+        collector: polls the devices.
         ownership: the log of what it owned.
         outbox: sends its samples on; None without a stream.
     """

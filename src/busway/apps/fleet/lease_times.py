@@ -59,7 +59,7 @@ class Epoch:
 
     Attributes:
         generation: raised by an operator who restores the coordinator from a backup, so that epochs never go back.
-        revision: of the lease when it was taken.
+        revision: the revision of the lease when it was taken.
     """
 
     generation: int

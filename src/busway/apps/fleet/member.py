@@ -62,8 +62,8 @@ class ShardEvent:
 
     Attributes:
         shard: its name.
-        step: what happens.
-        epoch: of the ownership.
+        step: the kind of event.
+        epoch: the epoch of the ownership.
         reason: why, in words; empty where it was gained.
     """
 
@@ -79,7 +79,7 @@ class Proposal:
 
     Attributes:
         key, value: the entry.
-        revision: that it must have; 0 to create it.
+        revision: the revision that the entry must have; 0 to create it.
         asked: when it was proposed, by the clock of `FleetMember.turn`.
     """
 
@@ -115,12 +115,12 @@ class OwnedShard:
     """A shard (group of links) that this collector owns, with its lease.
 
     Attributes:
-        epoch: of the ownership.
-        revision: of its entry.
+        epoch: the epoch of the ownership.
+        revision: the revision of its entry.
         asked: when the last confirmed renewal was begun.
         renew_at: when the next renewal is due.
         count: renewals so far.
-        leaving: for whom it is handed on; None while it is not.
+        leaving: the collector that gets it next; None while it stays.
         has_left: whether its links have stopped.
     """
 
@@ -151,14 +151,14 @@ class FleetMember:
 
     Args:
         name, run, host: as in `MemberRecord`.
-        times: of the leases; the same for all members.
+        times: the lengths of the leases; the same for all members.
         chance: spreads renewals and looks in time.
-        capacity: how much it may take beside the others.
+        capacity: its share of the work, relative to the others.
 
     Attributes:
         owned: the shards that it owns, by name.
-        counts: what was counted.
-        generation: of the zone.
+        counts: its counters.
+        generation: the generation number of the zone.
         rival: another process with this name that lives; None without one.
     """
 

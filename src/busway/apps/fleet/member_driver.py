@@ -47,8 +47,8 @@ class MemberDriver:
     """Runs one collector's part in the fleet: connects a `FleetMember`, without IO, to the shared table, in a task.
 
     Args:
-        member: whose proposals are made.
-        coordinator: of its zone; not closed here.
+        member: the member whose proposed changes are made.
+        coordinator: the coordinator of its zone; not closed here.
         told: gets each event of a shard, in order, in the event loop; it must be quick.
         now: the clock of leases.
     """

@@ -35,7 +35,7 @@ class SampleMessage:
         collector: who sends them.
         store: a word for the store that they are from; another store has other commits.
         link, epoch: which link, and in which ownership of it they were taken; None for samples from before the fleet.
-        revision: of the configuration that they were taken by.
+        revision: the revision of the configuration that they were taken by.
         complete: as in rule 2.
         kept: the commit that its sender would begin with if it sent again: it expects no sink to lack those up to it.
         part: which part of its commits it is, from 0.

@@ -56,7 +56,7 @@ class OutboxStatus:
     Attributes:
         sent: the last commit that the stream has.
         kept: the last commit that all sinks keep.
-        messages: that were acknowledged since the start.
+        messages: number of messages acknowledged since the start.
         error: why the stream does not take more; None while it does.
     """
 
@@ -71,11 +71,11 @@ class Outbox:
 
     Args:
         folder, manifest: of the store.
-        stream: where it is sent.
+        stream: the message stream that gets the samples.
         collector, store: names in the messages.
         link_of: by device, its link; asked before each batch.
         epoch_of: the epoch of a link in which a commit was made.
-        revision: of the configuration that holds.
+        revision: the revision of the configuration in force.
         now: seconds of a clock that is not set.
     """
 

@@ -37,7 +37,7 @@ class Ownership:
 
     Attributes:
         link: its name.
-        epoch: of the ownership.
+        epoch: the epoch of the ownership.
         after_commit: the last commit before it.
         begin: nanoseconds since 1970 UTC.
         last_commit: the last commit in it; None while it lasts, or where the process was killed.
@@ -56,7 +56,7 @@ class OwnershipLog:
     """The record of the links that this collector owned, beside its store; usable from any thread.
 
     Args:
-        folder: of the store, whose lock this process holds.
+        folder: the folder of the store, whose lock this process holds.
 
     Attributes:
         store: a word for this store, which no other one has.

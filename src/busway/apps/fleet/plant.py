@@ -13,7 +13,7 @@ def restricted(configuration: CollectorConfiguration, links: Container[str]) -> 
     """Return a copy of a configuration with only some of its links and their devices; all else stays.
 
     Args:
-        configuration: of the whole plant.
+        configuration: the configuration of the whole plant.
         links: the names of the links that stay.
     """
     common: Configuration = replace(

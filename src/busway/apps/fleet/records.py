@@ -24,7 +24,7 @@ class LeaseRecord:
         held: whether it owns the shard; False after it has released it.
         count: renewals so far, so that every renewal changes the entry.
         cost: seconds of its links' time that the reads of the shard need in a second.
-        epoch: of the ownership; None in the entry that takes the lease, whose own revision it is.
+        epoch: the epoch of the ownership; None in the entry that takes the lease, whose own revision it is.
         target: the collector that it was released for; empty where all may take it.
     """
 
@@ -53,9 +53,9 @@ class MemberRecord:
         name, run: as in `LeaseRecord`.
         host: the machine, for links that are pinned to it.
         count: renewals so far.
-        capacity: how much it may take beside the others; 1 is usual.
+        capacity: its share of the work, relative to the others; 1 is usual.
         draining: whether it hands everything on and takes nothing.
-        revision: of the configuration that it works by.
+        revision: the revision of the configuration that it works by.
         gone: whether it has ended in order.
     """
 

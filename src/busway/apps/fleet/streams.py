@@ -90,7 +90,7 @@ class NatsStream:
 
     Args:
         client: of nats-py, connected.
-        zone: of the collector.
+        zone: the zone of the collector.
         shard_of: the shard of a link.
         timeout: seconds for an acknowledgement.
     """
@@ -127,7 +127,7 @@ class SinkCursors:
     """Up to which commit one sink has received the samples of each collector.
 
     Attributes:
-        sequence: of the last message of the stream that it has taken; 0 before the first.
+        sequence: the number of the last message of the stream that it has taken; 0 before the first.
         commits: by collector and store, the commit up to which it keeps all samples.
         proved: those of which the next message may prove more (`SinkProgress`).
     """
@@ -226,17 +226,17 @@ class StreamSink:
 
     Args:
         client: of nats-py, connected.
-        coordinator: of the zone, for the cursor.
+        coordinator: the coordinator of the zone, for the cursor.
         zone: its name.
-        name: of the sink; a name keeps its place in the stream.
-        sink: where samples go.
+        name: the name of the sink; a name keeps its place in the stream.
+        sink: the sink that gets the samples.
         set_aside: gets what the sink refuses for good, and why.
 
     Attributes:
         taken: samples that the sink has taken since the start.
         refused: samples that it refused.
         unreadable: messages that could not be read.
-        error: what is away now; None while all is well.
+        error: what cannot be reached now; None while all is well.
     """
 
     def __init__(

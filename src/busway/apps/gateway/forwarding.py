@@ -134,7 +134,7 @@ class ForwardTarget:
     """A unit of an upstream, as the destination of one listener's requests.
 
     Args:
-        forwarder: of the upstream.
+        forwarder: the forwarder of the upstream.
         unit: the unit as it is asked upstream.
         timeout: seconds to wait for the unit; None for the upstream's own timeout.
         deadline: seconds after which clients have given up; None if that is not known.
@@ -272,7 +272,7 @@ class Forwarder:
     """All unanswered requests to one upstream, and the reads that several clients share.
 
     Args:
-        upstream: where they go.
+        upstream: the upstream that gets the requests.
         share_reads: whether identical reads in flight are asked once.
         same_device: units that are the same device, group by group.
 

@@ -68,7 +68,7 @@ class Gateway:
         plan: its configuration.
         authorize: called at every listener with the host of a new client; decides whether it may connect.
         policy: rules for the requests at every listener; None permits all.
-        audit: where denied requests and writes are recorded.
+        audit: the audit log for denied requests and writes.
         observers: see the requests of all listeners (metrics, for example).
 
     Attributes:

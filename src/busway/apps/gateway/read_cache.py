@@ -132,7 +132,7 @@ class ReadCache(Generic[Shared]):
             place: the range that was read.
             data: the items, as in a reply.
             since: result of `changes` when the read was forwarded.
-            read_at: when it was forwarded.
+            read_at: when the read was forwarded.
         """
         state = self._unit(unit)
         if state.changes != since or not self._is_quiet(unit):

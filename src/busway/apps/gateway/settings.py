@@ -156,7 +156,7 @@ def simple_plan(
     Args:
         listeners: URLs to listen on.
         upstream: URL of the upstream.
-        options: of the upstream, as for `UpstreamSettings.of`.
+        options: the options of the upstream, as for `UpstreamSettings.of`.
     """
     endpoint = parse_endpoint(upstream)
     units = ALL_UNITS if endpoint.framing == "mbap" else SERIAL_UNITS

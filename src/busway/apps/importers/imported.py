@@ -54,10 +54,10 @@ class ImportedDevice:
     """The points that an importer found in a file, and what it could not carry over.
 
     Attributes:
-        points: by the number of their unit, each with where it stood.
+        points: by unit number, each with its position in the original file.
         groups: ``[[unit.group]]`` of each unit, as a device file has them.
         remarks: comment lines for the head of the device file.
-        omissions: what was not carried over.
+        omissions: the parts that were not carried over.
     """
 
     points: dict[int, list[ImportedPoint]] = field(default_factory=dict)

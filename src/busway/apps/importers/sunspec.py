@@ -55,7 +55,7 @@ def read_sunspec(
 
     Args:
         text: the model.
-        name: of the file, for the sentences.
+        name: the file's name, for messages.
         first: offset of its register ``ID``.
         counts: how many places a group has, by its name or that of its count.
 

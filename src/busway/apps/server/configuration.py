@@ -51,14 +51,14 @@ class Configuration:
     Attributes:
         name: the file's name.
         file: its sections.
-        listeners: where a server of it listens, each with what holds there.
+        listeners: the listeners of the server, each with its own options.
         limits: limits and timeouts of listeners without their own.
         tls: certificates of the listeners that have none of their own; None without ``[security]``.
         access: rules on what may be asked, and on who may connect; None if there are none.
         audit: path of the audit log; None if there is none.
         control: path or address of the control socket; None for the usual one.
         links: the links by name.
-        warnings: what is odd but can be, each with file, line and key.
+        warnings: warnings about the file, each with file, line and key.
         changes: options of listeners that go before those of the file.
         at_once: sections that hold at once when the file is read again while it runs.
     """

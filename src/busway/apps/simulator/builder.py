@@ -90,10 +90,10 @@ class _Plan:
     """The parts of a point's behaviour that all units built from the same section of a file share.
 
     Attributes:
-        section: what the file says.
+        section: its section in the file.
         problem: makes a problem at a path in it.
-        expressions: those of the section, by key.
-        recording: of a replay.
+        expressions: the parsed expressions of the section, by key.
+        recording: the recording of a replay.
     """
 
     section: BehaviourSection

@@ -71,7 +71,7 @@ def clone_points(
 
     Args:
         unit: whom to read.
-        points: what to read.
+        points: the points to read.
         progress: takes a line for people, now and then.
 
     Raises:
@@ -191,8 +191,8 @@ class _Watched:
     """The observed changes of one number of a live device.
 
     Args:
-        point: it.
-        value: what it held at 0 s.
+        point: the point that has the number.
+        value: the number at 0 s.
     """
 
     def __init__(self, point: SimulatedPointSection, value: float) -> None:

@@ -25,7 +25,7 @@ def device_text(
 
     Args:
         units: its units (`UnitSection`).
-        listen: where it is served; empty for the default.
+        listen: the URL where it is served; empty for the default.
         remarks: comment lines at its top.
         compact: whether each point takes one line only.
     """

@@ -32,7 +32,7 @@ class Driven:
 
     Attributes:
         point: the point.
-        behaviour: what it follows.
+        behaviour: the behaviour that it follows.
         every: seconds between two changes.
         rank: by how many other units its value is handed on: 0 for what needs no other unit.
         order: its place among all points, after those that it needs.
@@ -50,7 +50,7 @@ class _Group:
     """Points of one unit that change at the same moments, or behaviours that observe others after that.
 
     Attributes:
-        device: that holds them.
+        device: the device that has the points.
         every: seconds between two moments.
         driven: the points in their order.
         step: number of the next moment.
@@ -135,8 +135,8 @@ class Engine:
     """Gives all simulated points with behaviours new values, each at its own moments.
 
     Args:
-        driven: them.
-        changed: told of the points that have a new value, and of the moment.
+        driven: the points with their behaviours.
+        changed: called with the points that have a new value, and the moment.
 
     Attributes:
         changes: new values so far.
@@ -261,7 +261,7 @@ class Engine:
 
         Args:
             time: in seconds of the simulation.
-            kept: what behaviours go on from, by the keys of their points.
+            kept: the saved states of behaviours, by the keys of their points.
         """
         self._heap, old = [], self._heap
         for _, rank, unit, _, task in old:

@@ -23,9 +23,9 @@ def fault_problems(
     """Return errors in the ``[[fault]]`` sections of a file that its schema cannot find: file, line and key of each.
 
     Args:
-        sections: as they stand in the file, under ``fault``.
+        sections: the sections as they are in the file, under ``fault``.
         source: the file.
-        fault_profiles: those that there are.
+        fault_profiles: the known fault profiles.
     """
     found = []
     taken: set[str] = set()
@@ -94,7 +94,7 @@ def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
     """Carry out an option ``--fault``: switch on the fault with that name, or add a fault profile with options.
 
     Args:
-        board: where.
+        board: the faults of the simulation.
         text: ``late``, ``slow meters``, or ``late:delay=2,units=1-3``.
 
     Returns:

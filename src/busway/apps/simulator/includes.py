@@ -54,7 +54,7 @@ class DeclaredUnit:
     """A ``[[unit]]`` section with includes and parameters resolved, and the file that it comes from.
 
     Attributes:
-        section: what it says; with several numbers, for a device each.
+        section: its contents; with several numbers, for a device each.
         source: the file.
         path: the section in it.
     """

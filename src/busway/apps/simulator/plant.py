@@ -129,7 +129,7 @@ class PlantState:
 
     Attributes:
         time: seconds of the clock since it began.
-        level: of the tank, in metres.
+        level: the level of the tank, in metres.
         is_pumping: whether the pump runs.
         volume: litres that the pump has delivered.
     """
@@ -192,9 +192,9 @@ class Plant:
     """The plant of the demonstration, and the three simulated devices that show its state.
 
     Attributes:
-        devices: what is served, by unit.
+        devices: the devices to serve, by unit.
         points: their values by name, by unit.
-        state: how it stands.
+        state: the present state of the plant.
     """
 
     def __init__(self) -> None:

@@ -59,7 +59,7 @@ class Column:
     Attributes:
         name: as its header has it.
         key: the key of a point that it gives; empty if it only helps to read another.
-        says: what stands in it, for the documentation.
+        says: what it contains, for the documentation.
         also: other headers that mean the same.
     """
 

@@ -47,11 +47,11 @@ class PointForm:
         section: the declaration.
         table: its table.
         address: its first item, 0-based.
-        bit: of a register, 0…15; None for whole items.
+        bit: the bit in a register, 0…15; None for whole items.
         form: the type of its registers; None for one bit.
         size: registers or bits that it takes.
         put: puts a number into bytes.
-        quantise: what the registers hold for a value.
+        quantise: returns a value rounded as the registers hold it.
         factors: a number of the registers times the first plus the second is the value.
     """
 

@@ -32,8 +32,8 @@ class SimulatedPoint:
     Attributes:
         key: ``UNIT/NAME``, its name in the simulation.
         unit: number of its unit.
-        device: what holds it.
-        form: what its declaration says.
+        device: the device that has it.
+        form: how its value is encoded.
         memory: the run that holds its bytes.
         offset: where they begin in it, in bytes (one bit: in bits).
         held: the number of the hold under which it was set by hand, or 0 while it follows its behaviour.
@@ -220,8 +220,8 @@ class SimulatedUnit:
     Attributes:
         unit: its number, 0…255.
         name: its name; empty if the file gives it none.
-        description: what it is.
-        device: what is served.
+        description: the description of the unit.
+        device: the device to serve.
         points: its points by their name in the unit, in the order of the file.
     """
 

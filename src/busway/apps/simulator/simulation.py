@@ -82,7 +82,7 @@ class Simulation:
 
     Args:
         file: path of a simulation file; or what `busway.apps.simulator.includes.parse_declaration` gave.
-        clock: what tells the time; None for the event loop's, from the moment on that it runs in one.
+        clock: the clock; None for the event loop's, from the moment on that it runs in one.
         seed: of all that is drawn; None for that of the file, which is 0 if it says nothing.
         speed: seconds of the simulation in one second of the clock, above 0.
 
@@ -361,7 +361,7 @@ class Simulation:
         """Context manager that runs the behaviours while a server of `serve` runs.
 
         Args:
-            server: it; it is started and stopped by who made it.
+            server: the server; its creator starts and stops it.
         """
         self._server = server
         self._loop, self._thread = asyncio.get_running_loop(), threading.get_ident()

@@ -32,7 +32,7 @@ class KeptPoint:
     Attributes:
         value: in the unit of measure; None where the behaviour alone is kept.
         is_held: whether it was set by hand and does not follow its behaviour.
-        behaviour: what its behaviour goes on from; None where that follows from the time.
+        behaviour: the state of its behaviour; None if it depends only on the time.
     """
 
     value: Any = None  # what the point's type says

@@ -96,7 +96,7 @@ class AccessToken:
     """A token that gives a caller access to a web page; only its digest is kept.
 
     Attributes:
-        caller: whose it is, and what it permits.
+        caller: the caller that it identifies, with the role.
         digest: SHA-256 of the token.
     """
 

@@ -82,7 +82,7 @@ class CollectorPage(HostedPage):
     Tokens, TLS and subjects of client certificates are those of ``[page_access]`` in its file.
 
     Args:
-        collector: it has begun.
+        collector: the running collector.
         at: host and port; port 0 takes a free one.
 
     Attributes:

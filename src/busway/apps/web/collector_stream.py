@@ -77,7 +77,7 @@ class CollectorStream:
     """The WebSockets of all open pages of one collector.
 
     Args:
-        collector: it has begun.
+        collector: the running collector.
 
     Attributes:
         values: its last values.

@@ -42,8 +42,8 @@ class Passed:
         at: seconds since 1970.
         is_reply: whether it is a reply; None where a line does not tell.
         pdu: the PDU, or the damaged bytes.
-        asked: of a reply, the PDU of its request if that is known.
-        seconds: of a reply, seconds since its request.
+        asked: for a reply, the PDU of its request if that is known.
+        seconds: for a reply, seconds since its request.
         reason: why the bytes are damaged; empty if they are not.
     """
 

@@ -15,7 +15,7 @@ class PlayedElsewhere:
 
     Attributes:
         name, happens, seen_in, answer: as in `FaultProfile`.
-        played_by: what plays it, and why a server's fault cannot.
+        played_by: what simulates it instead, and why a server cannot.
     """
 
     name: str

@@ -76,12 +76,12 @@ class AlarmEvent:
     Attributes:
         device, point: names.
         limit: the kind of the limit: ``HH``, ``H``, ``L``, ``LL``, or ``state``.
-        kind: what happened.
+        kind: the kind of event.
         at: nanoseconds since 1970 UTC; the time of the sample, where one was the cause.
-        value: what the point was; None where no sample was the cause.
+        value: the point's value; None if no sample caused the event.
         by: who did it; empty where a sample was the cause.
         needs_acknowledgement: whether a person has to acknowledge the alarm that was raised.
-        text: what the alarm means: ``above 80 °C``.
+        text: the condition in words: ``above 80 °C``.
     """
 
     device: str
@@ -106,9 +106,9 @@ class RaisedAlarm:
 
     Attributes:
         device, point, limit, text: as in the event that raised it.
-        state: how it is; neither normal nor pending.
+        state: its state, neither normal nor pending.
         since: nanoseconds since 1970 UTC at which it was raised.
-        value: what the point was then.
+        value: the point's value then.
         acknowledged_by, acknowledged_at: who acknowledged it, and when; None for not yet.
         cleared_at: when the value came back; None while it has not.
     """

@@ -24,11 +24,11 @@ class AlarmMachine:
     Args:
         device, point: names.
         rule: the limit.
-        unit_of_measure: of the point, for texts.
-        alarm: what it was before a restart.
+        unit_of_measure: the point's unit of measure, for texts.
+        alarm: the alarm before a restart.
 
     Attributes:
-        alarm: what there is; None while there is none.
+        alarm: the present alarm; None while there is none.
         reason: that of the last sample, 0 for good.
     """
 
@@ -62,7 +62,7 @@ class AlarmMachine:
         """Change the alarm by a sample of its point. Returns the alarm event that follows, or None.
 
         Args:
-            value: what the point is; None for nothing.
+            value: the point's value; None if there is none.
             reason: why it is not good; 0 for good.
             at: nanoseconds since 1970 UTC of the sample.
             now: seconds of a monotonic clock, of the same moment.

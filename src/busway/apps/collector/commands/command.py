@@ -69,7 +69,7 @@ class PointCommand:
 
     Attributes:
         key: names the command; it is sent at most once.
-        device, point: whose value.
+        device, point: the point to write.
         value: in the unit of measure, or a name of a number.
         by: who gives it.
         origin: on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``.
@@ -140,11 +140,11 @@ class CommandResult:
     """The result of a command that writes a point, or its state while it is not finished.
 
     Attributes:
-        command: what was asked for.
+        command: the command.
         state: what became of it; `CommandState.OPEN` only in a journal, while it is sent.
-        at: when it was taken.
-        old: what the point was known to be before; None where nothing was known.
-        read_back: what the device showed afterwards, where the rule of the point asks for that; else None.
+        at: when it was accepted.
+        old: the last known value before; None if none was known.
+        read_back: the value read back afterwards, if the point's rule asks for that; else None.
         reason: why it is not done, as a sentence; empty where it is.
     """
 

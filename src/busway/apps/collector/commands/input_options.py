@@ -23,7 +23,7 @@ def make_input(section: SinkSection, sink: object = None) -> CommandInput | None
     """Create the receiver of write commands that a sink's table in the collector file asks for.
 
     Args:
-        section: of the sink.
+        section: the section of the sink.
         sink: the sink itself; commands by Sparkplug come over its connection.
 
     Raises:

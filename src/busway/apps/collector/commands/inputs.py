@@ -44,7 +44,7 @@ class InputRights:
     Attributes:
         where: topic or subject, with ``{device}`` and ``{point}`` as levels of their own.
         points: patterns ``device/point`` of what may be written.
-        seconds: how long a command may wait that does not say until when.
+        seconds: how long a command without an expiry may wait.
     """
 
     where: str
@@ -86,9 +86,9 @@ class InputStatus:
     """The status of one server that commands come from.
 
     Attributes:
-        name: of the sink that it belongs to.
-        taken: messages that came.
-        refused: those of them that were no command for a point that may be written.
+        name: the name of the sink that it belongs to.
+        taken: number of messages received.
+        refused: number of them that were no permitted command.
         error: why it is not connected; None where it is.
     """
 
@@ -136,7 +136,7 @@ class CommandReceiver:
     """Turns the messages from one server into commands and answers them.
 
     Args:
-        name: of the sink that it belongs to.
+        name: the name of the sink that it belongs to.
         made: the input.
         runner: takes the commands.
         configuration: gives what the file says now.

@@ -50,7 +50,7 @@ class CommandJournal:
     """The record of all commands of one collector and their results; usable from any thread.
 
     Args:
-        folder: of the store, whose lock this process holds.
+        folder: the folder of the store, whose lock this process holds.
         most: results that are kept.
         most_keys: keys of callers that are remembered beyond them.
         keep: seconds for which results are kept; None for ever.

@@ -34,8 +34,8 @@ class MqttCommands:
     Args:
         host, port: the broker.
         rights: topic, and what may be written.
-        user, password: for the broker.
-        tls: how to encrypt; None for not at all.
+        user, password: credentials for the broker.
+        tls: the TLS context; None for no encryption.
         client_id: names this client to the broker; None for one that the library makes.
         timeout: seconds for connecting, and for an acknowledgement.
 

@@ -29,8 +29,8 @@ class NatsCommands:
     Args:
         url: ``nats://host:4222``.
         rights: subject, and what may be written.
-        user, password, token: for the server.
-        tls: how to encrypt; None for not at all.
+        user, password, token: credentials for the server.
+        tls: the TLS context; None for no encryption.
         timeout: seconds for connecting.
 
     Raises:

@@ -59,7 +59,7 @@ def point_read(point: Point, rules: ReadRules) -> PointRead:
 
     Args:
         point: the point.
-        rules: how its device lets itself be read.
+        rules: the limits for reading its device.
 
     Raises:
         InvalidRequest: no read may touch it.

@@ -55,7 +55,7 @@ class PointWrite:
     Attributes:
         point: the point.
         value: the value.
-        exponents: what the points of ``scale_from`` hold, by name.
+        exponents: the values of the points named in ``scale_from``, by name.
         function: the function that writes it.
         before: the read that comes first, because the point is a part of its register; None where none is needed.
         shown: the read of the place where the device shows the value; None where the rule does not ask for it.
@@ -120,8 +120,8 @@ def point_write(
     Args:
         point: the point.
         value: in the unit of measure, or a name of a number.
-        exponents: what the points of ``scale_from`` hold, by name.
-        rules: how the device lets itself be read; None for without limits.
+        exponents: the values of the points named in ``scale_from``, by name.
+        rules: the limits for reading the device; None for no limits.
 
     Raises:
         InvalidRequest: against the rule of the point, with a sentence; nothing was sent.

@@ -81,7 +81,7 @@ class WriteTarget:
     Attributes:
         point: the point.
         poller: polls its device.
-        rules: how its device lets itself be read.
+        rules: the limits for reading its device.
         is_broadcast: whether its device has the unit that all devices of a line listen to.
         is_absent: whether the point belongs to a group that the device says it has not.
     """
@@ -109,8 +109,8 @@ class ArmedCommand:
 
     Attributes:
         command: the command; ``expires`` is until when it may be confirmed.
-        old: what the point is known to be; None where nothing is known.
-        sentence: what to ask the person.
+        old: the point's last known value; None if none is known.
+        sentence: the question for the person who confirms.
         until: seconds of the monotonic clock until which it may be confirmed.
         poller: polls the device. After its link was begun anew, device and point may be others.
     """
@@ -143,7 +143,7 @@ class CommandRunner:
     """Executes commands for the points of a running collector.
 
     Args:
-        targets: where points are.
+        targets: finds points and their pollers.
         journal: where commands are recorded; what it holds open ends as unknown now. Closed by `close`.
         audit: gets a line for each command.
         now: seconds since 1970 UTC.
@@ -207,7 +207,7 @@ class CommandRunner:
         """Write a value to a point by a command, and return its result.
 
         Args:
-            device, point: whose value.
+            device, point: the point to write.
             value: in the unit of measure, or a name of a number.
             by, origin: who gives it, and on which way it came.
             expires: until when it may be sent, seconds since 1970 UTC; None for `USUAL_SECONDS` from now.

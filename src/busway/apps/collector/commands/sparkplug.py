@@ -49,7 +49,7 @@ class SparkplugCommands:
     """Receives commands to write points over a Sparkplug sink.
 
     Args:
-        rights: what may be written; its place is `PLACE`.
+        rights: the points that may be written; its topic pattern is `PLACE`.
         now: seconds since 1970 UTC.
     """
 

@@ -92,7 +92,7 @@ class Delivery:
             sink: the receiver.
             folder: the store.
             manifest: the store's manifest, opened for writing.
-            options: how samples are handed on.
+            options: the options of the delivery.
             point_rules: by device and point, the rules of points of which only some samples are sent.
             now: nanoseconds since 1970 UTC.
             monotonic: seconds of a clock that is never set.

@@ -45,7 +45,7 @@ class InfluxSink:
             url: where lines are posted, with its query: ``http://host:8086/api/v2/write?org=o&bucket=b`` or
                 ``http://host:8428/write``. ``precision=ns`` is added.
             measurement: the measurement of samples.
-            alarm_measurement: that of events of alarms.
+            alarm_measurement: the measurement of alarm events.
             token: sent as ``Authorization: Token …``.
             tls: how to encrypt ``https``; None for the system's authorities.
             timeout: seconds for each request.

@@ -76,8 +76,8 @@ class MqttSink:
             per_point: one message for each sample.
             retain: whether the broker keeps the last message of each topic.
             discovery: prefix of Home Assistant's discovery, ``homeassistant``; needs ``per_point``.
-            user, password: for the broker.
-            tls: how to encrypt; None for not at all.
+            user, password: credentials for the broker.
+            tls: the TLS context; None for no encryption.
             client_id: names this client to the broker; None for one that the library makes.
             timeout: seconds for connecting, and for an acknowledgement.
 

@@ -52,8 +52,8 @@ class NatsSink:
             url: ``nats://host:4222``.
             subject: has ``{device}``.
             stream: a stream that is made where it is not there, for the subjects of this sink.
-            user, password, token: for the server.
-            tls: how to encrypt; None for not at all.
+            user, password, token: credentials for the server.
+            tls: the TLS context; None for no encryption.
             timeout: seconds for connecting, and for an acknowledgement.
 
         Raises:

@@ -135,8 +135,8 @@ class SparkplugSink:
             group, edge_node: names in all topics; without ``/``, ``+`` and ``#``.
             primary_host: name of the host application without which nothing is sent; None for none.
             number_file: keeps the number of the last connection; None where it need not survive a restart.
-            user, password: for the broker.
-            tls: how to encrypt; None for not at all.
+            user, password: credentials for the broker.
+            tls: the TLS context; None for no encryption.
             client_id: names this client to the broker; None for one that the library makes.
             timeout: seconds for connecting, for an acknowledgement, and for the state of the primary host.
             now: nanoseconds since 1970 UTC.

@@ -57,7 +57,7 @@ class Metric:
     """One metric of a Sparkplug payload: name, type, value, time and quality.
 
     Attributes:
-        name: of the metric.
+        name: the name of the metric.
         time: nanoseconds since 1970 UTC; it is sent in milliseconds.
         kind: its type.
         value: None for none.

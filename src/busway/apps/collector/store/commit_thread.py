@@ -54,10 +54,10 @@ class StoreStatus:
     """The status of writing to a store: commits, waiting and lost samples, and what is wrong.
 
     Attributes:
-        commits, samples: how many are in the store since the start.
+        commits, samples: how many were stored since the start.
         waiting: samples that are not yet committed.
         lost: samples that were dropped since the start because the store could not be written.
-        error: what is wrong with the store; None while it can be written.
+        error: why the store cannot be written; None while it can.
         upkeep_error: why parts could not be sealed or dropped, commits not be made durable, or times not be mended,
             when that was tried last; None if they could.
         subscriber_failures: how often a subscriber of commits raised an error.

@@ -41,7 +41,7 @@ class CommittedSample:
         half_width: half the length of the transaction, nanoseconds.
         value: the value; None where there is none.
         reason: number of the reason, 0 for good.
-        unit_of_measure: of the point.
+        unit_of_measure: the unit of measure of the point.
     """
 
     commit: int
@@ -65,7 +65,7 @@ class CommittedAlarm:
 
     Attributes:
         commit, place: number of its commit and place in it; the same at every repetition.
-        event: what happened.
+        event: the alarm event.
     """
 
     commit: int

@@ -39,7 +39,7 @@ class Choice:
     """The samples of a commit that the store keeps, and those that it drops.
 
     Attributes:
-        batches: those that are kept.
+        batches: the batches of kept samples.
         shown: all reads of the commit whole, as they are shown.
         counters: by device and point, accumulators whose last sample is not kept: they go on after a restart.
         passed_over: number of samples that are not kept.

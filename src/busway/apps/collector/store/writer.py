@@ -49,7 +49,7 @@ class StoreOptions:
     Attributes:
         durability: ``process``: what was committed survives the end of the process, and a power failure costs the last
             seconds (see `Committer`); ``power``: it survives that too, because each commit waits for the disk.
-        retention: what is kept.
+        retention: how much is kept.
         segment_size: bytes after which a segment ends.
         seals: whether segments become Parquet files, where pyarrow is there.
     """
@@ -100,10 +100,10 @@ class StoreWriter:
         """Open a store for writing, and create it if there is none.
 
         Args:
-            folder: where it is.
-            options: how it is written.
+            folder: the folder of the store.
+            options: the options of writing.
             now: nanoseconds since 1970 UTC.
-            step: told each step by name, for tests that end the process there.
+            step: called with the name of each step, for tests that end the process there.
 
         Raises:
             ConfigError: another process writes it (its pid is named), or it cannot be opened.
@@ -239,7 +239,7 @@ class StoreWriter:
             intervals: intervals that began or ended, and gaps.
             now: nanoseconds since 1970 UTC.
             alarms: events of alarms.
-            counters: by device and point, accumulators that no batch has.
+            counters: by device and point, states of accumulators that are in no batch.
 
         Raises:
             sqlite3.Error, OSError: nothing of it was kept (the disk is full, for one); the store is as it was.

@@ -13,7 +13,7 @@ class CoordinatorOptions:
     """Options of the connection to the table that collectors share: user, credentials, TLS files, replicas.
 
     Attributes:
-        user, password, token: for the server; None where the URL or the credentials file says all.
+        user, password, token: credentials for the server; None where the URL or the credentials file says all.
         credentials: path of a NATS credentials file; None for none.
         ca, certificate, key: paths of PEM files for TLS; None for those of the system, or for none.
         replicas: servers that must keep each entry, 1…5 (NATS).

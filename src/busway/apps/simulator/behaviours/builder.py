@@ -33,13 +33,13 @@ class Surroundings:
     """What a behaviour depends on besides its section: the point's range and first value, seed, other points.
 
     Attributes:
-        key: of the point, ``UNIT/NAME``.
-        seed: of the simulation.
+        key: the key of the point, ``UNIT/NAME``.
+        seed: the seed of the simulation.
         start: the point's first value.
         low, high: the point's range; None where it has no end.
-        rollover: where a counter in the point's type begins again from 0; None for nowhere.
-        expressions: those of the section, read, by key.
-        recording: of a replay.
+        rollover: the value at which a counter of the point's type starts from 0 again; None for never.
+        expressions: the parsed expressions of the section, by key.
+        recording: the recording of a replay.
         source: gives for the name of a point what reads its value.
     """
 

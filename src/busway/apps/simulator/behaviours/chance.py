@@ -61,8 +61,8 @@ class RandomWalk:
     """Behaviour ``random-walk``: random steps up and down, reflected at the limits.
 
     Args:
-        section: what the file says.
-        stream: of the point.
+        section: its section in the file.
+        stream: the start number of the point's random sequence.
         start: the first value.
         low, high: ends that the point itself has, where the section has none.
     """

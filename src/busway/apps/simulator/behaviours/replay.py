@@ -106,7 +106,7 @@ class Replay:
 
     Args:
         recording: the values.
-        at_end: what comes after the last: it again, or all anew.
+        at_end: whether the last value stays after the end, or all are repeated.
         between: how values between two lines come: the earlier one, or on a straight line.
     """
 

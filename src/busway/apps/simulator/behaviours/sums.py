@@ -17,7 +17,7 @@ class SteadyCounter:
 
     Args:
         rate: per second.
-        rollover: where it begins again from 0; None for nowhere.
+        rollover: the value at which it starts from 0 again; None for never.
         start: the first value.
     """
 
@@ -49,7 +49,7 @@ class Counter:
 
     Args:
         rate: per second.
-        rollover: where it begins again from 0; None for nowhere.
+        rollover: the value at which it starts from 0 again; None for never.
         start: the first value.
     """
 
@@ -88,7 +88,7 @@ class SteadyLag:
     """Behaviour ``lag`` with a constant target, which the value approaches exponentially.
 
     Args:
-        target: where it goes.
+        target: the value that it approaches.
         time_constant: seconds in which it makes 63 % of the way.
         start: the first value.
     """
@@ -120,7 +120,7 @@ class Lag:
     """Behaviour ``lag`` whose target is a formula; the value approaches it exponentially.
 
     Args:
-        target: where it goes.
+        target: the value that it approaches.
         time_constant: seconds in which it makes 63 % of the way.
         start: the first value.
     """
