@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -11,9 +12,13 @@ from waiting import until
 
 import busway
 from busway.apps.collector.configuration import parse_collector
+from busway.apps.collector.samples import Reason
+from busway.apps.fleet.coordinator import CoordinatorDown
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
+from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership import OwnershipLog
+from busway.apps.fleet.records import LeaseRecord
 from busway.errors import ConfigError
 
 LINKS = 8
@@ -86,6 +91,53 @@ async def test_a_lapsed_lease_sends_nothing_more_although_the_collector_runs(
         reads = [device.reads for device in devices]
         await asyncio.sleep(0.5)
         assert [device.reads for device in devices] == reads, "absence is the claim: nothing is sent in half a second"
+
+
+async def test_who_takes_links_from_a_silent_owner_records_the_gap_since_its_last_renewal(tmp_path: Path) -> None:
+    coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    renewed = time.time() - 100.0
+    for shard in range(LINKS):
+        lease = LeaseRecord("dead", "run", True, 7, 0.01, Epoch(1, 1), at=renewed)
+        await coordinator.create(f"lease.{shard:04d}", lease.encode())
+    await coordinator.close()
+    async with devices_of(2) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: all(device.reads > 3 for device in devices))
+        await one.collector.flush()
+        found = await asyncio.to_thread(busway.Store(tmp_path / "one").read, "*/count")
+        gaps = {each.device: each for each in found.intervals if each.reason == Reason.OWNERSHIP}
+        assert set(gaps) == {"link-0", "link-1"}
+        first = {
+            device: min(t for d, t in zip(found.device, found.time, strict=True) if d == device) for device in gaps
+        }
+        for device, gap in gaps.items():
+            assert gap.begin == pytest.approx(renewed * 1e9, abs=2e6)
+            assert gap.end is not None
+            assert first[device] == gap.begin, "a query shows the gap as a sample without a value"
+
+
+async def test_the_time_in_which_a_link_was_not_owned_is_an_interval_of_its_devices(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with devices_of(1) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: devices[0].reads > 3)
+        honest = one._driver._coordinator.replace
+
+        async def away(*_: object) -> int:
+            raise CoordinatorDown("it is away")
+
+        monkeypatch.setattr(one._driver._coordinator, "replace", away)
+        await until(lambda: not one.collector.loads(), 30)
+        monkeypatch.setattr(one._driver._coordinator, "replace", honest)
+        reads = devices[0].reads
+        await until(lambda: devices[0].reads > reads + 3, 30)
+        await one.collector.flush()
+        found = await asyncio.to_thread(busway.Store(tmp_path / "one").read, "*/count")
+        (gap,) = [each for each in found.intervals if each.reason == Reason.OWNERSHIP]
+        assert gap.end is not None
+        good = [at for at, reason in zip(found.time, found.reason, strict=True) if not reason]
+        assert not [at for at in good if gap.begin < at < gap.end]
+        assert any(at < gap.begin for at in good)
+        assert any(at > gap.end for at in good)
 
 
 async def test_links_whose_transactions_outlast_a_lease_are_refused_by_name(tmp_path: Path) -> None:

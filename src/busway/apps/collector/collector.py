@@ -46,7 +46,7 @@ from .reloading import Reloading
 from .report_rules import sink_rules, store_rules
 from .sample_clock import SampleClock
 from .sample_readers import SampleReaders
-from .samples import CounterState, PointDescription, SampleBatch
+from .samples import CounterState, PointDescription, SampleBatch, StateInterval
 from .schedule import LinkSchedule
 from .sinks.delivery import SinkStatus
 from .sinks.prometheus import LastValues, PrometheusPage
@@ -334,6 +334,11 @@ class Collector:
         """Store all samples taken so far; returns False if the store could not be written in ten seconds."""
         assert self._committer is not None
         return await asyncio.to_thread(self._committer.flush)
+
+    def note_interval(self, interval: StateInterval) -> None:
+        """Record that a device was not read by this collector, where that is not because of its polling."""
+        assert self._committer is not None
+        self._committer.add_interval(interval)
 
     def subscribe(self, told: Callable[[Commit], None]) -> None:
         """Register a function to be called, in the store's thread, with each group of stored samples.

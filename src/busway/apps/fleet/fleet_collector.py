@@ -7,6 +7,9 @@ Knows the collector, the member and the log of ownership; what is owned is decid
 2. Right before each transaction the lease is asked (`FleetMember.may_begin`), with the longest that it may take. A
    lease that lapses therefore ends polling at once, whatever else waits.
 3. Changes of ownership are applied one after the other, all that have come together as one.
+4. The store has an interval for each time in which a link was not owned: from its end here until it is owned again.
+   Who takes a link from an owner that fell silent records the time since that one's last renewal: samples that the
+   other still sends shrink this gap.
 """
 
 import asyncio
@@ -24,6 +27,7 @@ from typing import Final, Self
 from ...errors import LinkDown
 from ..collector.collector import Collector
 from ..collector.configuration import CollectorConfiguration
+from ..collector.samples import NANOSECONDS, Reason, StateInterval
 from .coordinator import Coordinator
 from .lease_times import Epoch, LeaseTimes
 from .member import FleetMember, ShardEvent, Step
@@ -97,6 +101,7 @@ class FleetCollector:
         )
         self._driver = MemberDriver(self.member, coordinator, self._told, now=now)
         self._active: dict[str, Epoch] = {}
+        self._unowned_since: dict[str, int] = {}
         self._waiting: list[ShardEvent] = []
         self._wake = asyncio.Event()
         self._tasks: list[asyncio.Task[None]] = []
@@ -184,6 +189,7 @@ class FleetCollector:
                 self._active.pop(link, None)
         if ended:
             await self._poll_active()
+            self._note_ends(ended)
             await self.collector.flush()
             for event in ended:
                 await asyncio.to_thread(
@@ -219,6 +225,29 @@ class FleetCollector:
             _log.error("shard %s is not polled: its epoch cannot be recorded: %s", event.shard, error)
             return
         self._active.update((link, event.epoch) for link in links)
+        self._note_silence(links, event.silent_since)
+
+    def _note_ends(self, events: Sequence[ShardEvent]) -> None:
+        """Record that links are not owned from now on (rule 4)."""
+        now = time.time_ns()
+        for link in {link for event in events for link in self._links_of.get(event.shard, ())}:
+            if link not in self._unowned_since and link not in self._active:
+                self._unowned_since[link] = now
+                self._note_unowned(link, now, None)
+
+    def _note_silence(self, links: Sequence[str], silent_since: float | None) -> None:
+        """Record until now the time in which links were not owned, as far as this collector knows of it (rule 4)."""
+        now = time.time_ns()
+        for link in links:
+            begin = self._unowned_since.pop(link, None)
+            if begin is None and silent_since is not None:
+                begin = int(silent_since * NANOSECONDS)
+            if begin is not None:
+                self._note_unowned(link, min(begin, now), now)
+
+    def _note_unowned(self, link: str, begin: int, end: int | None) -> None:
+        for device in self._configuration.devices_of(link):
+            self.collector.note_interval(StateInterval(device.name, begin, end, Reason.OWNERSHIP))
 
     async def _poll_active(self) -> None:
         await self.collector.reload(restricted(self._configuration, self._active), by=self.member.name, origin="fleet")

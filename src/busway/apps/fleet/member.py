@@ -65,12 +65,15 @@ class ShardEvent:
         step: the kind of event.
         epoch: the epoch of the ownership.
         reason: why, in words; empty where it was gained.
+        silent_since: where it was taken from an owner that fell silent, when that renewed it last, seconds since 1970
+            UTC by its wall clock; None otherwise.
     """
 
     shard: str
     step: Step
     epoch: Epoch
     reason: str = ""
+    silent_since: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +163,7 @@ class FleetMember:
         counts: its counters.
         generation: the generation number of the zone.
         rival: another process with this name that lives; None without one.
+        wall_ahead: seconds by which the wall clock is ahead of the clock of leases; for the record of gaps only.
     """
 
     def __init__(
@@ -177,6 +181,7 @@ class FleetMember:
         self.counts: MemberCounts = MemberCounts()
         self.generation: int = 1
         self.rival: str | None = None
+        self.wall_ahead: float = 0.0
         self._me = MemberRecord(name, run, host, 0, capacity)
         self._my_revision = 0
         self._my_asked: float | None = None
@@ -190,6 +195,7 @@ class FleetMember:
         self._complete_at: float | None = None
         self._look_at = 0.0
         self._free_since: dict[str, float] = {}
+        self._silent_since: dict[str, float] = {}
         self._off_since: float | None = None
         self._ends = False
 
@@ -375,7 +381,7 @@ class FleetMember:
         epoch = Epoch(self.generation, revision)
         self.owned[shard] = OwnedShard(epoch, revision, proposal.asked, proposal.asked + self._spread(self.times.renew))
         self.counts.taken += 1
-        self._events.append(ShardEvent(shard, Step.GAINED, epoch))
+        self._events.append(ShardEvent(shard, Step.GAINED, epoch, silent_since=self._silent_since.pop(shard, None)))
         self._compare(shard)
 
     def left(self, shard: str) -> None:
@@ -439,6 +445,7 @@ class FleetMember:
                     self.cost(shard),
                     owned.epoch,
                     target if owned.has_left else "",
+                    now + self.wall_ahead,
                 )
                 self._propose(key, record.encode(), owned.revision, now, found)
 
@@ -461,8 +468,14 @@ class FleetMember:
             is_mine = taker == self.name or (now >= self._free_since[shard] + patience and self._may_own(shard))
             if is_mine and f"{LEASES}{shard}" not in self._open:
                 seen = self._leases.get(shard)
-                record = LeaseRecord(self.name, self._me.run, True, 0, self.cost(shard), None)
+                self._note_silence(shard, seen)
+                record = LeaseRecord(self.name, self._me.run, True, 0, self.cost(shard), None, at=now + self.wall_ahead)
                 self._propose(f"{LEASES}{shard}", record.encode(), 0 if seen is None else seen.revision, now, found)
+
+    def _note_silence(self, shard: str, seen: _SeenLease | None) -> None:
+        self._silent_since.pop(shard, None)
+        if seen is not None and seen.record is not None and seen.record.held and seen.record.run != self._me.run:
+            self._silent_since[shard] = seen.record.at
 
     def _free(self, now: float) -> dict[str, float]:
         """Return the shards (groups of links) that this collector could take now, with their costs."""

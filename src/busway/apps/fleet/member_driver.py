@@ -119,6 +119,7 @@ class MemberDriver:
     async def _take_turns(self) -> None:
         while True:
             self._wake.clear()
+            self.member.wall_ahead = time.time() - self._now()
             for proposal in self.member.turn(self._now()):
                 task = asyncio.create_task(self._ask(proposal))
                 self._asking.add(task)

@@ -26,6 +26,7 @@ class LeaseRecord:
         cost: seconds of its links' time that the reads of the shard need in a second.
         epoch: the epoch of the ownership; None in the entry that takes the lease, whose own revision it is.
         target: the collector that it was released for; empty where all may take it.
+        at: seconds since 1970 UTC by the owner's wall clock; for the record of gaps only, no decision rests on it.
     """
 
     owner: str
@@ -35,12 +36,22 @@ class LeaseRecord:
     cost: float
     epoch: Epoch | None
     target: str = ""
+    at: float = 0.0
 
     def encode(self) -> bytes:
         """Return the lease as bytes for the shared table."""
         epoch = None if self.epoch is None else [self.epoch.generation, self.epoch.revision]
         return json.dumps(
-            [self.owner, self.run, int(self.held), self.count, round(self.cost, 6), epoch, self.target],
+            [
+                self.owner,
+                self.run,
+                int(self.held),
+                self.count,
+                round(self.cost, 6),
+                epoch,
+                self.target,
+                round(self.at, 3),
+            ],
             separators=(",", ":"),
         ).encode()
 
@@ -88,7 +99,7 @@ class MemberRecord:
 def decode_lease(value: bytes) -> LeaseRecord | None:
     """Return the lease in the bytes of a table entry; None if they are not a lease."""
     try:
-        owner, run, held, count, cost, epoch, target = _list(value)[:7]
+        owner, run, held, count, cost, epoch, target, at = _list(value)[:8]
         return LeaseRecord(
             str(owner),
             str(run),
@@ -97,6 +108,7 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
             float(cost),
             None if epoch is None else Epoch(int(epoch[0]), int(epoch[1])),
             str(target),
+            float(at),
         )
     except (ValueError, TypeError, IndexError):
         return None
