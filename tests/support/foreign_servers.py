@@ -49,13 +49,13 @@ class ForeignServer:
         self, command: Sequence[str], port: int, *, user: str | None = None, stop: int = signal.SIGTERM
     ) -> None:
         self.port = port
-        self._command, self._user, self._stop = list(command), user, stop
+        self.command, self._user, self._stop = list(command), user, stop
         self._process: subprocess.Popen[bytes] | None = None
 
     def start(self) -> Self:
         """Start it, and wait until it accepts connections."""
         self._process = subprocess.Popen(
-            self._command,
+            self.command,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             user=self._user,
@@ -64,13 +64,13 @@ class ForeignServer:
         )
         until = time.monotonic() + READY_SECONDS
         while time.monotonic() < until:
-            assert self._process.poll() is None, f"{self._command} has ended"
+            assert self._process.poll() is None, f"{self.command} has ended"
             try:
                 socket.create_connection(("127.0.0.1", self.port), 1).close()
                 return self
             except OSError:
                 time.sleep(0.02)
-        raise AssertionError(f"{self._command} is not ready")
+        raise AssertionError(f"{self.command} is not ready")
 
     def stop(self) -> None:
         """End it, and wait until it has."""

@@ -123,6 +123,15 @@ class Host:
         """Put the cable in again."""
         _ip("-n", self._switch, "link", "set", self._port, "up")
 
+    def drop_to(self, address: str, *, dropped: bool) -> None:
+        """Throw away all that this host sends to an address, while what comes from there arrives; or no longer."""
+        _ip("-n", self._namespace, "route", "add" if dropped else "del", "blackhole", f"{address}/32")
+
+    @property
+    def namespace(self) -> str:
+        """The name of its network namespace."""
+        return self._namespace
+
     def start(self, script: Path, *arguments: str) -> "Program":
         """Start a Python program on this host; it gets ready while others do."""
         program = Program(["ip", "netns", "exec", self._namespace, sys.executable, str(script), *arguments])

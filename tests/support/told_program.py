@@ -86,6 +86,11 @@ class Program:
         return time.monotonic() - began
 
     @property
+    def pid(self) -> int:
+        """The number of its process."""
+        return self._process.pid
+
+    @property
     def resident(self) -> int:
         """Bytes of memory that it has in use."""
         for line in Path(f"/proc/{self._process.pid}/status").read_text().splitlines():

@@ -96,3 +96,21 @@ async def test_a_server_that_is_away_for_longer_than_a_lease_ends_all_ownership_
             server.start()
             await until(lambda: len(one.member.owned) == 8)
             assert all(each.epoch > first[shard] for shard, each in one.member.owned.items())
+
+
+async def test_a_defect_of_a_coordinator_is_an_unknown_outcome_and_ends_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with running(f"local:{tmp_path}", "one") as one:
+        await until(lambda: len(one.member.owned) == 8)
+        assert one.driver is not None
+        honest = one.driver._coordinator.replace
+
+        async def broken(*_: object) -> int:
+            raise RuntimeError("the protocol is in a state that it cannot have")
+
+        monkeypatch.setattr(one.driver._coordinator, "replace", broken)
+        await until(lambda: one.driver is not None and one.driver.error is not None)
+        monkeypatch.setattr(one.driver._coordinator, "replace", honest)
+        renewals = one.member.counts.renewals
+        await until(lambda: len(one.member.owned) == 8 and one.member.counts.renewals > renewals + 16)

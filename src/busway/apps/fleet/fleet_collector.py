@@ -34,7 +34,7 @@ from .member import FleetMember, ShardEvent, Step
 from .member_driver import MemberDriver, boot_time, end_tasks
 from .outbox import Outbox, SampleStream
 from .ownership import OwnershipLog
-from .plant import costs_by_link, longest_transaction, refuse_slow_links, restricted
+from .plant import costs_by_link, fenced, longest_transaction, refuse_slow_links, restricted
 from .shards import checked_name, links_by_shard
 
 END_LIMIT: Final = 10.0
@@ -84,6 +84,7 @@ class FleetCollector:
         now: Callable[[], float] = boot_time,
     ) -> None:
         times = times or LeaseTimes()
+        configuration = fenced(configuration)
         refuse_slow_links(configuration, times)
         self._configuration = configuration
         self._now = now

@@ -135,7 +135,7 @@ class MemberDriver:
                 pass
 
     async def _ask(self, proposal: Proposal) -> None:
-        result: int | NotConfirmed
+        result: int | NotConfirmed = NotConfirmed.UNKNOWN
         try:
             async with asyncio.timeout(self.member.times.answer):
                 if proposal.revision:
@@ -146,9 +146,11 @@ class MemberDriver:
         except RevisionConflict:
             result = NotConfirmed.CONFLICT
         except (CoordinatorDown, OutcomeUnknown, TimeoutError) as error:
-            result = NotConfirmed.UNKNOWN
             if self._error is None:
                 _log.warning("the coordinator does not confirm: %s", str(error) or "no answer in time")
             self._error = str(error) or "no answer in time"
+        except Exception as error:  # a defect of a client library: else its key would stay open for good
+            _log.exception("the coordinator fails in an unexpected way")
+            self._error = f"{type(error).__name__}: {error}"
         self.member.outcome(proposal, result, self._now())
         self.wake()

@@ -3,6 +3,8 @@
 from collections.abc import Container, Mapping
 from dataclasses import replace
 
+from ...client.settings import link_settings, options_of
+from ...config.links import NamedLink
 from ...errors import ConfigError
 from ..collector.configuration import CollectorConfiguration
 from ..server.configuration import Configuration
@@ -24,15 +26,37 @@ def restricted(configuration: CollectorConfiguration, links: Container[str]) -> 
     return replace(configuration, common=common, devices=devices)
 
 
+def fenced(configuration: CollectorConfiguration) -> CollectorConfiguration:
+    """Return a configuration whose connections forget a request that is not acknowledged when its time is over.
+
+    The system would repeat it for `SocketParameters.user_timeout`, 30 s, also after this process has ended or given the
+    connection up: a cable that is mended meanwhile brings it to a device that another collector owns by then.
+    """
+    links = {name: _fenced_link(link) for name, link in configuration.links.items()}
+    return replace(configuration, common=replace(configuration.common, links=links))
+
+
+def _fenced_link(link: NamedLink) -> NamedLink:
+    settings = link.settings
+    longest = max(settings.parameters.timeout, 0.1)
+    now = settings.sockets.effective_user_timeout
+    if "user_timeout" not in options_of(settings.endpoint) or (now is not None and now <= longest):
+        return link
+    options = {**link.options, "user_timeout": longest}
+    return replace(link, options=options, settings=link_settings(link.url, options))
+
+
 def longest_transaction(configuration: CollectorConfiguration, link: str) -> float:
     """Return how long a transaction may take, from its permission until none of it can reach the device.
 
-    It may have to connect first; a poller repeats nothing. A gateway that keeps requests in a queue of its own adds to
-    this: its longest wait belongs to the guard of the leases.
+    It may have to connect first, and the system repeats what is not acknowledged; a poller repeats nothing. A gateway
+    that keeps requests in a queue of its own adds to this: its longest wait belongs to the guard of the leases.
     """
     settings = configuration.links[link].settings
-    connecting = 0.0 if settings.line is not None else settings.sockets.connect_timeout
-    return connecting + settings.parameters.timeout
+    offered, timeout = options_of(settings.endpoint), settings.parameters.timeout
+    connecting = settings.sockets.connect_timeout if "connect_timeout" in offered else 0.0
+    repeating = settings.sockets.effective_user_timeout if "user_timeout" in offered else 0.0
+    return connecting + max(timeout, float("inf") if repeating is None else repeating)
 
 
 def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) -> None:

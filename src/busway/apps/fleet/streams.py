@@ -231,6 +231,7 @@ class StreamSink:
         name: the name of the sink; a name keeps its place in the stream.
         sink: the sink that gets the samples.
         set_aside: gets what the sink refuses for good, and why.
+        options: of the stream, which is made where the sink comes before all collectors.
 
     Attributes:
         taken: samples that the sink has taken since the start.
@@ -247,11 +248,12 @@ class StreamSink:
         name: str,
         sink: Sink,
         set_aside: Callable[[CommittedSample, str], None] = lambda sample, error: None,
+        options: StreamOptions | None = None,
     ) -> None:
         self.taken = self.refused = self.unreadable = 0
         self.error: str | None = None
         self._client, self._coordinator, self._zone, self._name = client, coordinator, zone, name
-        self._sink, self._set_aside = sink, set_aside
+        self._sink, self._set_aside, self._options = sink, set_aside, options
         self._progress = SinkProgress(None)
         self._book = CursorBook()
         self._is_open = False
@@ -288,7 +290,7 @@ class StreamSink:
 
     async def _hand_on(self) -> None:
         api, errors = import_module("nats.js.api"), import_module("nats.errors")
-        stream = await make_stream(self._client, self._zone)
+        stream = await make_stream(self._client, self._zone, self._options)
         jetstream = self._client.jetstream(timeout=10.0)
         subscription = await jetstream.pull_subscribe(
             f"busway.{self._zone}.samples.>",

@@ -57,6 +57,11 @@ async def open_postgresql(url: str, zone: str, options: CoordinatorOptions) -> "
     return coordinator
 
 
+def _errors(pg: Any) -> tuple[type[Exception], ...]:
+    """Return what asyncpg raises where a server is away, ends or answers wrongly."""
+    return pg.PostgresError, pg.InterfaceError, pg.InternalClientError, OSError, TimeoutError
+
+
 class PostgresqlCoordinator:
     """Shared table of a zone's collectors: the table ``busway_fleet`` of PostgreSQL."""
 
@@ -84,7 +89,7 @@ class PostgresqlCoordinator:
         except pg.InsufficientPrivilegeError as error:
             await self.close()
             raise ConfigError(f"the table busway_fleet cannot be used: {error}", key="coordinator") from error
-        except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
+        except _errors(pg) as error:
             await self.close()
             raise CoordinatorDown(
                 f"{self._url} cannot be used: {error or type(error).__name__}", endpoint=self._url
@@ -127,14 +132,14 @@ class PostgresqlCoordinator:
         try:
             async with asyncio.timeout(self._options.answer):
                 connection = await self._pool.acquire()
-        except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
+        except _errors(pg) as error:
             raise CoordinatorDown(f"no connection to the database: {error or type(error).__name__}") from error
         try:
             made = await connection.fetchval(statement, self._zone, key, value, self._channel, *revision)
-        except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
+        except _errors(pg) as error:
             raise OutcomeUnknown(f"the database does not confirm: {error or type(error).__name__}") from error
         finally:
-            with contextlib.suppress(pg.PostgresError, pg.InterfaceError, OSError, TimeoutError):
+            with contextlib.suppress(*_errors(pg)):
                 await self._pool.release(connection, timeout=1.0)
         if made is None:
             raise RevisionConflict(f"{key} has not revision {revision[0] if revision else 'none'}")
@@ -189,7 +194,7 @@ class PostgresqlCoordinator:
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(max(0.0, compared + COMPARE_EVERY - loop.time())):
                         await wake.wait()
-        except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError):
+        except _errors(pg):
             return
         finally:
             if connection is not None:

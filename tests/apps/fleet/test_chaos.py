@@ -1,0 +1,106 @@
+"""Real collectors, devices, engines and a sink, to which faults happen; judged from outside by `fleet_checker`.
+
+Leases are shorter here than those of a plant (15 s), so that the runs take two minutes in all.
+"""
+
+import os
+import random
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from fleet_chaos import Run, Scenario
+from fleet_checker import Logs, histogram, holes, judged
+
+from busway.apps.fleet.lease_times import LeaseTimes
+
+pytestmark = [pytest.mark.real_time, pytest.mark.timeout(240)]
+
+SHORT = LeaseTimes(ttl=3.0, renew=0.6, guard=0.3, answer=0.8)
+ELECTED = LeaseTimes(ttl=5.0, renew=1.0, guard=0.5, answer=1.5)
+"""Not all leases lapse while three servers of NATS elect a leader."""
+SCENARIOS = [
+    Scenario("local", 1, ["freeze", "kill"], SHORT, calm=1.0),
+    Scenario("postgresql", 2, ["freeze", "leader", "kill"], SHORT, calm=1.0),
+    Scenario("nats", 3, ["freeze", "cut", "leader", "sink_dies", "kill"], ELECTED, calm=1.0),
+]
+EDGES = [1.2, 2.0, 3.0, 4.3, 5.0, 6.5, 10.0, float("inf")]
+
+
+def needs(backend: str) -> None:
+    if backend != "local":
+        pytest.importorskip("nats" if backend == "nats" else "asyncpg")
+    if backend == "nats":
+        pytest.importorskip("msgpack")
+
+
+def run(folder: Path, scenario: Scenario) -> tuple[Run, Logs]:
+    folder.chmod(0o755)
+    with Run(folder, scenario) as made:
+        made.go()
+        logs = made.logs()
+    if scenario.backend != "local" and not made.is_parted:
+        print("without partitions of hosts: this process may make no network namespaces")
+    return made, logs
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda scenario: scenario.backend)
+def test_whatever_strikes_a_fleet_each_link_has_one_master_and_nothing_that_was_acknowledged_is_missing(
+    tmp_path: Path, scenario: Scenario
+) -> None:
+    needs(scenario.backend)
+    made, logs = run(tmp_path, scenario)
+    problems = judged(logs, scenario.bounds)
+    assert not problems, "\n".join([*problems, made.story()])
+    made.struck(logs)
+
+
+@pytest.mark.parametrize(
+    ("mutants", "scenario", "finds"),
+    [
+        (["no deadline", "no compare-and-set"], Scenario("local", 1, ["away"], SHORT, period=0.05), " after "),
+        (["acknowledgement too early"], Scenario("nats", 1, ["sink_dies"], SHORT, parts=False), "not in the sink"),
+    ],
+    ids=["two masters", "samples that are lost"],
+)
+def test_the_checker_catches_a_fleet_that_breaks_a_rule(
+    tmp_path: Path, mutants: list[str], scenario: Scenario, finds: str
+) -> None:
+    needs(scenario.backend)
+
+    def found(mutant: str) -> list[str]:
+        folder = tmp_path / mutant.replace(" ", "-")
+        folder.mkdir()
+        return judged(run(folder, replace(scenario, mutant=mutant))[1], scenario.bounds)
+
+    with ThreadPoolExecutor() as both:
+        for mutant, sentences in zip(mutants, both.map(found, mutants), strict=True):
+            assert [each for each in sentences if finds in each], mutant
+
+
+def shuffled(scenario: Scenario, seed: int) -> Scenario:
+    """A longer scenario, whose faults come in another order."""
+    faults = [*scenario.faults, *scenario.faults, "nap", "away", "kill", "freeze"]
+    random.Random(seed).shuffle(faults)
+    return replace(scenario, seed=seed, faults=faults)
+
+
+@pytest.mark.soak
+def test_an_hour_of_faults(tmp_path: Path) -> None:
+    """As long as BUSWAY_CHAOS_SECONDS says, an hour without it."""
+    until = time.monotonic() + float(os.environ.get("BUSWAY_CHAOS_SECONDS", "3600"))
+    lengths: list[float] = []
+    seed = 100
+    while time.monotonic() < until:
+        for scenario in SCENARIOS:
+            needs(scenario.backend)
+            seed += 1
+            folder = tmp_path / str(seed)
+            folder.mkdir()
+            made, logs = run(folder, shuffled(scenario, seed))
+            problems = judged(logs, scenario.bounds)
+            assert not problems, "\n".join([f"seed {seed}", *problems, made.story()])
+            lengths += [end - begin for _, begin, end in holes(logs, 1.0)]
+        print(f"{seed - 100} runs; holes in seconds below: {histogram(lengths, EDGES)}")

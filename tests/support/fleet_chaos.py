@@ -1,0 +1,561 @@
+"""The chaos test of a fleet: real collectors, devices, engines and a sink as processes, to which faults happen.
+
+Knows processes, network namespaces and engines. What was wrong in a run is judged by `fleet_checker`, from logs alone.
+
+1. Where this process may make network namespaces, each engine, collector and the plant are hosts of their own, and
+   cables are cut. Elsewhere all is on loopback, the coordinator is kept from a collector inside that one, and the run
+   says so (`Run.is_parted`).
+2. Everything that was started is ended by its handle.
+3. A run proves that its faults struck (`Run.struck`): one in which too little happened has failed.
+"""
+
+import json
+import os
+import random
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from fleet_checker import Bounds, Frame, Logs, Owned, Stored, Unread, takeovers
+from foreign_servers import PostgresqlServer, free_port, needed
+from hosts import Host, Network, why_not
+from told_program import Program
+
+from busway.apps.collector.store.reading import Store
+from busway.apps.fleet.lease_times import LeaseTimes
+from busway.apps.fleet.ownership import OwnershipLog
+from busway.apps.fleet.shards import shard_of
+
+PROGRAMS = Path(__file__).parents[1] / "apps" / "fleet" / "programs"
+SHARDS = 16
+COLLECTORS = ("c0", "c1", "c2")
+ZONE = "hall"
+READY_SECONDS = 40.0
+METER = """
+[[unit]]
+[[unit.point]]
+name = "count"
+address = "4x1"
+type = "uint32"
+[[unit.point]]
+name = "setpoint"
+address = "4x3"
+type = "uint32"
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """What a run is.
+
+    Attributes:
+        backend: ``local``, ``nats`` or ``postgresql``.
+        seed: of what happens to whom.
+        faults: what happens, one after the other.
+        times: of the leases; shorter than those of a plant, so that a run is short.
+        calm: seconds after each fault, or after the time of a takeover where that is later.
+        period: seconds between two reads of a device.
+        mutant: the rule that is broken; empty for none.
+        parts: whether hosts are parted where that is possible.
+    """
+
+    backend: str
+    seed: int
+    faults: Sequence[str]
+    times: LeaseTimes
+    calm: float = 2.0
+    period: float = 0.2
+    mutant: str = ""
+    parts: bool = True
+
+    @property
+    def takeover(self) -> float:
+        """Seconds within which a link is polled again."""
+        return self.times.ttl + self.times.guard + 1.0
+
+    @property
+    def bounds(self) -> Bounds:
+        """What the run is judged by."""
+        return Bounds(self.period, self.takeover, self.period + 1.0)
+
+
+def links_of_shards() -> list[str]:
+    """One link for each shard, in the order of shards."""
+    found: dict[str, str] = {}
+    number = 0
+    while len(found) < SHARDS:
+        found.setdefault(shard_of(f"line-{number}", SHARDS), f"line-{number}")
+        number += 1
+    return [found[shard] for shard in sorted(found)]
+
+
+class Place:
+    """Where a process runs: on a host of its own, or here."""
+
+    def __init__(self, host: Host | None, address: str) -> None:
+        self.host, self.address = host, address
+
+    def start(self, program: str, settings: Path) -> Program:
+        if self.host is not None:
+            return self.host.start(PROGRAMS / program, str(settings))
+        return Program([sys.executable, str(PROGRAMS / program), str(settings)])
+
+    def command(self, *words: str) -> list[str]:
+        inside = [] if self.host is None else ["ip", "netns", "exec", self.host.namespace]
+        return [*inside, *words]
+
+
+@dataclass
+class Engine:
+    """A server of the coordinator that can be killed and started again."""
+
+    name: str
+    place: Place
+    command: list[str]
+    process: subprocess.Popen[bytes] | None = None
+    user: str | None = None
+
+    def start(self) -> None:
+        self.process = subprocess.Popen(self.command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd="/")
+
+    def kill(self) -> None:
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+            self.process = None
+
+
+class StallMeter(threading.Thread):
+    """Notes when this machine stood still: a thread that wanted to wake and did not."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self.stalls: list[tuple[float, float]] = []
+        self._end = threading.Event()
+
+    def run(self) -> None:
+        before = time.time()
+        while not self._end.wait(0.05):
+            now = time.time()
+            if now - before > 0.15:
+                self.stalls.append((before + 0.05, now))
+            before = now
+
+    def end(self) -> None:
+        self._end.set()
+        self.join()
+
+
+@dataclass
+class Happened:
+    """What was done to whom, from when to when."""
+
+    what: str
+    whom: str
+    begin: float
+    end: float = 0.0
+
+
+class Run:
+    """One run of the chaos test; a context manager.
+
+    Attributes:
+        happened: the faults.
+        is_parted: whether hosts could be parted.
+    """
+
+    def __init__(self, folder: Path, scenario: Scenario) -> None:
+        self.scenario, self.folder = scenario, folder
+        self.happened: list[Happened] = []
+        self.is_parted = scenario.parts and scenario.backend != "local" and not why_not()
+        self.links = links_of_shards()
+        self._chance = random.Random(scenario.seed)
+        self._stack = ExitStack()
+        self._collectors: dict[str, Program | None] = dict.fromkeys(COLLECTORS)
+        self._runs = 0
+        self._engines: dict[str, Engine] = {}
+        self._places: dict[str, Place] = {}
+        self._sink: Program | None = None
+        self._begin = self._end = self._sunk_until = 0.0
+        self._meter = StallMeter()
+
+    # Start and end.
+
+    def __enter__(self) -> Self:
+        with self._stack:
+            self._stack.callback(self._end_programs)
+            self._lay_out()
+            self._start_engines()
+            self._plant = self._started_plant()
+            for name in COLLECTORS:
+                self._start_collector(name)
+            if self.has_stream:
+                self._start_sink()
+            self._meter.start()
+            self._stack.callback(self._meter.end)
+            self._stack = self._stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def has_stream(self) -> bool:
+        """Whether samples go through a stream to a sink."""
+        return self.scenario.backend == "nats"
+
+    def _end_programs(self) -> None:
+        for program in (*self._collectors.values(), self._sink, getattr(self, "_plant", None)):
+            if program is not None:
+                with suppress(ProcessLookupError):
+                    os.kill(program.pid, signal.SIGCONT)
+                program.kill()
+        for engine in self._engines.values():
+            engine.kill()
+
+    def _lay_out(self) -> None:
+        servers = {"nats": ["n0", "n1", "n2"], "postgresql": ["pg"], "local": []}[self.scenario.backend]
+        names = [*servers, "plant", *COLLECTORS]
+        if self.is_parted:
+            network = self._stack.enter_context(Network())
+            self._places = {name: Place(host, host.address) for name in names for host in [network.host()]}
+        else:
+            self._places = {name: Place(None, "127.0.0.1") for name in names}
+            for number, name in enumerate(COLLECTORS):
+                self._places[name].address = f"127.0.2.{number + 1}"
+        self._ports = {link: 15_000 + place if self.is_parted else free_port() for place, link in enumerate(self.links)}
+
+    def _start_engines(self) -> None:
+        self._options: dict[str, Any] = {"answer": self.scenario.times.answer}
+        if self.scenario.backend == "local":
+            self._url = f"local:{self.folder / 'zone'}"
+        elif self.scenario.backend == "nats":
+            self._start_nats()
+        else:
+            self._start_postgresql()
+
+    def _start_nats(self) -> None:
+        program = needed("nats-server")
+        names = ["n0", "n1", "n2"]
+        ports = {name: (4222, 6222) if self.is_parted else (free_port(), free_port()) for name in names}
+        routes = ", ".join(f"nats://{self._places[name].address}:{ports[name][1]}" for name in names)
+        for name in names:
+            place, (port, cluster) = self._places[name], ports[name]
+            config = self.folder / f"{name}.conf"
+            config.write_text(
+                f'server_name: {name}\nlisten: "{place.address}:{port}"\n'
+                f'jetstream {{ store_dir: "{self.folder / name}" }}\n'
+                f'cluster {{ name: chaos, listen: "{place.address}:{cluster}", routes: [{routes}] }}\n'
+            )
+            self._engines[name] = Engine(name, place, place.command(program, "-c", str(config)))
+            self._engines[name].start()
+        self._url = "nats://" + ",".join(f"{self._places[name].address}:{ports[name][0]}" for name in names)
+        self._options["replicas"] = 3
+
+    def _start_postgresql(self) -> None:
+        place = self._places["pg"]
+        server = PostgresqlServer(syncs=True)
+        self._stack.callback(lambda: shutil.rmtree(server.folder, ignore_errors=True))
+        access = server.folder / "data" / "pg_hba.conf"
+        access.write_text(access.read_text() + "host all all 10.77.0.0/24 scram-sha-256\n")
+        words = [place.address if each == "listen_addresses=127.0.0.1" else each for each in server.command]
+        words = [f"listen_addresses={place.address}" if each == place.address else each for each in words]
+        if os.geteuid() == 0:
+            words = ["setpriv", "--reuid=postgres", "--regid=postgres", "--clear-groups", *words]
+        engine = self._engines["pg"] = Engine("pg", place, place.command(*words))
+        engine.start()
+        self._url = f"postgresql://collector@{place.address}:{server.port}/postgres"
+        self._options["password"] = server.PASSWORD
+
+    def _settings(self, of: str, **more: Any) -> Path:
+        path = self.folder / f"{of}.json"
+        common = {"coordinator": self._url, "zone": ZONE, "options": self._options, "mutant": self.scenario.mutant}
+        path.write_text(json.dumps({**common, **more}))
+        return path
+
+    def _started_plant(self) -> Program:
+        settings = self._settings(
+            "plant", address=self._places["plant"].address, log=str(self.folder / "frames"), links=self._ports
+        )
+        return self._places["plant"].start("plant.py", settings)
+
+    def _start_sink(self) -> None:
+        slow = 0.3 if self.scenario.mutant else 0.0
+        settings = self._settings("sink", rows=str(self.folder / "sink.sqlite"), slow=slow)
+        self._sink = self._places["plant"].start("sink.py", settings)
+
+    def _start_collector(self, name: str) -> None:
+        self._runs += 1
+        settings = self._settings(
+            name,
+            name=name,
+            file=str(self._plant_file(name)),
+            log=str(self.folder / f"{name}.log"),
+            stream=self.has_stream,
+            shards=SHARDS,
+            times=asdict(self.scenario.times),
+            first_write=self._runs * 100_000,
+            write_every=0.7,
+        )
+        self._collectors[name] = self._places[name].start("collector.py", settings)
+
+    def _plant_file(self, name: str) -> Path:
+        (self.folder / "meter.toml").write_text(METER)
+        text = f'[collector]\nstore = "{self.folder / name}"\n[poll_class]\nfast.period = {self.scenario.period}\n'
+        local = "" if self.is_parted else f'local_address = "{self._places[name].address}"\n'
+        for link in self.links:
+            text += f"""
+[[link]]
+name = "{link}"
+url = "tcp://{self._places["plant"].address}:{self._ports[link]}"
+timeout = 0.3
+connect_timeout = 0.3
+{local}
+[[device]]
+name = "{link}"
+link = "{link}"
+unit = 1
+profile = "meter.toml"
+poll_class = "fast"
+"""
+        path = self.folder / f"{name}.toml"
+        path.write_text(text)
+        return path
+
+    # What happens.
+
+    def go(self) -> None:
+        """Let everything happen that the scenario names, then bring all back and wait until all is well."""
+        for name in COLLECTORS:
+            self._collector(name).ready()
+        self._until_all_polled(by=len(COLLECTORS))
+        self._begin = time.time()
+        for fault in self.scenario.faults:
+            with self._noted(fault) as happened:
+                getattr(self, f"_{fault}")(happened)
+            over = happened.begin + self.scenario.takeover - time.time()
+            time.sleep(max(0.0, over) + self.scenario.calm)
+            self._bring_back()
+            self._until_all_polled()
+        self._end = time.time()
+        self._finish()
+
+    @contextmanager
+    def _noted(self, fault: str) -> Iterator[Happened]:
+        happened = Happened(fault, "", time.time())
+        self.happened.append(happened)
+        yield happened
+        happened.end = happened.end or time.time()
+
+    def _collector(self, name: str) -> Program:
+        program = self._collectors[name]
+        assert program is not None
+        return program
+
+    def _any(self) -> str:
+        """A collector that reads some links: else a fault strikes nothing."""
+        begin = time.time() - 2.0
+        busy = Counter(
+            name for name, _ in {(frame.collector, frame.link) for frame in self._frames() if frame.at > begin}
+        )
+        return self._chance.choice(
+            [name for name in COLLECTORS if self._collectors[name] is not None and busy[name] > 1]
+        )
+
+    def _kill(self, happened: Happened) -> None:
+        happened.whom = self._any()
+        self._collector(happened.whom).kill()
+        self._collectors[happened.whom] = None
+
+    def _freeze(self, happened: Happened, seconds: float = 0.0) -> None:
+        """Stop a process for longer than its leases hold."""
+        happened.whom = self._any()
+        program = self._collector(happened.whom)
+        os.kill(program.pid, signal.SIGSTOP)
+        try:
+            time.sleep(seconds or self.scenario.takeover + 1.0)
+        finally:
+            happened.end = time.time()
+            os.kill(program.pid, signal.SIGCONT)
+
+    def _nap(self, happened: Happened) -> None:
+        """Stop a process for a part of the time that its leases hold."""
+        self._freeze(happened, 0.4 * self.scenario.times.ttl)
+
+    def _leader(self, happened: Happened) -> None:
+        """Kill the server that decides on leases."""
+        name = "pg"
+        if self.scenario.backend == "nats":
+            name = self._plant.ask("leader", stream=f"KV_busway-{ZONE}")["leader"]
+        happened.whom = name
+        self._engines[name].kill()
+        if self.scenario.backend == "postgresql":
+            time.sleep(1.5)
+            self._engines[name].start()
+
+    def _cut(self, happened: Happened) -> None:
+        """Pull the cable of a collector for longer than its leases hold."""
+        happened.whom = self._any()
+        host = self._places[happened.whom].host
+        assert host is not None
+        host.cut()
+        time.sleep(self.scenario.takeover + 1.0)
+        happened.end = time.time()
+        host.mend()
+
+    def _away(self, happened: Happened) -> None:
+        """Keep the coordinator's answers from a collector, whose requests still arrive where hosts are parted."""
+        happened.whom = self._any()
+        seconds = self.scenario.takeover + 1.0
+        if not self.is_parted:
+            self._collector(happened.whom).ask("away", seconds=seconds)
+            time.sleep(seconds)
+            return
+        address = self._places[happened.whom].address
+        engines = [host for engine in self._engines.values() if (host := engine.place.host) is not None]
+        for host in engines:
+            host.drop_to(address, dropped=True)
+        time.sleep(seconds)
+        happened.end = time.time()
+        for host in engines:
+            host.drop_to(address, dropped=False)
+
+    def _sink_dies(self, happened: Happened) -> None:
+        assert self._sink is not None
+        happened.whom = "sink"
+        self._sink.kill()
+        self._start_sink()
+
+    def _bring_back(self) -> None:
+        for engine in self._engines.values():
+            if engine.process is None:
+                engine.start()
+        for name, program in self._collectors.items():
+            if program is None:
+                self._start_collector(name)
+
+    def _until_all_polled(self, by: int = 1) -> None:
+        """Wait until every link is read by one collector, and so many collectors read some."""
+        until = time.monotonic() + READY_SECONDS + self.scenario.takeover
+        while time.monotonic() < until:
+            begin = time.time() - 2.0
+            frames = [frame for frame in self._frames() if frame.at > begin and not frame.is_write]
+            pairs = {(frame.collector, frame.link) for frame in frames}
+            if len(pairs) == len({link for _, link in pairs}) == SHARDS and len(dict(pairs)) >= by:
+                return
+            time.sleep(0.2)
+        raise AssertionError(f"not all collectors poll, each links of its own: {sorted(pairs)}\n{self.story()}")
+
+    def _finish(self) -> None:
+        """Wait until the sink has all, then end the collectors in order."""
+        if self.has_stream:
+            self._sunk_until = time.time() - 1.0
+            for name in COLLECTORS:
+                newest = self._collector(name).ask("kept")["newest"]
+                until = time.monotonic() + READY_SECONDS
+                while (kept := self._collector(name).ask("kept")["kept"]) < newest:
+                    assert time.monotonic() < until, f"the sink has {kept} of {newest} commits of {name}"
+                    time.sleep(0.2)
+        for name in COLLECTORS:
+            self._collector(name).tell("end")
+        for name in COLLECTORS:
+            self._collector(name).outcome()
+
+    def story(self) -> str:
+        """What happened, and the last words of each collector."""
+        words = [f"{each.begin:.2f}-{each.end:.2f} {each.what} {each.whom}" for each in self.happened]
+        for name in COLLECTORS:
+            log = self.folder / f"{name}.log.txt"
+            words.append(f"{name}: {log.read_text()[-1500:] if log.exists() else 'no log'}")
+        return "\n".join(words)
+
+    # What it left.
+
+    def _frames(self) -> list[Frame]:
+        names = {place.address: name for name, place in self._places.items() if name in COLLECTORS}
+        path = self.folder / "frames"
+        lines = path.read_text().splitlines() if path.exists() else []
+        return [
+            Frame(at, link, names[peer], is_write, value) for at, link, peer, is_write, value in map(json.loads, lines)
+        ]
+
+    def logs(self) -> Logs:
+        """What devices, stores and the sink have, after `go`."""
+        logs = Logs(self._begin, self._end, self._frames(), sunk_until=self._sunk_until, stalls=self._meter.stalls)
+        logs.faults = [moment for each in self.happened for moment in (each.begin, each.end)]
+        logs.down = self._times_without_quorum()
+        for name in COLLECTORS:
+            self._read_store(name, logs)
+            self._read_log(name, logs)
+        if self.has_stream:
+            with closing(sqlite3.connect(self.folder / "sink.sqlite")) as database:
+                rows = database.execute(
+                    "SELECT device, value FROM rows WHERE point = 'count' AND reason = 0"
+                ).fetchall()
+            logs.sunk = Counter(rows)
+        return logs
+
+    def _times_without_quorum(self) -> list[tuple[float, float]]:
+        successes = self._plant.ask("successes")["successes"]
+        return [(a, b) for a, b in pairwise(successes) if b - a > 1.0]
+
+    def _read_store(self, name: str, logs: Logs) -> None:
+        table = Store(self.folder / name).read("*/count")
+        period = self.scenario.period
+        for device, at, value, reason in zip(table.device, table.time, table.value, table.reason, strict=True):
+            if reason:
+                logs.unread.append(Unread(name, device, at / 1e9 - period, at / 1e9 + period))
+            else:
+                assert isinstance(value, int)
+                logs.stored.append(Stored(name, device, value, at / 1e9))
+        for each in table.intervals:
+            end = None if each.end is None else each.end / 1e9
+            logs.unread.append(Unread(name, each.device, each.begin / 1e9, end))
+        logs.unread += [Unread(name, None, each.begin / 1e9, each.end / 1e9) for each in table.gaps]
+        with closing(OwnershipLog(self.folder / name)) as ownership:
+            for row in ownership.all():
+                epoch = row.epoch.generation, row.epoch.revision
+                end = None if row.end is None else row.end / 1e9
+                logs.owned.append(Owned(name, row.link, epoch, row.begin / 1e9, end))
+
+    def _read_log(self, name: str, logs: Logs) -> None:
+        for line in (self.folder / f"{name}.log").read_text().splitlines():
+            what, *rest = json.loads(line)
+            if what == "commit":
+                logs.committed |= {(link, value) for link, value in rest[0]}
+            elif what == "refused" or (what == "written" and rest[1] in ("expired", "refused")):
+                logs.not_executed.add(rest[0])
+
+    def struck(self, logs: Logs) -> dict[str, int]:
+        """How often faults struck. Raises `AssertionError` where the run proves nothing."""
+        frozen = 0
+        for each in self.happened:
+            if each.what == "freeze":
+                before = {
+                    f.link for f in logs.frames if f.collector == each.whom and each.begin - 1 < f.at < each.begin
+                }
+                during = {f.link for f in logs.frames if f.collector != each.whom and each.begin < f.at < each.end}
+                frozen += bool(before & during)
+        found = {
+            "takeovers": takeovers(logs),
+            "freezes": frozen,
+            "leaders": sum(each.what == "leader" for each in self.happened),
+        }
+        assert found["takeovers"] >= 3, found
+        assert found["freezes"] >= 1, found
+        assert found["leaders"] >= 1 or self.scenario.backend == "local", found
+        return found
