@@ -35,7 +35,7 @@ from ..samples import NANOSECONDS, reason_text
 from ..store.committed_samples import CommitRange, CommitReader, CommittedAlarm, CommittedSample
 from ..store.manifest import Manifest, ReportedSample
 from .documents import alarm_document
-from .interface import AlarmSink, Sink, SinkDown, SinkRefused
+from .interface import AlarmSink, CurrentSink, Sink, SinkDown, SinkRefused
 
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 30.0
@@ -170,6 +170,8 @@ class Delivery:
             await self._send_alarms(sink, alarms)
         self._down_error = None
         await asyncio.to_thread(self._move, found.last, reported)
+        if self._is_open and not found.more and isinstance(sink, CurrentSink):
+            await sink.show_current()
         return found.more
 
     def _waits_for_the_clock(self, found: CommitRange) -> bool:

@@ -45,6 +45,17 @@ class AlarmSink(Protocol):
         """Send alarm events; when it returns, the receiver has taken them. Raises `SinkDown`, `SinkRefused`."""
 
 
+@runtime_checkable
+class CurrentSink(Protocol):
+    """Interface of a sink whose receiver shows current values apart from those that it gets late."""
+
+    async def show_current(self) -> None:
+        """Send the last samples that the receiver has taken for history; called when no more follow now.
+
+        Raises `SinkDown`.
+        """
+
+
 async def all_taken(sendings: Iterable[Awaitable[object]]) -> None:
     """Wait until each message was accepted or has failed. Raises the first `SinkRefused`, or else the first error."""
     results = await asyncio.gather(*sendings, return_exceptions=True)

@@ -5,17 +5,21 @@ is aiomqtt's (``busway[sparkplug]``).
 
 1. One connection, one edge node. Its last will is the death of the node, with the number (bdSeq) that its birth has
    too; the number is kept in a file, so that it goes on after a restart.
-2. A device is born with all of its metrics known so far, and again when one is new or has another type. Data follow
-   only a birth; those that are older than it are marked as historical.
+2. A device is born with the last samples of all of its metrics known so far, and again when one is new or has another
+   type. Data follow only a birth; those from before the connection are marked as historical. Hosts do not show these:
+   when no more follow, a device whose last values were among them is born again.
 3. Data go with QoS 0, as the standard wants it. `send` returns when a later message with QoS 1 was acknowledged: a
    broker takes the messages of a connection in order, so it has the data too.
-4. With a primary host, nothing is sent while the host is offline: samples wait in the store.
+4. With a primary host, nothing is sent while the host is offline: samples wait in the store. One that was away knows
+   nothing of before: it gets births before data.
 5. A host that asks for the births again gets them, once in `REBIRTH_PAUSE` seconds at most.
 6. Events of alarms are values of the metric `ALARM_METRIC` of the edge node, JSON as over MQTT, whether their device is
    born or not.
 7. Where the file permits it, values that a host writes to metrics of devices (DCMD) are handed to the commands of the
    collector, as they come, by `SparkplugCommandTaker`. Subscribed to before the births, without retained messages.
 8. A device that the collector suspends, or that is in maintenance, dies; its next sample of another kind is a birth.
+   Until then it is not in births that hosts ask for, or that follow a connection.
+9. A birth that is too large for the broker goes without values.
 """
 
 import asyncio
@@ -25,7 +29,7 @@ import logging
 import ssl
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
@@ -50,6 +54,8 @@ MOST_METRICS: Final = 1000
 """Metrics in one message at most."""
 _NUMBERS: Final = 256
 """Sequence numbers and numbers of connections begin again behind 255."""
+_MOST_EXACT: Final = 2**53
+"""Whole numbers below it are floats too."""
 _NO_DEVICE: Final = frozenset({Reason.SUSPENDED, Reason.NO_CONNECTION, Reason.MAINTENANCE})
 """Reasons that mean that a device is not there."""
 _QUALITIES: Final = {Quality.BAD: SparkplugQuality.BAD, Quality.UNCERTAIN: SparkplugQuality.STALE}
@@ -58,26 +64,49 @@ _log = logging.getLogger("busway.sinks")
 
 
 class _Device:
-    """A device as a Sparkplug host sees it: last sample and type of each metric, and whether its birth
-    was published.
+    """A device as a Sparkplug host sees it.
+
+    Attributes:
+        last: the last sample of each metric.
+        kinds: the type of each metric.
+        untyped: metrics that never had a value, whose type is a guess.
+        behind: metrics whose last values went as historical ones since the birth.
+        is_born: whether its birth was published.
+        is_gone: whether it is suspended or in maintenance.
     """
 
     def __init__(self) -> None:
         self.last: dict[str, CommittedSample] = {}
         self.kinds: dict[str, DataType] = {}
+        self.untyped: set[str] = set()
+        self.behind: set[str] = set()
         self.is_born = False
+        self.is_gone = False
 
     def learn(self, sample: CommittedSample) -> bool:
         """Take over a sample. Returns whether the device's metrics have changed, so that a new birth message is due."""
-        known = self.kinds.get(sample.point)
-        kind = known or DataType.DOUBLE if sample.value is None else _wider(known, type_of(sample.value))
-        self.kinds[sample.point] = kind
+        point = sample.point
+        known = self.kinds.get(point)
+        if sample.value is None:
+            kind = known or DataType.DOUBLE
+            if known is None:
+                self.untyped.add(point)
+        else:
+            kind = _wider(None if point in self.untyped else known, sample.value)
+            self.untyped.discard(point)
+        self.kinds[point] = kind
+        self.last[point] = sample
         return kind is not known or not self.is_born
 
 
-def _wider(known: DataType | None, new: DataType) -> DataType:
-    """Return the type of a metric for a new value: floating-point for good once a value had fractions."""
-    return known if (known, new) == (DataType.DOUBLE, DataType.INT64) and known is not None else new
+def _wider(known: DataType | None, value: Value) -> DataType:
+    """Return the type of a metric: one that has had fractions, or large numbers, stays so where no digit is lost."""
+    new = type_of(value)
+    if not isinstance(value, int) or isinstance(value, bool):
+        return new
+    if known is DataType.DOUBLE and int(float(value)) == value:
+        return known
+    return known if known is DataType.UINT64 and value >= 0 else new
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,12 +192,14 @@ class SparkplugSink:
         self._devices: dict[str, _Device] = {}
         self._number = self._sequence = 0
         self._is_born = False
-        self._born_at = 0
+        self._connected_at = 0
         self._last_birth = 0.0
         self._host_online = asyncio.Event()
         self._host_time = 0
+        self._host_left = False
         self._last_alarm: Metric | None = None
         self._rebirth: asyncio.Task[None] | None = None
+        self._asked_at: float | None = None
         self.commands: SparkplugCommandTaker | None = commands
 
     # Life
@@ -183,7 +214,7 @@ class SparkplugSink:
         client = mqtt.Client(**self._address, will=will, protocol=mqtt.ProtocolVersion.V5, clean_start=True)
         publisher = MqttPublisher(client, self._timeout)
         self._host_online.clear()
-        self._host_time = 0
+        self._host_time, self._host_left, self._asked_at = 0, False, None
         try:
             await connect(client)
             self._client, self._publisher = client, publisher
@@ -191,12 +222,13 @@ class SparkplugSink:
             self._listener.add_done_callback(_log_defect)
             await client.subscribe(self._topic("NCMD"), qos=1)
             if self.commands is not None:
-                await client.subscribe(self._topic("DCMD", "{}").replace("{}", "+"), options=_fresh_alone())
+                await client.subscribe(f"{self._topic('DCMD')}/+", options=_fresh_alone())
             if self._primary_host is not None:
                 await client.subscribe(f"spBv1.0/STATE/{self._primary_host}", qos=1)
                 async with asyncio.timeout(self._timeout):
                     await self._host_online.wait()
             async with self._sending:
+                self._connected_at = self._now()
                 await self._births()
             self._note_commands(None)
         except TimeoutError:
@@ -235,9 +267,18 @@ class SparkplugSink:
         """Publish alarm events, and wait until the broker has them. Raises `SinkDown`, `SinkRefused`."""
         async with self._delivering():
             for alarm in alarms:
-                event = _alarm_metric(alarm, is_historical=alarm.event.at < self._born_at)
-                await self._publish("NDATA", [event])
+                event = _alarm_metric(alarm)
+                await self._publish("NDATA", [replace(event, is_historical=event.time < self._connected_at)])
                 self._last_alarm = event
+
+    async def show_current(self) -> None:
+        """Publish births of devices whose last values hosts have taken for history. Raises `SinkDown`."""
+        behind = [(name, device) for name, device in self._devices.items() if device.is_born and device.behind]
+        if behind:
+            async with self._delivering():
+                for name, device in behind:
+                    with contextlib.suppress(SinkRefused):  # it is as large as it was
+                        await self._birth(name, device)
 
     @contextlib.asynccontextmanager
     async def _delivering(self) -> AsyncIterator[None]:
@@ -265,7 +306,7 @@ class SparkplugSink:
         return self._publisher
 
     def _check_host(self) -> None:
-        if self._primary_host is not None and not self._host_online.is_set():
+        if self._primary_host is not None and (self._host_left or not self._host_online.is_set()):
             raise SinkDown(f"the primary host {self._primary_host} went offline")
 
     # Births, deaths, data; the lock is held
@@ -275,56 +316,66 @@ class SparkplugSink:
         answer.
         """
         self._sequence = 0
-        self._born_at = self._now()
+        now = self._now()
         self._last_birth = time.monotonic()
         metrics = [
-            Metric("bdSeq", self._born_at, DataType.INT64, self._number),
-            Metric(REBIRTH_METRIC, self._born_at, DataType.BOOLEAN, False),
-            self._last_alarm or Metric(ALARM_METRIC, self._born_at, DataType.STRING, None),
+            Metric("bdSeq", now, DataType.INT64, self._number),
+            Metric(REBIRTH_METRIC, now, DataType.BOOLEAN, False),
         ]
-        await self._publish("NBIRTH", metrics)
+        no_alarm = Metric(ALARM_METRIC, now, DataType.STRING, None)
+        try:
+            await self._publish("NBIRTH", [*metrics, self._last_alarm or no_alarm])
+        except SinkRefused:  # an event that has just found room in a message of its own
+            await self._publish("NBIRTH", [*metrics, no_alarm])
         self._is_born = True
         for name, device in self._devices.items():
             device.is_born = False
-            if device.last:
+            if device.last and not device.is_gone:
                 with contextlib.suppress(SinkRefused):  # its next sample is refused for it
                     await self._birth(name, device)
 
     async def _birth(self, name: str, device: _Device) -> None:
         metrics = [_metric(sample, device.kinds[point], unit=True) for point, sample in device.last.items()]
-        await self._publish("DBIRTH", metrics, name)
+        try:
+            await self._publish("DBIRTH", metrics, name)
+        except SinkRefused:
+            await self._publish("DBIRTH", [_without_value(each) for each in metrics], name)
         device.is_born = True
+        device.behind.clear()
 
     async def _send_device(self, name: str, samples: list[CommittedSample]) -> None:
         self._check_host()
         device = self._devices.setdefault(name, _Device())
         for is_gone, those in groupby(samples, lambda sample: sample.reason in _NO_DEVICE):
+            device.is_gone = is_gone
             if is_gone:
                 if device.is_born:
                     device.is_born = False
                     await self._publish("DDEATH", [], name)
                 for sample in those:
-                    device.last.setdefault(sample.point, sample)
-                    device.kinds.setdefault(sample.point, DataType.DOUBLE)
+                    device.learn(sample)
                 continue
             for part in _parts(list(those)):
-                known = dict(device.last), dict(device.kinds)
+                known = dict(device.last), dict(device.kinds), set(device.untyped)
                 try:
                     await self._send_part(name, device, part)
                 except SinkRefused:  # what is too large for a message must not be in every birth
-                    device.last, device.kinds = known
+                    device.last, device.kinds, device.untyped = known
                     raise
 
     async def _send_part(self, name: str, device: _Device, samples: list[CommittedSample]) -> None:
         needed = [device.learn(sample) for sample in samples]
-        for sample in samples:
-            if sample.value is not None or sample.point not in device.last:
-                device.last[sample.point] = sample
-        if any(needed):
+        is_new = any(needed)
+        if is_new:
             await self._birth(name, device)
-        metrics = [
-            _metric(sample, device.kinds[sample.point], is_historical=sample.time < self._born_at) for sample in samples
-        ]
+        metrics = []
+        for sample in samples:
+            is_historical = sample.time < self._connected_at
+            metrics.append(_metric(sample, device.kinds[sample.point], is_historical=is_historical))
+            if is_historical and not is_new:
+                device.behind.add(sample.point)
+            else:
+                device.behind.discard(sample.point)
         await self._publish("DDATA", metrics, name)
 
     async def _publish(self, kind: str, metrics: Sequence[Metric], device: str | None = None) -> None:
@@ -384,7 +435,10 @@ class SparkplugSink:
         self._host_time = moment
         if online:
             self._host_online.set()
+            if self._host_left:
+                self._ask_for_births()
         else:
+            self._host_left = self._is_born
             self._host_online.clear()
 
     def _take_node_command(self, content: bytes) -> None:
@@ -393,17 +447,24 @@ class SparkplugSink:
         except ValueError as error:
             _log.warning("sink for Sparkplug: a command that is no payload: %s", error)
             return
-        if wanted and (self._rebirth is None or self._rebirth.done()):
+        if wanted:
+            self._ask_for_births()
+
+    def _ask_for_births(self) -> None:
+        self._asked_at = time.monotonic()
+        if self._rebirth is None or self._rebirth.done():
             self._rebirth = asyncio.create_task(self._births_again(), name="busway sparkplug rebirth")
 
     async def _births_again(self) -> None:
-        """Publish all birth messages again, but not too soon after the last time (rule 5)."""
-        asked_at = time.monotonic()
-        await asyncio.sleep(max(0.0, self._last_birth + REBIRTH_PAUSE - asked_at))
+        """Publish all birth messages again, but not too soon after the last time (rule 5), until no request is left."""
         with contextlib.suppress(import_module("aiomqtt").MqttError, SinkDown, SinkRefused):  # sending finds that out
-            async with self._sending:
-                if self._is_born and self._last_birth < asked_at:
-                    await self._births()
+            while self._asked_at is not None:
+                await asyncio.sleep(max(0.0, self._last_birth + REBIRTH_PAUSE - self._asked_at))
+                async with self._sending:
+                    self._asked_at = None
+                    if self._is_born and (self._primary_host is None or self._host_online.is_set()):
+                        self._host_left = False
+                        await self._births()
 
     def _take_device_command(self, topic: str, content: bytes, *, is_retained: bool) -> None:
         """Hand the values that a host writes to a device to the collector's commands (rule 7)."""
@@ -438,9 +499,8 @@ def _log_defect(task: "asyncio.Task[None]") -> None:
         _log.error("sink for Sparkplug: messages are no longer received", exc_info=task.exception())
 
 
-def _alarm_metric(alarm: CommittedAlarm, *, is_historical: bool) -> Metric:
-    content = alarm_document(alarm).encode().decode()
-    return Metric(ALARM_METRIC, alarm.event.at, DataType.STRING, content, is_historical)
+def _alarm_metric(alarm: CommittedAlarm) -> Metric:
+    return Metric(ALARM_METRIC, alarm.event.at, DataType.STRING, alarm_document(alarm).encode().decode())
 
 
 def _device_of(sample: CommittedSample) -> str:
@@ -448,8 +508,27 @@ def _device_of(sample: CommittedSample) -> str:
 
 
 def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
-    for begin in range(0, len(samples), MOST_METRICS):
-        yield samples[begin : begin + MOST_METRICS]
+    """Yield samples of a device as messages have them: not too many, and those of a metric can have one type."""
+    begin = 0
+    kinds: dict[str, DataType] = {}
+    for place, sample in enumerate(samples):
+        kind = None if sample.value is None else _kind_in_message(sample.value)
+        is_other = kind is not None and kinds.setdefault(sample.point, kind) is not kind
+        if is_other or place - begin == MOST_METRICS:
+            yield samples[begin:place]
+            begin, kinds = place, {} if kind is None else {sample.point: kind}
+    yield samples[begin:]
+
+
+def _kind_in_message(value: Value) -> DataType:
+    """Return the type of a value, where numbers that are whole and small count as fractions."""
+    kind = type_of(value)
+    return DataType.DOUBLE if kind is DataType.INT64 and abs(int(value)) < _MOST_EXACT else kind
+
+
+def _without_value(metric: Metric) -> Metric:
+    others = tuple(each for each in metric.properties if each[0] == "engUnit")
+    return replace(metric, value=None, properties=(("Quality", SparkplugQuality.STALE), *others))
 
 
 def _metric(sample: CommittedSample, kind: DataType, *, is_historical: bool = False, unit: bool = False) -> Metric:
