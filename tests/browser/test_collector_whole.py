@@ -1,9 +1,11 @@
 """The collector's page in a browser with all that is behind it: writes that reach a device, alarms, maintenance."""
 
+import functools
 import re
 
 import pytest
 from page_collector import watched_collector
+from waiting import wait_until
 
 import busway
 from busway.apps.collector.samples import Reason
@@ -154,6 +156,25 @@ def test_maintenance_stops_polling_until_it_ends(plant, signed, tmp_path):
     kept = busway.Store(tmp_path / "data").read("pump/level")
     (interval,) = [each for each in kept.intervals if each.reason == Reason.MAINTENANCE]
     assert all(sample.time > interval.end for sample in kept if sample.value == 55)
+
+
+def test_a_device_in_maintenance_says_so_in_the_table_also_after_a_restart(tmp_path, new_page, complaints):
+    with watched_collector(tmp_path, profile=PROFILE) as before:
+        page = new_page(before.page.url)
+        expect(row(page, "pump/level").locator(".c-quality")).to_have_text("good")
+        begin = functools.partial(before.collector.maintenance, "pump", begins=True, why="new bearing")
+        before.loop.call_soon_threadsafe(begin)
+        expect(row(page, "pump/level").locator(".c-quality")).to_have_text("bad: maintenance")
+        expect(row(page, "pump/level").locator(".c-value")).to_have_text("7")
+        page.close()
+    with watched_collector(tmp_path, profile=PROFILE) as after:
+        wait_until(lambda: set(after.ask("/api/values")[1]["reason"]) == {"maintenance"})
+        page = new_page(after.page.url)
+        expect(row(page, "pump/level").locator(".c-quality")).to_have_text("bad: maintenance")
+        expect(row(page, "pump/level").locator(".c-age")).to_have_text("–")
+        page.locator("#quality").select_option("bad")
+        expect(row(page, "pump/level")).to_be_visible()
+    complaints[:] = [each for each in complaints if "CONNECTION_REFUSED" not in each and "WebSocket" not in each]
 
 
 def test_a_configuration_that_is_wrong_is_refused_and_a_right_one_applied(plant, signed, complaints):

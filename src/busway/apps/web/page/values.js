@@ -100,7 +100,7 @@ export class ValueTable {
   }
 
   quality(point) {
-    return point.time ? this.reasons[point.reason]?.[0] ?? "" : QUALITY_UNREAD;
+    return point.time || point.reason ? this.reasons[point.reason]?.[0] ?? "" : QUALITY_UNREAD;
   }
 
   filter() {
@@ -172,7 +172,7 @@ export class ValueTable {
     const measure = point.unit_of_measure && point.value !== null ? ` ${point.unit_of_measure}` : "";
     setText(value, valueText(point.value, point) + measure);
     const name = this.quality(point);
-    const reason = point.time ? this.reasons[point.reason]?.[1] : "";
+    const reason = this.reasons[point.reason]?.[1];
     setText(quality, name === QUALITY_UNREAD ? "not read yet" : name + (reason ? `: ${reason}` : ""));
     if (quality.dataset.quality !== name) quality.dataset.quality = name;
     if (quality.title !== quality.textContent) quality.title = quality.textContent;
