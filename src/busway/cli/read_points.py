@@ -147,7 +147,9 @@ class PointReader:
         return [records[point.name] for point in self.points if point.name in records and _exists(point, records)]
 
     def _counting(self) -> set[str]:
-        """Return the points that tell how many members a group has, and the points they are computed from."""
+        """Return the points whose values say how many members a repeated group has, and the points those are computed
+        from.
+        """
         names = {name for point in self._stored for name, _ in point.exists}
         return {point.name for point in self._with_inputs([self._all[name] for name in names])}
 

@@ -217,9 +217,7 @@ class BlockingLinkDriver:
             self._turn.release()
 
     def serve(self, now: float) -> None:
-        """Send waiting requests, because another link of the client has freed a shared slot. Call with
-        the lock held.
-        """
+        """Send waiting requests, because other links have fewer requests in flight now. Call with the lock held."""
         if self.session.has_calls and self._connection is not None:
             self._transmit(now)
 
@@ -287,7 +285,7 @@ class BlockingLinkDriver:
         return self._leading or self._waiting > 0
 
     def _used(self) -> None:
-        """Finish a call: let other links use free slots; with ``hold=request``, close the connection."""
+        """Finish a call: let other links send under the common limit; with ``hold=request``, close the connection."""
         if self._scope is not None:
             self._scope.serve(time.monotonic())
         if not self._hold:

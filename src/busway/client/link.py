@@ -336,7 +336,7 @@ class AsyncLinkDriver:
         return True
 
     def serve(self, now: float) -> None:
-        """Send waiting requests because another link of the client has freed a shared slot."""
+        """Send waiting requests, because other links under the common limit have fewer in flight now."""
         if self.session.has_calls and self._transport is not None:
             self._pump(now)
             self._rearm()
@@ -486,7 +486,9 @@ class AsyncLinkDriver:
         self._paused = False
 
     def _after_use(self, now: float) -> None:
-        """Finish a call: let other links use free slots; close the connection when its hold time is over."""
+        """Finish a call: let other links send under the common limit; close the connection when its
+        hold time is over.
+        """
         if self._scope is not None:
             self._scope.serve(now)
         if self._hold == math.inf or self._transport is None or self._is_used() or self.session.deadline() is not None:

@@ -22,7 +22,7 @@ class ScopedLink(Protocol):
     """Interface of a link whose requests in flight count towards a limit that several links share."""
 
     def serve(self, now: float) -> None:
-        """Send waiting requests of the link, because a shared slot is free."""
+        """Send waiting requests of the link, because the common limit has room for them."""
 
 
 class ClientScope:

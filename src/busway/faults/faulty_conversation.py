@@ -120,7 +120,7 @@ class FaultyConversation:
     # Time.
 
     def tick(self, now: float) -> list[bytes]:
-        """Return the bytes that are due on the connection now, one item per write."""
+        """Return the bytes to send on the connection now, one item per write."""
         writes: list[bytes] = []
         glued = False
         while self._outbox and self._outbox[0].when <= now + SAME_MOMENT and not self.closed:

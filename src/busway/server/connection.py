@@ -120,7 +120,7 @@ class ServerConnection(asyncio.BufferedProtocol):
     # What the event loop calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Handle a new connection: ask connection management for a slot, and close it if none is free."""
+        """Handle a new connection: give it one of the listener's limited slots, or close it if none is free."""
         self._transport = transport
         address = transport.get_extra_info("peername")
         self.peer, self.host = peer_name(address), host_of(address)
@@ -155,7 +155,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._look_at_share(session, nbytes)
 
     def _finish(self, session: Session, size: int) -> None:
-        """After received bytes were answered: start late replies and timeouts, report failures of responders."""
+        """Finish the handling of received bytes: start late replies and timeouts, report failures of responders."""
         if session.deferred:
             self._start_waiting(session)
         if session.failures:
@@ -227,7 +227,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._management.turns.wait(self)
 
     def take_turn(self) -> bool:
-        """Answer as many queued requests as one share allows. Returns whether more remain for the next turn."""
+        """Answer queued requests for the connection's share of time. Returns whether more remain."""
         try:
             more = self._work_on()
         except (SystemExit, KeyboardInterrupt):

@@ -197,7 +197,7 @@ class ConnectionManagement:
         return listener_context.session_for(connection, share=REQUESTS_OF_A_TURN)
 
     def evict(self, connection: ManagedConnection) -> None:
-        """Close a connection, because a new connection gets its slot."""
+        """Close a connection, because a new connection gets its place among the limited connections."""
         self.counters.evicted += 1
         self.listener_context.say(
             logging.WARNING,

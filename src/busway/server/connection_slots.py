@@ -38,7 +38,7 @@ class Pool(Enum):
 
 
 class PoolMember(Protocol):
-    """Interface of a connection that occupies one of a listener's limited slots.
+    """Interface of a connection that counts towards a listener's limit of connections (occupies a slot).
 
     Attributes:
         host: host of the client.
@@ -124,7 +124,7 @@ class Pools(Generic[One]):
         return len(self._priority) + len(self._other)
 
     def count(self, pool: Pool) -> int:
-        """Return how many slots of a pool are used."""
+        """Return how many connections there are in a pool: of priority hosts, or of others."""
         return len(self._priority if pool is Pool.PRIORITY else self._other)
 
     def admit(self, candidate: One) -> Admission[One]:
@@ -145,7 +145,7 @@ class Pools(Generic[One]):
         return Admission(True, evicted)
 
     def leave(self, member: One) -> None:
-        """Free the slot of a connection that has ended; no effect if it had lost its slot before."""
+        """Free the connection slot of a connection that has ended; no effect if it had lost its slot before."""
         if member in self._other:
             self._remove(member)
         elif member in self._priority:
@@ -242,7 +242,7 @@ class Pools(Generic[One]):
                 del self._of_device[member.host]
 
     def _move_up(self) -> None:
-        """Move the oldest priority connection that has a normal slot into a free priority slot."""
+        """Move the oldest priority connection in a normal connection slot to a free priority slot."""
         for member in self._other:
             if member.is_priority and self._has_priority_place(member.host):
                 self._remove(member)

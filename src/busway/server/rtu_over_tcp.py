@@ -138,7 +138,7 @@ class FramedSession:
         self.rest += bytes(memoryview(buffer)[:size])
 
     def go_on(self) -> list[bytes]:
-        """Process queued bytes up to the connection's share; returns the replies to send, in order."""
+        """Process queued bytes for the connection's share of time; returns the replies to send, in order."""
         now, self.rest = self.rest[:SHARE_OF_BYTES], self.rest[SHARE_OF_BYTES:]
         self.spent = len(now) // 16
         emissions = self._session.receive(now, self._came)

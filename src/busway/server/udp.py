@@ -140,7 +140,7 @@ class UdpListener:
             self.leave(peer)
 
     def leave(self, peer: "_Peer") -> None:
-        """Remove a UDP peer, because its slot went to another one."""
+        """Remove a UDP peer, because a new peer got its place among the limited peers."""
         del self._peers[peer.socket, peer.address]
         self._pools.leave(peer)
         peer.close()
@@ -162,7 +162,9 @@ class UdpListener:
         return peer
 
     def _forget_unused(self) -> bool:
-        """Forget an idle priority peer in a normal slot; returns whether there was one (rule 4 of this file)."""
+        """Forget an idle priority peer that occupies a normal slot; returns whether there was one (rule 4 of this
+        file).
+        """
         unused = [one for one in self._peers.values() if one.pool is Pool.OTHER and not one.is_busy]
         if not unused:
             return False

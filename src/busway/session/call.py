@@ -244,7 +244,7 @@ def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) 
 
 
 class RequestInFlight:
-    """A request that was sent and whose reply is awaited; such objects are reused from a list of free slots."""
+    """A request that was sent and whose reply is awaited; the object is reused for later requests."""
 
     __slots__ = ("call", "encoded", "expires", "position", "sent")
 

@@ -554,7 +554,7 @@ class TcpClientSession:
         return breakers.timed_out(unit, now)
 
     def _fail_suspended(self, now: float) -> None:
-        """Fail the queued calls of units whose breaker has opened, instead of letting them wait for the probe."""
+        """Fail the queued calls of units whose circuit breaker has opened, instead of letting them wait for a probe."""
         breakers = self.breakers
         assert breakers is not None
         in_flight = {(id(one.call), one.position) for one in self._pending.values()}

@@ -194,8 +194,8 @@ class ForwardedReads:
         self.batches: dict[Any, None] = {}  # Any: batches are the gateway's
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
-        """Forward the reads in ``buffer`` from ``at`` on whose plan is cached, while slots are free. Returns where they
-        end.
+        """Forward the reads in ``buffer`` from ``at`` on whose plan is cached, up to the limit of requests. Returns
+        their end.
         """
         slots = self._slots
         count = min((size - at) // READ_SIZE, slots.limit - slots.used)
@@ -302,7 +302,9 @@ class ForwardedReads:
             observer.forwarded(self._client, replies, arrived)
 
     def close(self) -> None:
-        """End with the client's connection: reads without reply get none, and their slots are freed."""
+        """End with the client's connection: reads without reply get none, and no longer count towards the limit of
+        requests.
+        """
         self._is_open = False
         if self._observed_by is not None and self.waiting:
             self._observed_by.unanswered(self._client, self.waiting)

@@ -225,7 +225,8 @@ class UnitDoubt:
     # Markers.
 
     def marker(self, number: int, *, is_check: bool = False) -> Marker | None:
-        """Return the next marker request to send to the unit, or None if it answered no kind of marker.
+        """Return the next marker request (harmless; its reply proves that no late one follows); None if the unit
+        answers none.
 
         ``number``, 0…65535, is the data of 08/00; no marker that is still owed a reply may have used it.
         """
@@ -251,7 +252,7 @@ class UnitDoubt:
         return None if taken else request
 
     def _read_of_other_length(self) -> Request | None:
-        """Return a marker: a read so short that no late reply could be taken for its answer."""
+        """Return a marker request: a read so short that no late reply could be taken for its answer."""
         good = self.good
         if good is None or good.wire[0] in self.older:
             return None
@@ -265,24 +266,26 @@ class UnitDoubt:
         return None
 
     def marked(self, kind: MarkerKind) -> None:
-        """Record that the unit answers a kind of marker, so that this kind is tried first next time."""
+        """Record that the unit answers this kind of marker request (see `Marker`), so that it is tried
+        first next time.
+        """
         self.works = kind
         self.silent.discard(kind)
         self.unasked = None
         self.alike = 0
 
     def not_marked(self, kind: MarkerKind) -> None:
-        """Record that the unit did not answer a kind of marker."""
+        """Record that the unit did not answer this kind of marker request (see `Marker`)."""
         self.silent.add(kind)
 
     def revived(self) -> None:
-        """Allow all kinds of markers again, because a unit that was silent answers."""
+        """Allow all kinds of marker requests (see `Marker`) again, because a unit that was silent answers."""
         self.silent.clear()
 
     # Replies in time.
 
     def heard(self, request: Request, *, is_exception: bool) -> None:
-        """Count replies in time that have the same shape as the one before (rule 7)."""
+        """Count how many replies in a row came in time and had the same shape (rule 7)."""
         last, self.last = self.last, request
         if request is last or (
             last is not None and self._is_alike(request, last, is_exception=is_exception)

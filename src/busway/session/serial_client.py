@@ -395,7 +395,8 @@ class SerialClientSession:
         return max(at, doubt.waits_until(function_of(request), call, position, now))
 
     def _marker_before(self, call: Call) -> Marker | None:
-        """Return the marker request to send before the next request of a call; None if that may go at once.
+        """Return the harmless request to send first, to make sure that no late reply is taken for the next one; or
+        None.
 
         A restart needs none: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
         """
@@ -428,14 +429,16 @@ class SerialClientSession:
         return doubt.in_doubt(request, call, position)
 
     def _fail_suspended(self, now: float) -> None:
-        """Fail the queued calls of units whose breaker has opened, instead of letting them wait for the probe."""
+        """Fail the queued calls of units whose circuit breaker has opened, instead of letting them wait for a probe."""
         for call in list(self._tracker.queue):
             pause = self.breakers.suspended_for(call.unit, now)
             if pause is not None:
                 self._tracker.give_up(call, now, partial(self._suspended, call, pause))
 
     def _send_marker(self, marker: Marker, call: Call, now: float) -> bytes:
-        """Send a marker request to the unit of a call, which keeps its position in the queue."""
+        """Send a harmless request whose reply proves that no late reply follows; the call keeps its position in the
+        queue.
+        """
         frame = self._framing.encode(call.unit, marker.request.wire)
         self.counters.markers += 1
         doubt = self.doubts.of(call.unit)
@@ -641,7 +644,9 @@ class SerialClientSession:
         self._conclude(awaited, outcome, now)
 
     def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
-        """Handle the reply to a marker request: it proves that no older reply of this unit can come."""
+        """Handle the reply to the session's own harmless request: it proves that no late reply of this
+        unit can come.
+        """
         if isinstance(outcome, ModbusError) and marker.kind is MarkerKind.OTHER_LENGTH:
             doubt.not_marked(marker.kind)  # it reads nothing but that length
         else:
@@ -797,7 +802,9 @@ class SerialClientSession:
             self.counters.recycled += 1
 
     def _not_marked(self, awaited: _RequestInFlight, marker: Marker, now: float) -> None:
-        """Handle a marker request without reply: the call behind it fails once its attempts are used up."""
+        """Handle a harmless request of the session without reply: the waiting call fails once its
+        attempts are used up.
+        """
         doubt = self.doubts.of(awaited.unit)
         doubt.not_marked(marker.kind)
         doubt.alike = 0

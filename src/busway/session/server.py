@@ -303,12 +303,12 @@ class TcpServerSession:
         self.rest += bytes(memoryview(buffer)[:size])
 
     def go_on(self) -> list[bytes]:
-        """Process the bytes kept in ``rest``, up to one share. Returns the reply frames to send, in order."""
+        """Process kept bytes, up to the connection's share of time. Returns the reply frames to send, in order."""
         rest, self.rest = self.rest, b""
         return self.receive(rest, len(rest))
 
     def close(self) -> None:
-        """End the session with its connection: waiting requests get no reply, and their slots are freed."""
+        """End the session with its connection: waiting requests get no reply, and no longer count towards the limit."""
         self.rest = b""
         if self._reads is not None:
             self._reads.close()

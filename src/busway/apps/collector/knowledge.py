@@ -131,7 +131,9 @@ class DeviceKnowledge:
         )
 
     def forgotten(self, *, pinned: bool = False) -> "DeviceKnowledge":
-        """Return a copy with only the pinned parts; an empty one if ``pinned`` parts are to be forgotten too."""
+        """Return a copy with only pinned facts (kept by the user's will); if ``pinned`` are to be forgotten too, an
+        empty one.
+        """
         return DeviceKnowledge(
             self.profile,
             self.firmware,
@@ -178,7 +180,9 @@ class Knowledge:
         return self._change(name, lambda known: known.pinned())
 
     def forget(self, name: str, *, pinned: bool = False) -> bool:
-        """Forget what was learnt about a device, pinned parts only if asked. Returns False if it is unknown."""
+        """Forget what was learnt about a device; facts pinned by the user only if asked. Returns False if it is
+        unknown.
+        """
         return self._change(name, lambda known: known.forgotten(pinned=pinned))
 
     def _change(self, name: str, change: Callable[[DeviceKnowledge], DeviceKnowledge]) -> bool:

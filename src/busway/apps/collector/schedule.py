@@ -465,7 +465,7 @@ class LinkSchedule:
         return None
 
     def _first_contact(self) -> Turn | None:
-        """Return the first request to a device that was never asked, if nothing is due or its share of time allows."""
+        """Return a first request to a device that was never asked; None if there is no such device."""
         for _ in range(len(self._new)):
             device = self.devices.get(self._new.popleft())
             if device is None or device.lives is not None:

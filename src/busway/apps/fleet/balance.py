@@ -28,7 +28,7 @@ MOST_MOVES: Final = 64
 
 @dataclass(slots=True)
 class Share:
-    """The load and the capacity of one collector of a zone.
+    """The load and the capacity of one of the collectors that share a plant.
 
     Attributes:
         name, host: its names.

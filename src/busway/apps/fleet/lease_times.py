@@ -10,7 +10,7 @@ from ...errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class LeaseTimes:
-    """Lengths of leases and of renewals; all collectors of a zone must have the same.
+    """How long a collector's right to poll (lease) holds and how often it is renewed; the same for all collectors.
 
     Attributes:
         ttl: seconds for which a lease holds from the moment its last successful renewal was begun, 3…300.
@@ -55,7 +55,7 @@ class LeaseTimes:
 
 @dataclass(frozen=True, slots=True, order=True)
 class Epoch:
-    """The number of an ownership of a shard (group of links): a later owner has a greater one.
+    """Number of an ownership of a shard (group of links); each later owner has a greater one.
 
     Attributes:
         generation: raised by an operator who restores the coordinator from a backup, so that epochs never go back.

@@ -149,8 +149,7 @@ class MemberCounts:
 
 
 class FleetMember:
-    """One collector's view of its zone: its shards (groups of links) and leases, the other members, and changes to ask
-    for.
+    """One collector's view of the fleet: its shards (groups of links) and leases, the others, and changes to ask for.
 
     Args:
         name, run, host: as in `MemberRecord`.
@@ -258,7 +257,7 @@ class FleetMember:
         return sorted((*found, self._me), key=lambda each: each.name)
 
     def leases(self) -> dict[str, LeaseRecord]:
-        """Return the last known lease of each shard (group of links)."""
+        """Return the last known lease (owner and epoch) of each shard (group of links)."""
         return {shard: each.record for shard, each in self._leases.items() if each.record is not None}
 
     # What comes in.
@@ -562,6 +561,6 @@ class FleetMember:
 
 
 def record_epoch(proposal: Proposal) -> Epoch | None:
-    """Return the epoch in the lease that a proposed change writes; None if it takes the shard (group of links)."""
+    """Return the epoch (number of the ownership) in a proposed lease; None if the proposal takes the shard."""
     record = decode_lease(proposal.value)
     return None if record is None else record.epoch

@@ -17,7 +17,7 @@ GENERATION: Final = "generation"
 
 @dataclass(frozen=True, slots=True)
 class LeaseRecord:
-    """The lease of one shard (group of links): who owns it, in which epoch.
+    """The lease (right to poll) of one shard (group of links): who owns it, in which epoch.
 
     Attributes:
         owner, run: the collector, and a word for this start of it; two processes of one name are two owners.

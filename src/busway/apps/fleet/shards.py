@@ -52,7 +52,7 @@ def hosts_of(shard: str) -> tuple[str, ...]:
 
 
 def shard_names(shards: int) -> list[str]:
-    """Return the names of all shards (groups of links) of a zone that any host may own."""
+    """Return the names of all shards (groups of links) that any host may own."""
     return [f"{number:04d}" for number in range(shards)]
 
 

@@ -36,7 +36,7 @@ _log = logging.getLogger("busway.fleet")
 
 @dataclass(frozen=True, slots=True)
 class StreamOptions:
-    """Options of the message stream with a zone's samples: how long, and on how many servers, it keeps messages.
+    """Options of the message stream that carries samples from collectors to sinks: how long, on how many servers.
 
     Attributes:
         replicas: servers that keep each message, 1…5.
@@ -86,7 +86,7 @@ async def make_stream(client: Any, zone: str, options: StreamOptions | None = No
 
 
 class NatsStream:
-    """The connection through which one collector sends samples into the message stream of its zone.
+    """The connection over which one collector sends samples into a message stream, from which sinks get them.
 
     Args:
         client: of nats-py, connected.
@@ -142,7 +142,7 @@ class SinkCursors:
 
 
 class CursorBook:
-    """Up to which commit each sink of a zone has received samples, as the shared table says."""
+    """Up to which commit each sink has received the samples of the collectors, as the shared table says."""
 
     def __init__(self) -> None:
         self._cursors: dict[str, SinkCursors] = {}
@@ -172,7 +172,7 @@ class CursorBook:
         return min((each.commits.get(place, 0) for each in self._cursors.values()), default=None)
 
     def of(self, sink: str) -> tuple[SinkCursors | None, int]:
-        """Return the positions of one sink, and the revision of its entry, 0 if it has none."""
+        """Return the commits up to which one sink has samples, and the revision of its entry, 0 without one."""
         return self._cursors.get(sink), self._revisions.get(sink, 0)
 
     async def watch(self, coordinator: Coordinator, told: Callable[[], None] = lambda: None) -> None:
@@ -222,7 +222,7 @@ class SinkProgress:
 
 
 class StreamSink:
-    """Passes the samples in a zone's message stream on to one sink, each at least once.
+    """Passes the samples in the collectors' message stream on to one sink, each at least once.
 
     Args:
         client: of nats-py, connected.

@@ -284,7 +284,7 @@ def _indicators(links: Sequence[LinkStatus]) -> StatusIndicators:
 
 
 def _in_doubt(link: AsyncLinkDriver) -> tuple[int, ...]:
-    """Return the units of a serial link that may still send late replies."""
+    """Return the units of a serial link from which late replies may still come."""
     session = link.session
     return tuple(session.doubts.in_doubt()) if isinstance(session, SerialClientSession) else ()
 

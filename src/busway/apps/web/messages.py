@@ -315,5 +315,7 @@ def plain_values(values: Mapping[str, Any]) -> dict[str, Plain]:
 
 
 def given_value(value: Plain) -> Plain:
-    """Return the value in a request; texts for numbers that JSON does not have become those numbers."""
+    """Return the value in a request; texts for infinities and NaN, which JSON cannot represent, become
+    those numbers.
+    """
     return float(value) if isinstance(value, str) and value in _NOT_IN_JSON else value

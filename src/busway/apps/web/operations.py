@@ -51,7 +51,7 @@ def new_application(title: str, description: str, handlers: Mapping[Any, ErrorHa
 
 
 def secure_document(application: FastAPI) -> None:
-    """State in the OpenAPI document how requests are authorized; FastAPI does not know, as `access` does it."""
+    """Add to the OpenAPI document how requests are authorized, which FastAPI cannot know: `access` does it."""
     document = application.openapi()
     document["components"]["securitySchemes"] = {"token": _TOKEN}
     document["security"] = [{"token": []}, {}]

@@ -134,7 +134,7 @@ class AlarmRow:
 
 @dataclass(frozen=True, slots=True)
 class CounterRow:
-    """The state of an accumulator as it is stored: the id of its point, total, last counter, and commit."""
+    """The state of a running total as it is stored: the id of its point, total, last counter reading, and commit."""
 
     point: int
     total: Any  # as SQLite has it
@@ -280,7 +280,7 @@ class Manifest:
         *,
         is_mended: bool = False,
     ) -> None:
-        """Record what a finished segment file contains, and copy its alarms and accumulators.
+        """Record what a finished segment file contains, and copy its alarms and running totals into the manifest.
 
         With ``is_mended`` its times are corrected, and so are those of all segments before it.
         """
@@ -369,7 +369,7 @@ class Manifest:
             )
 
     def counters(self) -> list[CounterRow]:
-        """Return the states of accumulators at the end of finished segment files."""
+        """Return the states of running totals (accumulators) at the end of finished segment files."""
         return [CounterRow(*row) for row in self._all("SELECT * FROM counters")]
 
     def maintenance(self) -> list[MaintenanceRow]:

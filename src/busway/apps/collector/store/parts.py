@@ -26,7 +26,7 @@ Row = tuple[int, int, Any, int, int, int]
 
 @dataclass(slots=True)
 class Sums:
-    """Count, total, minimum, maximum and worst reason of one point in one time bucket; sums can be added up.
+    """Count, total, minimum, maximum and worst reason of one point in one time bucket; can be added up.
 
     Attributes:
         count: numbers that were not bad.
@@ -44,7 +44,7 @@ class Sums:
     reason: int
 
     def add(self, other: "Sums") -> None:
-        """Add the sums of other samples of the same bucket."""
+        """Add the sums (count, total, …) of other samples of the same time bucket."""
         self.count += other.count
         self.total += other.total
         self.samples += other.samples
@@ -106,7 +106,9 @@ def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int
 def part_sums(
     folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int, bucket: int
 ) -> SumsByBucket:
-    """Return the sums of a file's samples from ``low`` up to ``high``, in buckets of ``bucket`` nanoseconds."""
+    """Return count, total, minimum and maximum of a file's samples from ``low`` to ``high``, by
+    ``bucket`` nanoseconds.
+    """
     if part.kind == "sealed":
         return _sealed_sums(
             _sealed(folder, part, ids, low, high, ["time", "point", "real", "integer", "large", "reason"]), bucket
@@ -181,7 +183,7 @@ def _sealed_sums(table: Any, bucket: int) -> SumsByBucket:
 
 
 def sums_of_rows(rows: Sequence[Row], bucket: int) -> SumsByBucket:
-    """Return the sums of samples by bucket; used where files overlap in time and were merged first."""
+    """Return count, total, minimum and maximum of samples by time bucket, for files that overlap and were merged."""
     found: SumsByBucket = {}
     for time, point, value, reason, _, _ in rows:
         usable = reason < Reason.TIMEOUT and type(value) in (int, float)

@@ -300,7 +300,7 @@ def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Ite
 
 
 def _share(part: StorePart, begin: int, end: int) -> float:
-    """Return the estimated number of a file's samples within a period."""
+    """Return an estimate of how many samples of a file are within a period."""
     return (part.rows or 0) * (end - begin) / ((part.high or 0) + 1 - (part.low or 0))
 
 
