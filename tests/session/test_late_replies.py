@@ -15,6 +15,7 @@ from busway.server.device import Device
 from busway.session.late_replies import CHECK_EVERY, OWED_LIMIT, Doubts, MarkerKind, OwedReply, UnitDoubt
 
 READ = ReadHoldingRegisters(0, 2)
+READ.prepare()  # a test may run alone
 REPLY = bytes.fromhex("03 04 00 01 00 02")
 EXCEPTION = bytes.fromhex("83 06")
 NO_BREAKER = BreakerParameters(open_after=0)

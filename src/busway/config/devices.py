@@ -63,7 +63,7 @@ def _hole(section: UnitSection, table: Table) -> int | None:
 
 
 def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: int | None) -> Cells | None:
-    """Return the items of a table as declared; if not declared, those of its points and of the gaps between them."""
+    """Return a table's items as the file declares them; or else those of its points and of the gaps between them."""
     read_only = [
         [point.place.offset, point.size] for point in points if point.table.is_writable and not point.is_writable
     ]

@@ -66,7 +66,7 @@ class FaultyResponder:
         return not (self._faults.is_any_on or self._heard or self._tap.has_any_unsent)
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return the unit of the wrapped responder that answers; without the fast path while a fault is on."""
+        """Return the wrapped responder's unit; while a fault is on, without the means to bypass this responder."""
         served = self.inner.serves(unit)
         return served if served is None or self._is_aside else replace(served, is_direct=False)
 

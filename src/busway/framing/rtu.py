@@ -345,7 +345,7 @@ class RtuReceiver:
     # Decisions at a silence (rules 2, 4 and 5).
 
     def _after_silence(self, found: list[Received]) -> None:
-        """Decide what the unfinished bytes are, after a silence of t3.5 (rules 2, 4 and 5)."""
+        """Decide whether unfinished bytes are frames or damaged, after a silence of t3.5 (rules 2, 4 and 5)."""
         self._skipping = False
         while self._at < len(self._buffer):
             self._follow(found)

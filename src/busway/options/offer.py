@@ -58,7 +58,9 @@ class Offer:
 
     @classmethod
     def at(cls, endpoint: Endpoint, role: str, kinds: Kinds) -> "Offer":
-        """Return the options that have an effect at an endpoint, for a ``client``, a ``server`` or a ``monitor``."""
+        """Return the options that have an effect at an endpoint, by role: ``client``, ``server`` or ``monitor`` (a
+        listener).
+        """
         words = (role, endpoint.framing, endpoint.carrier)
         found = {}
         for kind in kinds:

@@ -62,7 +62,7 @@ class ExchangingBlock(Block, Protocol):
 
 
 class DirectModel(Protocol):
-    """Interface of a device that offers the memory of its tables to the fast path."""
+    """Interface of a device that lets requests read and write its tables' memory directly, for speed."""
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
         """Return a table's memory if requests may use it directly (no hook, no gap); else None."""

@@ -83,12 +83,12 @@ class FileData:
 
     @property
     def count(self) -> int:
-        """Number of registers that the group writes."""
+        """Number of registers that this group of a write request (function 21) has."""
         return len(self.data) // 2
 
     @property
     def registers(self) -> list[int]:
-        """The registers that the group writes as numbers 0…65535."""
+        """The registers that this group of a write request (function 21) writes, as numbers 0…65535."""
         return unpack_registers(self.data)
 
     def encode(self) -> bytes:

@@ -129,7 +129,7 @@ class SerialListener:
         self._session.take_no_more()
 
     async def close(self) -> None:
-        """Close the port. A finished reply that waits for its silence is sent; requests in progress get none."""
+        """Close the port. A reply that waits for the line's silence is sent; requests in progress get none."""
         if self._pending is not None:
             await asyncio.sleep(max(self._pending.not_before - time.monotonic(), 0.0))
             if self._pending is not None:  # or the alarm was sooner, or another station has spoken

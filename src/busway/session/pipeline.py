@@ -134,12 +134,12 @@ class RequestPipeline:
 
     @property
     def generation(self) -> int:
-        """A number that changes when functions compiled for the fast path are no longer valid."""
+        """A number that changes when functions compiled to answer requests from bytes are no longer valid."""
         authorizer = self.authorizer
         return self.responder.generation if authorizer is None else self.responder.generation + authorizer.generation
 
     def fast_path(self, client: ClientIdentity) -> "FastPath":
-        """Return the cache of compiled answers that all clients with the same rights as this one share."""
+        """Return the cache of functions that answer from bytes, shared by all clients with the same rights."""
         generation = self.generation
         if self._fast_of != generation or len(self._fast) > _MOST_RIGHTS:
             self._fast, self._fast_of = {}, generation

@@ -310,7 +310,7 @@ Outcome = Message | Awaitable[Message] | Deferral | Forwarding
 
 
 class DirectDevice(DirectModel, Protocol):
-    """Interface of a device in this process whose memory the fast path can use without the responder."""
+    """Interface of a device in this process whose memory can be read and written without the responder, for speed."""
 
     def enabled(self, code: int) -> bool:
         """Whether the device offers the function with this code."""
@@ -318,7 +318,7 @@ class DirectDevice(DirectModel, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ServedUnit:
-    """A unit for which a responder answers, with its device if the fast path can use that directly.
+    """A unit for which a responder answers, with its device if that can be used directly, for speed.
 
     Attributes:
         unit: the unit as which its device is configured; the first where a sole device has several.

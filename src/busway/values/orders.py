@@ -96,7 +96,9 @@ class ByteOrder:
 
     @property
     def swaps(self) -> tuple[str, ...]:
-        """The byte swaps from wire to big-endian, in sequence: array type codes, ``02`` for registers 1 and 3 of 3."""
+        """The byte swaps from wire to big-endian, in sequence: type codes of `array`, or ``02`` to swap registers 1 and
+        3 of 3.
+        """
         if self.size == 6:
             return tuple(each for each in ("H" if self.mask & 1 else "", _EXCHANGES[self.mask & 6]) if each)
         widths: list[str] = []

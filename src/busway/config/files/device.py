@@ -243,7 +243,7 @@ class GroupSection(WholeSection):
         yield from _repeated("point", "name", [point.name for point in self.point])
 
     def size(self) -> int:
-        """Return how many points the group makes at all its places together."""
+        """Return how many points the group has at all places where it is repeated."""
         return (self.count or 1) * (len(self.point) + sum(each.size() for each in self.group))
 
     def names(self) -> Iterator[str]:

@@ -306,7 +306,9 @@ def upstream_families(upstreams: Iterable[Any]) -> Iterator[Family]:
 
 
 def _counters_of(prefix: str, label: str, parts: Iterable[Any], meaning: str) -> Iterator[Family]:
-    """Return a metric family for each counter of several parts, with a label that names the part."""
+    """Return a metric family for each counter that several objects (such as listeners) have, labelled
+    with their names.
+    """
     families: dict[str, Family] = {}
     for one in parts:
         for name, count in _numbers(one.counters):

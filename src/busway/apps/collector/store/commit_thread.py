@@ -415,7 +415,7 @@ class Committer:
             self._note_loss(Gap(batch.time, batch.time + 1, Reason.LOST, len(batch)))
 
     def _drop_whole_intervals(self) -> None:
-        """Drop the older half of queued periods of silence that are complete. Call with the lock held.
+        """Drop the older half of the queued silences of devices that have ended. Call with the lock held.
 
         Rows of others stay, few for each device: without them it would be shown as silent for ever, or not at all.
         """

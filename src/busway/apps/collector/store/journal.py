@@ -103,7 +103,7 @@ def _known_times(rows: Sequence[AlarmRow]) -> Iterator[tuple[int, int]]:
 
 
 def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:
-    """Return the states of running totals before the open segment file began, by device."""
+    """Return by device the states of running totals that are stored in files before the present one."""
     points = {point.id: point for point in manifest.points()}
     found: dict[str, list[CounterState]] = {}
     for row in manifest.counters():

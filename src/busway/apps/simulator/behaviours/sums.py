@@ -102,17 +102,17 @@ class SteadyLag:
         self._since = 0.0
 
     def value(self, time: float) -> float:
-        """Return the value at a time, while it approaches its target."""
+        """Return the lagging value at a time, on its way to a constant target."""
         way = self._start - self._target
         return self._target + way * math.exp(min(self._since - time, 0.0) / self._time_constant)
 
     def resume(self, time: float, value: float) -> None:
-        """Let the value continue from where it is at a time, towards its target."""
+        """Let the lagging value continue from a given value at a time, towards its target."""
         self._since = time
         self._start = value
 
     def state(self, time: float) -> float | None:
-        """Return the value at a time, to continue its approach after a restart."""
+        """Return the lagging value at a time, to continue its approach after a restart."""
         return self.value(time)
 
 
@@ -135,7 +135,7 @@ class Lag:
         self._seen = math.nan
 
     def value(self, time: float) -> float:
-        """Return the value at a time while it approaches its target."""
+        """Return the lagging value at a time, on its way to a target computed by a formula."""
         if math.isfinite(self._seen):
             way = self._value - self._seen
             self._value = self._seen + way * math.exp(min(self._time - time, 0.0) / self._time_constant)
@@ -147,10 +147,10 @@ class Lag:
         self._seen = self._target(time)
 
     def resume(self, time: float, value: float) -> None:
-        """Let the value continue from where it is at a time, towards its target."""
+        """Let the lagging value continue from a given value at a time, towards its target."""
         self._time = time
         self._value = value
 
     def state(self, time: float) -> float | None:
-        """Return the current value, to continue its approach after a restart."""
+        """Return the current lagging value, to continue its approach after a restart."""
         return self._value
