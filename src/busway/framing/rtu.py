@@ -317,7 +317,9 @@ class RtuReceiver:
         return DEAD, Direction.UNKNOWN
 
     def _length(self, direction: Direction, at: int, end: int) -> int:
-        """Return the length of the frame at ``at`` as request or reply; from the request if only that determines it."""
+        """Return the length of the frame at ``at``, read as request or reply; that of the expected reply if bytes do
+        not tell it.
+        """
         length = self._lengths.length(direction, self._buffer, at, end)
         if length == UNKNOWN_LENGTH and direction is Direction.REPLY:
             due = self.conversation.due

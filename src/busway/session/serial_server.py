@@ -158,7 +158,9 @@ class SerialServerSession:
         return [*filter(None, map(self.process, self.find(data, now)))]
 
     def find(self, data: bytes, now: float) -> list[Received]:
-        """Return the complete frames, and damaged bytes, in bytes read at ``now``; pass them to `process` in order."""
+        """Return the complete frames, and damaged bytes, in what was read at ``now``; pass each to
+        `process`, in order.
+        """
         self._last_byte = max(self._last_byte, now)
         return self._receiver.receive(data, now)
 

@@ -73,37 +73,37 @@ class MemoryTransport(asyncio.Transport):
         self._pair.something_left()
 
     def close(self) -> None:
-        """Close this end of the connection after what was written has arrived."""
+        """Close this end of the connection in memory after what was written has arrived."""
         if not self._closing:
             self._closing = True
             assert self._pair is not None
             self._pair.something_left()
 
     def abort(self) -> None:
-        """Close this end of the connection at once; segments on their way are dropped."""
+        """Close this end of the connection in memory at once; segments on their way are dropped."""
         self.in_transit.clear()
         self.close()
 
     def is_closing(self) -> bool:
-        """Whether either end of the connection was closed."""
+        """Whether either end of the connection in memory was closed."""
         return self._closing
 
     def pause_reading(self) -> None:
-        """Stop delivering bytes to this end of the connection."""
+        """Stop delivering bytes to this end of the connection in memory."""
         self._reading = False
 
     def resume_reading(self) -> None:
-        """Deliver bytes to this end of the connection again."""
+        """Deliver bytes to this end of the connection in memory again."""
         self._reading = True
         if self._pair is not None:
             self._pair.something_left()
 
     def is_reading(self) -> bool:
-        """Whether bytes may be delivered to this end of the connection."""
+        """Whether bytes may be delivered to this end of the connection in memory."""
         return self._reading and not self._closing
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Do nothing: bytes on their way are not limited."""
+        """Do nothing: bytes on their way through a connection in memory are not limited."""
 
     def get_write_buffer_size(self) -> int:
         """Return the number of bytes on their way to the other end."""
@@ -126,7 +126,7 @@ class MemoryTransport(asyncio.Transport):
         self._protocol = protocol
 
     def due(self, now: float) -> bytes:
-        """Return the next segment that reaches the other end by ``now``; empty if there is none."""
+        """Return the next segment of written bytes that reaches the other end by ``now``; empty if there is none."""
         if not self.in_transit or self.in_transit[0][0] > now:
             return b""
         data = self.in_transit.popleft()[1]
@@ -135,7 +135,7 @@ class MemoryTransport(asyncio.Transport):
         return data
 
     def take(self, data: bytes) -> None:
-        """Pass arrived bytes to the asyncio protocol of this end."""
+        """Pass arrived bytes to the asyncio protocol of this end of the connection in memory."""
         protocol = self._protocol
         if isinstance(protocol, asyncio.BufferedProtocol):
             while data and not self._closing:
@@ -149,7 +149,7 @@ class MemoryTransport(asyncio.Transport):
             protocol.data_received(data)
 
     def lose(self) -> bool:
-        """End the connection at this end. Returns whether it was open before."""
+        """End the connection in memory at this end. Returns whether it was open before."""
         if self._lost:
             return False
         self._closing = self._lost = True
@@ -159,7 +159,7 @@ class MemoryTransport(asyncio.Transport):
 
     @property
     def has_ended(self) -> bool:
-        """Whether this end is closed and all that it sent has arrived."""
+        """Whether this end of the connection in memory is closed and all that it sent has arrived."""
         return self._closing and not self.in_transit
 
 
@@ -213,13 +213,13 @@ class MemoryPair:
         self.deliver()
 
     def deliver(self, seconds: float = 0.0) -> None:
-        """Let time pass and deliver what arrives by then, until nothing is on its way."""
+        """Let time pass, and deliver the bytes that arrive by then, until none is on its way."""
         self.now += seconds
         while self._step(self.first, self.second) or self._step(self.second, self.first):
             pass
 
     def _step(self, sender: MemoryTransport, receiver: MemoryTransport) -> bool:
-        """Deliver one segment or the end of the connection. Returns whether there was one."""
+        """Deliver one segment, or the end, of the connection in memory. Returns whether there was one."""
         if receiver.is_reading():
             data = sender.due(self.now)
             if data:

@@ -118,7 +118,7 @@ class VirtualLine:
         self._tolerance = self.character_time * 1e-6
 
     def deadline(self) -> float | None:
-        """Return when the next character will have been sent; None while no port sends."""
+        """Return when the next character on the simulated line will have been sent; None while no port sends."""
         return min((port.head_end for port in self._talkers if port.talking), default=None)
 
     def pause_at(self) -> float | None:
@@ -126,7 +126,7 @@ class VirtualLine:
         return min((port.free_at for port in self._talkers if port.talking), default=None)
 
     def quiet_at(self) -> float | None:
-        """Return when all written characters will have been sent; None while no port sends."""
+        """Return when the simulated line will be quiet, all written characters sent; None while no port sends."""
         return max((port.free_at for port in self._talkers if port.talking), default=None)
 
     def advance(self, until: float) -> list[LineByte]:

@@ -177,7 +177,7 @@ def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
 
 
 def _exchanged(data: Wire, first: int, other: int) -> bytes:
-    """Return registers with two of each three exchanged, those at two given positions."""
+    """Return registers in groups of three, in each of which the registers at two given positions are exchanged."""
     items = array("H")
     items.frombytes(data)
     items[first::3], items[other::3] = items[other::3], items[first::3]

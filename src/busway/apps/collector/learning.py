@@ -455,9 +455,7 @@ def _bundles(items: Sequence[Any]) -> list[list[Any]]:
 
 
 def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
-    """Yield the consecutive items at the start of a read, and those at its end, with their widths, for each place to
-    cut.
-    """
+    """Yield, for each way to cut a read in two, the items of either side and the width that they need."""
     bundles = _bundles(read.items)
     for at in range(1, len(bundles)):
         for part in (bundles[:at], bundles[at:]):

@@ -229,7 +229,7 @@ class FleetCollector:
         self._note_silence(links, event.silent_since)
 
     def _note_ends(self, events: Sequence[ShardEvent]) -> None:
-        """Record that links are not owned from now on (rule 4)."""
+        """Record that from now on no collector is known to own some links (rule 4)."""
         now = time.time_ns()
         for link in {link for event in events for link in self._links_of.get(event.shard, ())}:
             if link not in self._unowned_since and link not in self._active:
@@ -237,7 +237,7 @@ class FleetCollector:
                 self._note_unowned(link, now, None)
 
     def _note_silence(self, links: Sequence[str], silent_since: float | None) -> None:
-        """Record until now the time in which links were not owned, as far as this collector knows of it (rule 4)."""
+        """Record the time until now in which no collector owned these links, as far as it is known (rule 4)."""
         now = time.time_ns()
         for link in links:
             begin = self._unowned_since.pop(link, None)

@@ -36,11 +36,11 @@ _log = logging.getLogger("busway.fleet")
 
 
 class StreamDown(ModbusError):
-    """Error: the stream has not acknowledged a message: it is away, full, or denies access. It may have it."""
+    """Error: the stream is away, full, or denies access, so a message was not acknowledged; it may have arrived."""
 
 
 class SampleStream(Protocol):
-    """Interface of a stream that takes messages with samples, as the outbox needs it."""
+    """Interface of a stream that takes messages with samples, to pass them on to sinks."""
 
     async def publish(self, message: SampleMessage) -> None:
         """Send a message with samples to the stream; when this returns, the stream has it. Raises `StreamDown`."""
@@ -128,7 +128,7 @@ class Outbox:
                 await asyncio.sleep(IDLE)
 
     async def step(self) -> bool:
-        """Send the next batch of samples; returns whether there may be more already. Raises `StreamDown`."""
+        """Send the next batch of stored samples to the stream; returns whether more may wait. Raises `StreamDown`."""
         await self._take_kept()
         found = await asyncio.to_thread(self._reader.read, self._sent, MOST)
         if found is None:
@@ -142,7 +142,9 @@ class Outbox:
         return len(found.samples) >= MOST
 
     async def _take_kept(self) -> None:
-        """Move the outbox's cursor to the commit up to which all sinks have the samples (rules 1 and 3)."""
+        """Move the sending position in the store to the commit up to which all sinks have the samples
+        (rules 1 and 3).
+        """
         kept = self._stream.kept(self._collector, self._store)
         if kept is not None and kept > self._kept:
             self._moved_at = self._now()
@@ -158,7 +160,7 @@ class Outbox:
             self._round += 1
 
     async def _tell_complete(self) -> None:
-        """Tell sinks that all samples were sent, so that their cursors reach the last commit."""
+        """Tell sinks that all stored samples were sent, so that their positions reach the last commit."""
         if self._told < self._sent:
             await self._stream.publish(self._message("", 0, []))
             self._told = self._sent

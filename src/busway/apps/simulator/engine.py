@@ -286,7 +286,7 @@ _ROUNDING: Final = 1e-9
 
 
 def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
-    """Let a behaviour continue from its point's current value, unless that is no number."""
+    """Let a behaviour continue from the current value of its point, if that is a finite number."""
     if math.isfinite(point.number):
         behaviour.resume(time, point.number)
 

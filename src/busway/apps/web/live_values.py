@@ -150,7 +150,9 @@ class LiveValues:
         return {"read": read, "changed": changed, "reasons": {str(reason): reason_shown(reason) for reason in used}}
 
     def _runs(self, seen: int) -> tuple[list[Any], set[int]]:
-        """Return groups of adjacent changed points: first position, values and reasons; one reason if all are equal."""
+        """Return changed points grouped by adjacent positions: first position, values and reasons (one if all are
+        equal).
+        """
         runs: list[Any] = []
         used: set[int] = set()
         end, values, reasons = -1, list[Any](), list[int]()
