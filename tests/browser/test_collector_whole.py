@@ -158,7 +158,7 @@ def test_maintenance_stops_polling_until_it_ends(plant, signed, tmp_path):
     assert all(sample.time > interval.end for sample in kept if sample.value == 55)
 
 
-def test_a_device_in_maintenance_says_so_in_the_table_also_after_a_restart(tmp_path, new_page, complaints):
+def test_a_device_in_maintenance_says_so_in_the_table_also_after_a_restart(tmp_path, new_page):
     with watched_collector(tmp_path, profile=PROFILE) as before:
         page = new_page(before.page.url)
         expect(row(page, "pump/level").locator(".c-quality")).to_have_text("good")
@@ -174,7 +174,7 @@ def test_a_device_in_maintenance_says_so_in_the_table_also_after_a_restart(tmp_p
         expect(row(page, "pump/level").locator(".c-age")).to_have_text("–")
         page.locator("#quality").select_option("bad")
         expect(row(page, "pump/level")).to_be_visible()
-    complaints[:] = [each for each in complaints if "CONNECTION_REFUSED" not in each and "WebSocket" not in each]
+        page.close()  # before its collector ends: it would complain
 
 
 def test_a_configuration_that_is_wrong_is_refused_and_a_right_one_applied(plant, signed, complaints):
