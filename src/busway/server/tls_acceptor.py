@@ -245,6 +245,6 @@ class _PendingHandshake(asyncio.Protocol):
         self._acceptor = handshake_acceptor
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Pass the accepted connection on to the handshake acceptor."""
+        """Pass the accepted connection on to the acceptor, which begins the TLS handshake."""
         # Transports of uvloop are no subclass of asyncio.Transport.
         self._acceptor.arrived(cast(asyncio.Transport, transport))

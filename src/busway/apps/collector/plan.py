@@ -218,7 +218,7 @@ def _blocks(items: list[ReadItem]) -> list[_Block]:
 
 
 def _in_order(blocks: list[_Block]) -> list[_Block]:
-    """Sort blocks of items by start, wider ones first."""
+    """Sort blocks (items that one read must fetch together) by start, wider ones first."""
     blocks.sort(key=_END, reverse=True)
     blocks.sort(key=_START)
     return blocks

@@ -47,10 +47,10 @@ class AlarmSink(Protocol):
 
 @runtime_checkable
 class CurrentSink(Protocol):
-    """Interface of a sink whose receiver shows current values apart from those that it gets late."""
+    """Interface of a sink whose receiver distinguishes current values from historical ones that arrive late."""
 
     async def show_current(self) -> None:
-        """Send the last samples that the receiver has taken for history; called when no more follow now.
+        """Send as current the last values that were sent as historical; called once no stored samples wait any more.
 
         Raises `SinkDown`.
         """

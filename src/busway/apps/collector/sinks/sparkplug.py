@@ -64,7 +64,7 @@ _log = logging.getLogger("busway.sinks")
 
 
 class _Device:
-    """A device as a Sparkplug host sees it.
+    """A device as a Sparkplug host sees it: its metrics with their last samples and types.
 
     Attributes:
         last: the last sample of each metric.
@@ -272,7 +272,9 @@ class SparkplugSink:
                 self._last_alarm = event
 
     async def show_current(self) -> None:
-        """Publish births of devices whose last values hosts have taken for history. Raises `SinkDown`."""
+        """Publish births, with current values, of devices whose last values were sent as historical.
+        Raises `SinkDown`.
+        """
         behind = [(name, device) for name, device in self._devices.items() if device.is_born and device.behind]
         if behind:
             async with self._delivering():
@@ -508,7 +510,7 @@ def _device_of(sample: CommittedSample) -> str:
 
 
 def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
-    """Yield samples of a device as messages have them: not too many, and those of a metric can have one type."""
+    """Yield the samples of a device in groups for one message each: not too many, one type for each metric."""
     begin = 0
     kinds: dict[str, DataType] = {}
     for place, sample in enumerate(samples):
