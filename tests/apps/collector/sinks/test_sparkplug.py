@@ -6,19 +6,22 @@ import json
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
-from collected import NOON, at
+from collected import NOON, at, read_of
+from deliveries import delivery_to
 from sparkplug_broker import SparkplugBroker
 from sparkplug_host import SparkplugHost
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
-from busway.apps.collector.samples import Reason, Value
+from busway.apps.collector.samples import PointGroup, Reason, Value
 from busway.apps.collector.sinks import sparkplug
 from busway.apps.collector.sinks.interface import SinkDown, SinkRefused
 from busway.apps.collector.sinks.sparkplug import SparkplugSink
 from busway.apps.collector.sinks.sparkplug_payload import DataType, Metric, encode_payload
 from busway.apps.collector.store.committed_samples import CommittedAlarm, CommittedSample
+from busway.apps.collector.store.writer import StoreWriter
 
 pytest.importorskip("aiomqtt")
 pytest.importorskip("google.protobuf")
@@ -255,3 +258,50 @@ async def test_an_alarm_that_is_too_large_for_the_birth_of_the_node_does_not_kee
         await sink.close()
         await sink.open()
         assert plant.host.births == 2
+
+
+async def test_what_is_published_of_a_batch_that_is_refused_is_not_published_again(
+    plant: Plant, tmp_path: Path
+) -> None:
+    plant.broker.most = 1000
+    other = PointGroup("boiler", ("level",))
+    group = PointGroup("pump", ("speed", "name"))
+    raised = AlarmEvent("pump", "speed", "H", AlarmEventKind.RAISED, at(5), 9.0)
+    with StoreWriter(tmp_path / "store", now=NOON) as writer:
+        for second in range(1, 9):
+            name = "x" * 2000 if second in (3, 6) else "on"
+            events = [replace(raised, text=text) for text in ("first", "y" * 2000, "last")] if second == 5 else []
+            writer.commit([read_of(group, second, second, name), read_of(other, second, second)], [], at(9), events)
+        async with plant.sink() as sink:
+            delivery = delivery_to(sink, writer)
+            while await delivery.step():
+                pass
+        assert (delivery.status().sent, delivery.status().set_aside) == (22, 3)
+    for point in ("speed", "level"):
+        assert [value for value, _ in plant.data(point)] == list(range(1, 9))
+    assert [value for value, _ in plant.data("name")] == ["on"] * 6
+    assert [json.loads(str(each.value))["text"] for _, each in plant.host.events] == ["first", "last"]
+
+
+async def test_what_was_published_before_a_refusal_comes_again_if_the_connection_is_lost(plant: Plant) -> None:
+    plant.broker.most = 1000
+    async with plant.sink() as sink:
+        await sink.open()
+        samples = [plant.sample("a", 1), plant.sample("b", "x" * 2000)]
+        await sink.send(samples[:1])
+        with pytest.raises(SinkRefused):
+            await sink.send([plant.sample("a", 2), replace(samples[1], device="valve", commit=3)])
+        plant.broker.lose()
+        await turns()
+        await sink.close()
+        await sink.open()
+        await sink.send([replace(samples[0], time=at(3), commit=3, value=2)])
+        assert [value for value, _ in plant.data("a")] == [1, 2, 2]
+
+
+async def test_numbers_of_messages_begin_again_behind_255(plant: Plant) -> None:
+    async with plant.sink() as sink:
+        await sink.open()
+        for number in range(600):
+            await sink.send([plant.sample("speed", number)])
+    assert [value for value, _ in plant.data("speed")] == list(range(600)), "the host has checked each number"

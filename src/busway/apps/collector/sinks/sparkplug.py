@@ -33,7 +33,7 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
 from ....errors import ConfigError
 from ....extras import require
@@ -61,6 +61,8 @@ _NO_DEVICE: Final = frozenset({Reason.SUSPENDED, Reason.NO_CONNECTION, Reason.MA
 _QUALITIES: Final = {Quality.BAD: SparkplugQuality.BAD, Quality.UNCERTAIN: SparkplugQuality.STALE}
 
 _log = logging.getLogger("busway.sinks")
+
+Committed = TypeVar("Committed", CommittedSample, CommittedAlarm)
 
 
 class _Device:
@@ -200,6 +202,8 @@ class SparkplugSink:
         self._last_alarm: Metric | None = None
         self._rebirth: asyncio.Task[None] | None = None
         self._asked_at: float | None = None
+        self._published: list[CommittedSample | CommittedAlarm] = []
+        self._passed: set[CommittedSample | CommittedAlarm] = set()
         self.commands: SparkplugCommandTaker | None = commands
 
     # Life
@@ -239,6 +243,7 @@ class SparkplugSink:
     async def close(self) -> None:
         """Publish the death of the edge node, and disconnect."""
         self._note_commands(f"the broker {self._where} is not connected")
+        self._passed.clear()  # the broker may not have them
         tasks = [task for task in (self._listener, self._rebirth) if task is not None]
         self._listener = self._rebirth = None
         for task in tasks:
@@ -259,17 +264,20 @@ class SparkplugSink:
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Publish samples, and wait until the broker has them. Raises `SinkDown`, `SinkRefused`."""
-        async with self._delivering():
-            for name, those in groupby(sorted(samples, key=_device_of), _device_of):
-                await self._send_device(name, list(those))
+        with self._once(samples) as fresh:
+            async with self._delivering():
+                for name, those in groupby(sorted(fresh, key=_device_of), _device_of):
+                    await self._send_device(name, list(those))
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
         """Publish alarm events, and wait until the broker has them. Raises `SinkDown`, `SinkRefused`."""
-        async with self._delivering():
-            for alarm in alarms:
-                event = _alarm_metric(alarm)
-                await self._publish("NDATA", [replace(event, is_historical=event.time < self._connected_at)])
-                self._last_alarm = event
+        with self._once(alarms) as fresh:
+            async with self._delivering():
+                for alarm in fresh:
+                    event = _alarm_metric(alarm)
+                    await self._publish("NDATA", [replace(event, is_historical=event.time < self._connected_at)])
+                    self._last_alarm = event
+                    self._published.append(alarm)
 
     async def show_current(self) -> None:
         """Publish births, with current values, of devices whose last values were sent as historical.
@@ -281,6 +289,18 @@ class SparkplugSink:
                 for name, device in behind:
                     with contextlib.suppress(SinkRefused):  # it is as large as it was
                         await self._birth(name, device)
+
+    @contextlib.contextmanager
+    def _once(self, wanted: Sequence[Committed]) -> Iterator[list[Committed]]:
+        """Context manager with what is not published yet of a batch, which comes again in parts if one is refused."""
+        first = min((each.commit for each in wanted), default=0)
+        self._passed = {each for each in self._passed if each.commit >= first}
+        self._published = []
+        try:
+            yield [each for each in wanted if each not in self._passed]
+        except SinkRefused:
+            self._passed.update(self._published)
+            raise
 
     @contextlib.asynccontextmanager
     async def _delivering(self) -> AsyncIterator[None]:
@@ -356,6 +376,7 @@ class SparkplugSink:
                     await self._publish("DDEATH", [], name)
                 for sample in those:
                     device.learn(sample)
+                    self._published.append(sample)
                 continue
             for part in _parts(list(those)):
                 known = dict(device.last), dict(device.kinds), set(device.untyped)
@@ -379,6 +400,7 @@ class SparkplugSink:
             else:
                 device.behind.discard(sample.point)
         await self._publish("DDATA", metrics, name)
+        self._published += samples
 
     async def _publish(self, kind: str, metrics: Sequence[Metric], device: str | None = None) -> None:
         topic, content = self._topic(kind, device), encode_payload(metrics, self._now(), self._sequence)
