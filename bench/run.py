@@ -42,7 +42,8 @@ def main(arguments: list[str] | None = None) -> int:
     tables: dict[str, Table] = {}
     limit = QUICK_LIMIT if asked.quick else LIMIT
     try:
-        for name in asked.only or [name for name, entry in TABLES.items() if entry.quick or not asked.quick]:
+        usual = [name for name, entry in TABLES.items() if not entry.alone and (entry.quick or not asked.quick)]
+        for name in asked.only or usual:
             if not asked.only and time.time() - began > limit:
                 bench.say(f"table {name} is left out: {limit:.0f} s are over; --only {name} measures it")
                 continue

@@ -16,12 +16,14 @@ class Entry:
         full: seconds in a full run.
         quick: seconds in a quick run; None where a quick run leaves it out, unless it is asked for by name.
         rounds: turns of each contender in a full run; fewer where to start a program takes longer than to measure it.
+        alone: whether it is measured only where it is asked for by name; its seconds are not among those of a full run.
     """
 
     module: str
     full: float
     quick: float | None = None
     rounds: int = 5
+    alone: bool = False
 
 
 TABLES = {
@@ -42,6 +44,7 @@ TABLES = {
     "line": Entry("tables.line", 52, rounds=2),
     "connections": Entry("tables.connections", 45),
     "simulator": Entry("tables.simulator", 30, rounds=1),
+    "fleet": Entry("tables.fleet", 120, rounds=1, alone=True),
 }
 QUICK_ROUNDS = 2
 ASKED_BY_NAME_SECONDS = 10.0

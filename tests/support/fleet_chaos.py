@@ -440,6 +440,16 @@ poll_class = "fast"
         self._sink.kill()
         self._start_sink()
 
+    def _restart(self, happened: Happened) -> None:
+        """End all collectors in order, one after the other; each begins again before the next one ends."""
+        happened.whom = "all"
+        for name in COLLECTORS:
+            self._collector(name).ask("end")
+            self._collector(name).kill()
+            self._start_collector(name)
+            self._collector(name).ready()
+            self._until_all_polled(by=len(COLLECTORS))
+
     def _bring_back(self) -> None:
         for engine in self._engines.values():
             if engine.process is None:

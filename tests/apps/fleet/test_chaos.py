@@ -80,6 +80,14 @@ def test_the_checker_catches_a_fleet_that_breaks_a_rule(
             assert [each for each in sentences if finds in each], mutant
 
 
+@pytest.mark.soak
+def test_a_rolling_restart_under_load_leaves_no_hole_above_a_period_and_a_second(tmp_path: Path) -> None:
+    scenario = Scenario("local", 1, ["restart"], LeaseTimes(), calm=1.0)
+    made, logs = run(tmp_path, scenario)
+    problems = [*judged(logs, scenario.bounds), *map(str, holes(logs, scenario.bounds.unrecorded))]
+    assert not problems, "\n".join([*problems, made.story()])
+
+
 def shuffled(scenario: Scenario, seed: int) -> Scenario:
     """A longer scenario, whose faults come in another order."""
     faults = [*scenario.faults, *scenario.faults, "nap", "away", "kill", "freeze"]

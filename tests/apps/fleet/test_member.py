@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from fleet_scale import scale
 from fleet_world import Network, World, random_walk
 
 from busway.apps.fleet.balance import BEGIN
@@ -45,6 +46,12 @@ def test_a_new_collector_gets_its_part_with_no_hole_longer_than_a_period_and_a_s
     world.run(30)
     assert world.imbalance() < BEGIN
     assert len(world.holes) == holes, "holes of over two seconds"
+
+
+def test_a_larger_zone_over_a_bad_network_is_level_and_takes_over_in_time() -> None:
+    found = scale(8, shards=128)
+    assert found.imbalance < 0.1
+    assert found.takeover < LeaseTimes().ttl + LeaseTimes().guard + 1.0
 
 
 def test_a_collector_that_drains_hands_everything_on_without_a_hole() -> None:

@@ -120,21 +120,27 @@ def _level(
             costs[owner].append((cost, shard))
     for each in costs.values():
         each.sort()
+    # In order of load, so that a zone of a thousand collectors costs a look no more than a few of them.
+    order = sorted((each.relative(), each.name) for each in able)
+    by_name = {each.name: each for each in able}
     stuck: set[str] = set()
-    while len(found) < MOST_MOVES and _is_off(able, fair, END):
-        givers = [each for each in able if each.name not in stuck]
-        if not givers:
+    while len(found) < MOST_MOVES and (order[-1][0] > fair * (1 + END) or order[0][0] < fair * (1 - END)):
+        name = next((name for _, name in reversed(order) if name not in stuck), None)
+        if name is None:
             return
-        giver = max(givers, key=lambda each: (each.relative(), each.name))
-        taker = min(able, key=lambda each: (each.relative(), each.name))
+        giver, taker = by_name[name], by_name[order[0][1]]
         best = _best(costs[giver.name], giver, taker)
         if best is None:
             stuck.add(giver.name)
             continue
+        for each in (giver, taker):
+            del order[bisect_left(order, (each.relative(), each.name))]
         costs[giver.name].remove(best)
         insort(costs[taker.name], best)
         giver.load -= best[0]
         taker.load += best[0]
+        for each in (giver, taker):
+            insort(order, (each.relative(), each.name))
         found.append(Move(best[1], giver.name, taker.name))
 
 

@@ -1,0 +1,79 @@
+"""What a zone of many collectors does, on the virtual clock: balance, takeover, messages. Members are the product's.
+
+Collectors keep their leases over a network that loses and delays messages, by clocks that drift. What their links do is
+left out: a link is the line time that its reads need.
+"""
+
+import random
+from dataclasses import dataclass
+
+from fleet_world import Network, World
+
+from busway.apps.collector.cost import line_cost, network_cost
+from busway.apps.fleet.lease_times import LeaseTimes
+from busway.apps.fleet.shards import shard_of
+from busway.codes import Table
+from busway.framing.timing import SerialTiming
+
+POINTS_OF_A_LINK = 500
+POINTS_OF_A_COLLECTOR = 10_000
+SERIAL_SHARE = 0.3
+"""Part of the links that are serial lines: ten slow devices each, read every ten seconds; the others every second."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """What one zone did.
+
+    Attributes:
+        collectors, points, shards: how many there were; shards with links only.
+        imbalance: the part of the fair load by which the collector that is furthest off is off, settled.
+        takeover: seconds from the end of a collector to the moment at which all of its shards were owned.
+        changes: of entries in a second that the coordinator was asked for, settled.
+        deliveries: of entries in a second to all collectors together, settled.
+    """
+
+    collectors: int
+    points: int
+    shards: int
+    imbalance: float
+    takeover: float
+    changes: float
+    deliveries: float
+
+
+def shard_costs(points: int, shards: int, chance: random.Random) -> dict[str, float]:
+    """The line seconds per second of the shards of a plant."""
+    serial = line_cost(SerialTiming.of_line(19_200))
+    network = network_cost()
+    costs: dict[str, float] = {}
+    for number in range(points // POINTS_OF_A_LINK):
+        if chance.random() < SERIAL_SHARE:
+            cost = 10 * serial.of(Table.HOLDING_REGISTERS, 50) / 10.0
+        else:
+            cost = 5 * network.of(Table.HOLDING_REGISTERS, 100) / 1.0
+        shard = shard_of(f"link-{number}", shards)
+        costs[shard] = costs.get(shard, 0.0) + cost
+    return costs
+
+
+def scale(collectors: int, *, shards: int = 1024, settle: float = 35.0, watched: float = 6.0, seed: int = 1) -> Scale:
+    """Let a zone settle, count for a while, then end one collector as kill -9 does."""
+    points = collectors * POINTS_OF_A_COLLECTOR
+    costs = shard_costs(points, shards, random.Random(seed))
+    network = Network((0.001, 0.05), loss=0.01, late=0.001)
+    world = World(costs, seed=seed, network=network, drift=0.001, poll=None)
+    for number in range(collectors):
+        world.start(f"c{number:04d}")
+    world.run(settle)
+    imbalance, proposals, deliveries = world.imbalance(), world.proposals, world.deliveries
+    world.run(watched)
+    proposals, deliveries = world.proposals - proposals, world.deliveries - deliveries
+    world.kill("c0000")
+    killed = world.now
+    limit = killed + 2 * LeaseTimes().ttl
+    world.run(LeaseTimes().ttl - 1.0)
+    while len(world.owners()) < len(costs) and world.now < limit:
+        world.run(0.1)
+    takeover = world.now - killed
+    return Scale(collectors, points, len(costs), imbalance, takeover, proposals / watched, deliveries / watched)
