@@ -133,14 +133,14 @@ def _level(
         if best is None:
             stuck.add(giver.name)
             continue
-        for each in (giver, taker):
-            del order[bisect_left(order, (each.relative(), each.name))]
+        for share in (giver, taker):
+            del order[bisect_left(order, (share.relative(), share.name))]
         costs[giver.name].remove(best)
         insort(costs[taker.name], best)
         giver.load -= best[0]
         taker.load += best[0]
-        for each in (giver, taker):
-            insort(order, (each.relative(), each.name))
+        for share in (giver, taker):
+            insort(order, (share.relative(), share.name))
         found.append(Move(best[1], giver.name, taker.name))
 
 
