@@ -439,6 +439,21 @@ async def test_computed_points_are_samples_of_their_round() -> None:
     assert {each.values[0] for each in found} == {904.0}
 
 
+@pytest.mark.parametrize(("on_line", "seconds"), [(False, SHORTEST), (True, 2.0)])
+def test_behind_a_gateway_to_a_line_replies_have_the_configured_time(on_line: bool, seconds: float) -> None:
+    """A silent neighbour on the line holds up the replies of a device that answers in a millisecond."""
+    poller = LinkPoller(
+        "plc", Device(), LinkSchedule(2.0), SampleClock(0.0, START), lambda batch: None, print,
+        numbered=True, now=lambda: 0.0,
+    )  # fmt: skip
+    book = PlanBook({"c": [number("a", 1)]}, ReadRules(), network_cost())
+    poller.add("plc", 1, book, {"c": 1.0}, on_line=on_line)
+    timeout = poller.devices["plc"].timeout
+    for _ in range(100):
+        timeout.answered(0.001)
+    assert timeout.seconds == seconds
+
+
 async def test_a_device_that_needs_a_pause_gets_it() -> None:
     loop = asyncio.get_running_loop()
     asked: list[float] = []

@@ -546,6 +546,7 @@ class Collector:
                 configuration.periods,
                 None if derived.is_empty else derived,
                 device.rules.pause,
+                on_line=device.fixed,
             )
             row = self.in_maintenance().get(device.name)
             if row is not None:

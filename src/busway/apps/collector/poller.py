@@ -216,6 +216,7 @@ class LinkPoller:
         periods: Mapping[str, float],
         derived: DerivedPoints | None = None,
         pause: float = 0.0,
+        on_line: bool = False,
     ) -> None:
         """Begin to poll one more device of the link.
 
@@ -225,8 +226,9 @@ class LinkPoller:
             periods: seconds by class.
             derived: totals and formulas computed from its reads; None without any.
             pause: seconds from a reply to the next request to it, at least.
+            on_line: whether it is on a serial line behind a gateway, where the silence of another holds up its replies.
         """
-        timeout = ReplyTimeout(self.schedule.timeout, numbered=self._numbered)
+        timeout = ReplyTimeout(self.schedule.timeout, numbered=self._numbered and not on_line)
         if derived is not None:
             book.set_absent(derived.absent())
         self.devices[name] = PolledDevice(name, unit, book, timeout, derived, pause)

@@ -4,7 +4,8 @@ Pure: knows seconds.
 
 1. Where replies carry a number, one that comes too late does no harm. So the time is that of TCP (RFC 6298): smoothed
    reply time plus four times its deviation, doubled by each silence, between `SHORTEST` and the configured time.
-2. On a line a timeout makes doubt about the next reply, so the configured time is never shortened.
+2. On a line a timeout makes doubt about the next reply, so the configured time is never shortened. Behind a gateway to
+   a line it is not, either: a request waits there while another device of the line is silent.
 """
 
 from typing import Final
