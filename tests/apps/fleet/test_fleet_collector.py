@@ -140,6 +140,24 @@ async def test_the_time_in_which_a_link_was_not_owned_is_an_interval_of_its_devi
         assert any(at > gap.end for at in good)
 
 
+async def test_a_process_that_stood_still_for_longer_than_its_leases_records_the_gap_from_its_last_transaction(
+    tmp_path: Path,
+) -> None:
+    async with devices_of(1) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: devices[0].reads > 3)
+        stopped = time.time_ns()
+        time.sleep(TIMES.ttl + 0.5)  # noqa: ASYNC251 - nothing of this process runs meanwhile
+        await until(lambda: one.member.counts.lapsed > 0, 30)
+        reads = devices[0].reads
+        await until(lambda: devices[0].reads > reads + 3, 30)
+        await one.collector.flush()
+        found = await asyncio.to_thread(busway.Store(tmp_path / "one").read, "*/count")
+        gap = min((each for each in found.intervals if each.reason == Reason.OWNERSHIP), key=lambda each: each.begin)
+        assert gap.begin < stopped + 1.5e9, "the last transaction may have taken a second"
+        assert gap.end is not None
+        assert gap.end > stopped + TIMES.ttl * 1e9
+
+
 async def test_links_whose_transactions_outlast_a_lease_are_refused_by_name(tmp_path: Path) -> None:
     text = plant(tmp_path / "store", [FleetDevice("hall", 502)], "timeout = 9")
     coordinator = await open_coordinator(f"local:{tmp_path}", "hall")

@@ -103,6 +103,7 @@ class FleetCollector:
         self._driver = MemberDriver(self.member, coordinator, self._told, now=now)
         self._active: dict[str, Epoch] = {}
         self._unowned_since: dict[str, int] = {}
+        self._permitted: dict[str, int] = {}
         self._waiting: list[ShardEvent] = []
         self._wake = asyncio.Event()
         self._tasks: list[asyncio.Task[None]] = []
@@ -166,6 +167,7 @@ class FleetCollector:
         """Raise `LinkDown` unless this collector owns the link's group and may begin a transaction now (rule 2)."""
         if link not in self._active or not self.member.may_begin(self._shard_of[link], self._now(), self._worst[link]):
             raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent")
+        self._permitted[link] = time.time_ns()
 
     def _told(self, event: ShardEvent) -> None:
         self._waiting.append(event)
@@ -229,12 +231,29 @@ class FleetCollector:
         self._note_silence(links, event.silent_since)
 
     def _note_ends(self, events: Sequence[ShardEvent]) -> None:
-        """Record that from now on no collector is known to own some links (rule 4)."""
+        """Record that links are not owned from now on, or since the last transaction where a lease has lapsed (rule 4).
+
+        A process that was frozen learns only when it wakes that it has lost a lease.
+        """
         now = time.time_ns()
-        for link in {link for event in events for link in self._links_of.get(event.shard, ())}:
-            if link not in self._unowned_since and link not in self._active:
-                self._unowned_since[link] = now
-                self._note_unowned(link, now, None)
+        for event in events:
+            for link in self._links_of.get(event.shard, ()):
+                if link not in self._unowned_since and link not in self._active:
+                    self._unowned_since[link] = begin = self._end_of(link, event.silent_since, now)
+                    self._note_unowned(link, begin, None)
+
+    def _end_of(self, link: str, renewed: float | None, now: int) -> int:
+        """Return when the last transaction of a link was over; at the earliest when its lease was renewed last.
+
+        Args:
+            link: its name.
+            renewed: seconds since 1970 UTC; None where its end is right now.
+            now: nanoseconds since 1970 UTC.
+        """
+        if renewed is None:
+            return now
+        over = self._permitted.get(link, 0) + int(self._worst[link] * NANOSECONDS)
+        return min(max(int(renewed * NANOSECONDS), over), now)
 
     def _note_silence(self, links: Sequence[str], silent_since: float | None) -> None:
         """Record the time until now in which no collector owned these links, as far as it is known (rule 4)."""

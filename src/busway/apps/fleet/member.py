@@ -65,8 +65,8 @@ class ShardEvent:
         step: the kind of event.
         epoch: the epoch of the ownership.
         reason: why, in words; empty where it was gained.
-        silent_since: where it was taken from an owner that fell silent, when that renewed it last, seconds since 1970
-            UTC by its wall clock; None otherwise.
+        silent_since: where it was taken from an owner that fell silent, or has lapsed here, when it was renewed last,
+            seconds since 1970 UTC by the wall clock of its owner; None otherwise.
     """
 
     shard: str
@@ -401,7 +401,7 @@ class FleetMember:
         """Return the changes to make in the shared table now; leases that have run out count as free."""
         for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
             self.counts.lapsed += 1
-            self._lose(shard, "it could not be renewed in time")
+            self._lose(shard, "it could not be renewed in time", self.owned[shard].asked + self.wall_ahead)
         found: list[Proposal] = []
         self._propose_member(now, found)
         self._propose_renewals(now, found)
@@ -525,9 +525,9 @@ class FleetMember:
         owned.leaving = taker
         self._events.append(ShardEvent(shard, Step.LEAVE, owned.epoch, reason))
 
-    def _lose(self, shard: str, reason: str) -> None:
+    def _lose(self, shard: str, reason: str, silent_since: float | None = None) -> None:
         owned = self.owned.pop(shard)
-        self._events.append(ShardEvent(shard, Step.LOST, owned.epoch, reason))
+        self._events.append(ShardEvent(shard, Step.LOST, owned.epoch, reason, silent_since))
 
     def _owned_by_all(self, now: float) -> dict[str, tuple[str, float]]:
         found: dict[str, tuple[str, float]] = {}
