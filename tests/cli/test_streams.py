@@ -102,6 +102,7 @@ def runs(plant: Plant) -> dict[str, list[list[str]]]:
         "query": [[str(folder / "data"), *how] for how in ([], ["--json"], ["--csv"], ["--list"], ["--bucket", "1s"])],
         "store": [["check", str(folder / "data")]],
         "collect": [["plan", str(folder / "collect.toml"), *how] for how in ([], ["--json"])],
+        "fleet": [["status", "--coordinator", f"local:{folder / 'zone'}", *how] for how in ([], ["--json"])],
         "points": [["convert", str(folder / "map.csv")]],
         "certs": [[str(folder / "lab"), "--force"], ["show", str(folder / "lab" / "ca.pem")]],
     }

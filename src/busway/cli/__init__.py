@@ -13,6 +13,7 @@
 `demo`            `busway demo`: a small plant on a serial line, a gateway in front of it
 `exits`           The exit codes of all commands, and which error ends with which code
 `files`           Files that commands read, and capture files that they write for Wireshark
+`fleet`           `busway fleet`: several collectors share the links of a plant, as a coordinator says
 `gateway`         `busway gateway`: forwards client requests to serial lines or other servers, until Ctrl-C or SIGTERM
 `identify`        `busway identify`: shows how a device identifies itself
 `output`          How commands print values on stdout: a table on a terminal, aligned lines elsewhere

@@ -37,6 +37,7 @@ COMMANDS = {
     "simulate": "Serve simulated devices that a file describes.",
     "gateway": "Forward client requests to serial lines or other servers.",
     "collect": "Poll devices and store their values.",
+    "fleet": "Share the links of a plant among several collectors.",
     "query": "Show what a store of the collector holds.",
     "store": "Check, back up or restore a store of the collector.",
     "status": "Show the status of a running server or gateway.",

@@ -6,8 +6,17 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 import pytest
+from fleet_devices import FleetDevice, plant
 from foreign_servers import ForeignServer, PostgresqlServer, nats_server
 
+from busway.apps.fleet.control_entries import (
+    CONFIGURATION,
+    SharedConfiguration,
+    apply_configuration,
+    drain_collector,
+    read_configuration,
+    read_entries,
+)
 from busway.apps.fleet.coordinator import (
     LONGEST_VALUE,
     SNAPSHOT_BEGINS,
@@ -20,6 +29,9 @@ from busway.apps.fleet.coordinator import (
 )
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.fleet_status import zone_status
+from busway.apps.fleet.lease_times import Epoch
+from busway.apps.fleet.records import LeaseRecord, MemberRecord
 from busway.errors import ConfigError
 
 SERVED = ["nats", "postgresql"]
@@ -174,6 +186,58 @@ async def test_a_value_that_is_too_long_is_refused(backend: Backend) -> None:
         await one.create("long", b"x" * LONGEST_VALUE)
         with pytest.raises(ConfigError, match="up to 524288 bytes"):
             await one.create("longer", b"x" * (LONGEST_VALUE + 1))
+
+
+async def test_a_broken_configuration_never_replaces_a_good_one(backend: Backend, tmp_path: Path) -> None:
+    file = tmp_path / "plant.toml"
+    async with backend.opened() as one, backend.opened() as other:
+        assert await read_configuration(one) is None
+        file.write_text(plant(tmp_path / "store", [FleetDevice("a", 502)]))
+        first = await apply_configuration(one, str(file))
+        good = await read_configuration(other)
+        assert good == SharedConfiguration(str(file), file.read_text(), first)
+        file.write_text(file.read_text().replace("fast.period = 0.1", "fast.period = -1"))
+        with pytest.raises(ConfigError, match=r"plant\.toml:4: .*period"):
+            await apply_configuration(one, str(file))
+        assert await read_configuration(other) == good
+        file.write_text(plant(tmp_path / "store", [FleetDevice("b", 502)]))
+        assert await apply_configuration(other, str(file)) > first
+
+
+async def test_of_two_that_apply_at_once_one_is_told(backend: Backend, tmp_path: Path) -> None:
+    file = tmp_path / "plant.toml"
+    file.write_text(plant(tmp_path / "store", [FleetDevice("a", 502)]))
+    async with backend.opened() as one, backend.opened() as other:
+        await apply_configuration(one, str(file))
+        seen = (await read_entries(one, CONFIGURATION))[CONFIGURATION]
+        later = await apply_configuration(other, str(file))
+        with pytest.raises(RevisionConflict):
+            await one.replace(CONFIGURATION, seen.value, seen.revision)
+        found = await read_configuration(one)
+        assert found is not None
+        assert found.revision == later
+
+
+async def test_a_zone_shows_who_lives_who_is_silent_and_who_owns_what(backend: Backend) -> None:
+    async with backend.opened() as one:
+        alive = MemberRecord("west", "r1", "box", 1)
+        revision = await one.create("member.west", alive.encode())
+        await one.create("member.east", MemberRecord("east", "r2", "box", 1, revision=7).encode())
+        await one.create("member.old", MemberRecord("old", "r3", "box", 1, gone=True).encode())
+        await one.create("lease.0001", LeaseRecord("west", "r1", True, 1, 0.25, Epoch(1, 4)).encode())
+        await drain_collector(one, "west")
+        looking = asyncio.create_task(zone_status(one, 0.7))
+        while not looking.done():
+            revision = await one.replace("member.west", alive.encode(), revision)
+            await asyncio.sleep(0.05)
+        found = await looking
+        assert {name: each.state for name, each in found.members.items()} == {
+            "west": "drains",
+            "east": "silent",
+            "old": "ended",
+        }
+        assert (found.members["west"].shards, found.members["west"].load) == (("0001",), 0.25)
+        assert found.members["east"].record.revision == 7
 
 
 async def test_what_was_confirmed_survives_a_restart_and_the_watch_goes_on(served: Backend) -> None:

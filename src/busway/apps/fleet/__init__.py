@@ -10,6 +10,8 @@
 `member`           one collector in its zone: what it owns, takes, renews and hands on
 `member_driver`    runs a member by asyncio on a coordinator
 `plant`            the part of a plant's configuration that one collector works on
+`control_entries`  what operators tell: the plant's configuration, and who is drained
+`fleet_status`     the status of a zone: collectors, owners of shards, configuration
 `ownership`        what a collector owned, and in which epoch its samples were taken
 `messages`         samples of one link as a message
 `outbox`           what a collector has stored, sent until the sinks of the fleet have it

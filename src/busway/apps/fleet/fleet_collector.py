@@ -10,6 +10,8 @@ Knows the collector, the member and the log of ownership; what is owned is decid
 4. The store has an interval for each time in which a link was not owned: from its end here until it is owned again.
    Who takes a link from an owner that fell silent records the time since that one's last renewal: samples that the
    other still sends shrink this gap.
+5. Where it was started with a revision, another configuration of the zone is taken when it comes, as a whole: one that
+   is refused, by its check or because the store or a sink is another, changes nothing and is told.
 """
 
 import asyncio
@@ -19,16 +21,19 @@ import secrets
 import sqlite3
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, aclosing
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from ...errors import LinkDown
+from ...errors import ConfigError, LinkDown
 from ..collector.collector import Collector
 from ..collector.configuration import CollectorConfiguration
+from ..collector.reloading import refuse_what_cannot_change
 from ..collector.samples import NANOSECONDS, Reason, StateInterval
-from .coordinator import Coordinator
+from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration
+from .coordinator import Coordinator, Entry
 from .lease_times import Epoch, LeaseTimes
 from .member import FleetMember, ShardEvent, Step
 from .member_driver import MemberDriver, boot_time, end_tasks
@@ -56,6 +61,7 @@ class FleetCollector:
         times: the lengths of the leases; the same for all collectors.
         capacity: this collector's share of the work, relative to the others.
         stream: gets its samples; None if they stay in its own store.
+        revision: the revision of the configuration, if that is from the coordinator; then it is followed (rule 5).
         now: the clock of leases.
 
     Attributes:
@@ -63,6 +69,8 @@ class FleetCollector:
         collector: polls the devices.
         ownership: the log of what it owned.
         outbox: sends its samples on; None without a stream.
+        revision: the revision of the configuration in force; 0 for one that is not from the coordinator.
+        refused: why the newest configuration of the zone was not taken; None if it was.
     """
 
     collector: Collector
@@ -81,17 +89,18 @@ class FleetCollector:
         times: LeaseTimes | None = None,
         capacity: float = 1.0,
         stream: SampleStream | None = None,
+        revision: int = 0,
         now: Callable[[], float] = boot_time,
     ) -> None:
         times = times or LeaseTimes()
         configuration = fenced(configuration)
         refuse_slow_links(configuration, times)
-        self._configuration = configuration
         self._now = now
         self._stream = stream
-        self._links_of = links_by_shard(((link, (hosts or {}).get(link, ())) for link in configuration.links), shards)
-        self._shard_of = {link: shard for shard, links in self._links_of.items() for link in links}
-        self._worst = {link: longest_transaction(configuration, link) for link in configuration.links}
+        self._coordinator, self._shards, self._hosts = coordinator, shards, dict(hosts or {})
+        self.revision: int = revision
+        self.refused: str | None = None
+        self._set_configuration(configuration)
         self.member: FleetMember = FleetMember(
             checked_name(name, "collector"),
             secrets.token_hex(8),
@@ -100,11 +109,13 @@ class FleetCollector:
             random.Random(),
             capacity=capacity,
         )
+        self.member.set_revision(revision)
         self._driver = MemberDriver(self.member, coordinator, self._told, now=now)
         self._active: dict[str, Epoch] = {}
         self._unowned_since: dict[str, int] = {}
         self._permitted: dict[str, int] = {}
         self._waiting: list[ShardEvent] = []
+        self._newer: tuple[CollectorConfiguration, int] | None = None
         self._wake = asyncio.Event()
         self._tasks: list[asyncio.Task[None]] = []
 
@@ -113,18 +124,17 @@ class FleetCollector:
         async with AsyncExitStack() as unless_started:
             collector = Collector(restricted(self._configuration, ()), permit=self._permit)
             self.collector = await unless_started.enter_async_context(collector)
-            loads = {load.link: load.load for load in self._configuration.loads(collector.knowledge)}
-            costs = costs_by_link(self._configuration, loads)
-            self.member.set_shards(
-                {shard: sum(costs[link] for link in links) for shard, links in self._links_of.items()}
-            )
+            self._tell_costs()
             self.ownership = OwnershipLog(Path(self._configuration.store))
             unless_started.callback(self.ownership.close)
+            self.ownership.set_configuration(self.revision, collector.newest_commit)
             self.outbox = self._opened_outbox()
             self._tasks = [
                 asyncio.create_task(self._driver.run(), name="busway fleet member"),
                 asyncio.create_task(self._apply_changes(), name="busway fleet links"),
             ]
+            if self.revision:
+                self._tasks.append(asyncio.create_task(self._follow(), name="busway fleet configuration"))
             if self.outbox is not None:
                 self._tasks.append(asyncio.create_task(self.outbox.run(), name="busway fleet outbox"))
             unless_started.pop_all()
@@ -144,21 +154,89 @@ class FleetCollector:
     def _opened_outbox(self) -> Outbox | None:
         if self._stream is None:
             return None
-        link_of = {device.name: device.link for device in self._configuration.devices.values()}
         return Outbox(
             Path(self._configuration.store),
             self.collector.manifest,
             self._stream,
             collector=self.member.name,
             store=self.ownership.store,
-            link_of=lambda: link_of,
+            link_of=lambda: self._link_of,
             epoch_of=self.ownership.epoch_of,
+            revision_of=self.ownership.revision_of,
             now=self._now,
         )
 
     def shard_of(self, link: str) -> str:
         """Return the name of the shard (group of links) that a link belongs to; "none" if the file does not have it."""
         return self._shard_of.get(link, "none")
+
+    def _set_configuration(self, configuration: CollectorConfiguration) -> None:
+        hosts = self._hosts
+        self._configuration = configuration
+        self._links_of = links_by_shard(((link, hosts.get(link, ())) for link in configuration.links), self._shards)
+        self._shard_of = {link: shard for shard, links in self._links_of.items() for link in links}
+        self._worst = {link: longest_transaction(configuration, link) for link in configuration.links}
+        self._link_of = {device.name: device.link for device in configuration.devices.values()}
+
+    def _tell_costs(self) -> None:
+        """Tell the member which shards there are, and how busy each keeps its links."""
+        loads = {load.link: load.load for load in self._configuration.loads(self.collector.knowledge)}
+        costs = costs_by_link(self._configuration, loads)
+        self.member.set_shards({shard: sum(costs[link] for link in links) for shard, links in self._links_of.items()})
+
+    async def _follow(self) -> None:
+        """Do what operators tell through the coordinator, until cancelled."""
+        async with aclosing(self._coordinator.watch(CONTROL)) as entries:
+            async for entry in entries:
+                if entry.key == CONFIGURATION and entry.value and entry.revision > self.revision:
+                    await self._check(entry)
+                elif entry.key == DRAINED + self.member.name:
+                    self.member.drain(draining=bool(entry.value))
+                    self._driver.wake()
+
+    async def _check(self, entry: Entry) -> None:
+        """Check another configuration; it is applied beside changes of ownership, or refused (rule 5)."""
+        try:
+            shared = decode_configuration(entry)
+            newer = await asyncio.to_thread(shared.parsed, self.member.times)
+            newer = fenced(replace(newer, store=self._configuration.store))
+            refuse_what_cannot_change(self._configuration, newer)
+        except ConfigError as error:
+            self.refused = f"revision {entry.revision} is refused, revision {self.revision} holds: {error}"
+            _log.error("%s", self.refused)
+            return
+        self.refused = None
+        self._newer = newer, entry.revision
+        self._wake.set()
+
+    async def _take_newer(self) -> None:
+        """Use the newer configuration: links that left it stop, new ones of owned shards begin."""
+        if self._newer is None:
+            return
+        (newer, revision), self._newer = self._newer, None
+        gone = {link: epoch for link, epoch in self._active.items() if link not in newer.links}
+        for link in gone:
+            del self._active[link]
+        if gone:
+            await self._poll_active()
+        await self.collector.flush()
+        commit = self.collector.newest_commit
+        for link, epoch in gone.items():
+            await asyncio.to_thread(self.ownership.end, [link], epoch, commit, time.time_ns())
+        self._set_configuration(newer)
+        self.revision = revision
+        await asyncio.to_thread(self.ownership.set_configuration, revision, commit)
+        for shard, owned in list(self.member.owned.items()):
+            fresh = [link for link in self._links_of.get(shard, ()) if link not in self._active]
+            if fresh and owned.leaving is None:
+                await asyncio.to_thread(self.ownership.begin, fresh, owned.epoch, commit, time.time_ns())
+                if self.member.owned.get(shard) is owned:  # it may have been lost meanwhile
+                    self._active.update((link, owned.epoch) for link in fresh)
+        await self._poll_active()
+        self.member.set_revision(revision)
+        self._tell_costs()
+        self._driver.wake()
+        _log.info("the configuration of revision %d holds", revision)
 
     async def _end_tasks(self) -> None:
         await end_tasks(self._tasks)
@@ -183,6 +261,7 @@ class FleetCollector:
             self._wake.clear()
             events, self._waiting = self._waiting, []
             await self._apply(events)
+            await self._take_newer()
 
     async def _apply(self, events: Sequence[ShardEvent]) -> None:
         """Stop polling links that this collector no longer owns, start newly owned ones, and release stopped ones."""

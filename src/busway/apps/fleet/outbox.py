@@ -75,7 +75,7 @@ class Outbox:
         collector, store: names in the messages.
         link_of: by device, its link; asked before each batch.
         epoch_of: the epoch of a link in which a commit was made.
-        revision: the revision of the configuration in force.
+        revision_of: the revision of the configuration by which a commit was made.
         now: seconds of a clock that is not set.
     """
 
@@ -89,12 +89,12 @@ class Outbox:
         store: str,
         link_of: Callable[[], Mapping[str, str]],
         epoch_of: Callable[[str, int], Epoch | None],
-        revision: Callable[[], int] = lambda: 0,
+        revision_of: Callable[[int], int] = lambda commit: 0,
         now: Callable[[], float],
     ) -> None:
         self._manifest, self._stream = manifest, stream
         self._collector, self._store = collector, store
-        self._link_of, self._epoch_of, self._revision, self._now = link_of, epoch_of, revision, now
+        self._link_of, self._epoch_of, self._revision_of, self._now = link_of, epoch_of, revision_of, now
         self._reader = CommitReader(folder, manifest)
         self._kept, self._lost = manifest.cursors().get(OUTBOX, (0, 0))
         manifest.set_cursor(OUTBOX, self._kept, self._lost)
@@ -173,10 +173,11 @@ class Outbox:
         return found
 
     def _of_one_epoch(self, link: str, part: int, rows: list[CommittedSample]) -> list[SampleMessage]:
-        epochs: dict[Epoch | None, list[CommittedSample]] = {}
+        """Return messages of samples of one link, each of one epoch and one revision of the configuration."""
+        groups: dict[tuple[Epoch | None, int], list[CommittedSample]] = {}
         for row in rows:
-            epochs.setdefault(self._epoch_of(link, row.commit), []).append(row)
-        return [self._message(link, part, each, epoch) for epoch, each in epochs.items()]
+            groups.setdefault((self._epoch_of(link, row.commit), self._revision_of(row.commit)), []).append(row)
+        return [self._message(link, part, each, epoch) for (epoch, _), each in groups.items()]
 
     def _message(
         self, link: str, part: int, samples: list[CommittedSample], epoch: Epoch | None = None
@@ -186,7 +187,7 @@ class Outbox:
             self._store,
             link,
             epoch,
-            self._revision(),
+            self._revision_of(samples[0].commit if samples else self._sent),
             self._sent,
             self._kept,
             part,

@@ -27,8 +27,14 @@ CREATE TABLE IF NOT EXISTS identity (store TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS ownership (
     link TEXT NOT NULL, generation INTEGER NOT NULL, revision INTEGER NOT NULL, after_commit INTEGER NOT NULL,
     begin INTEGER NOT NULL, last_commit INTEGER, "end" INTEGER, PRIMARY KEY (link, generation, revision)
-)
+);
+CREATE TABLE IF NOT EXISTS configuration (after_commit INTEGER NOT NULL, revision INTEGER NOT NULL)
 """
+_BEGIN: Final = """
+INSERT INTO ownership VALUES (?, ?, ?, ?, ?, NULL, NULL)
+ON CONFLICT DO UPDATE SET last_commit = NULL, "end" = NULL
+"""
+"""A link that the configuration lacked for a while goes on in the epoch of its shard."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +89,9 @@ class OwnershipLog:
         except (sqlite3.Error, OSError) as error:
             raise ConfigError(f"the log of ownership cannot be used: {error}", file=str(path)) from error
         self._epochs: dict[str, list[tuple[int, Epoch]]] = {}
+        self._revisions: list[tuple[int, int]] = list(
+            self._database.execute("SELECT after_commit, revision FROM configuration ORDER BY rowid")
+        )
         for each in self.all():
             self._epochs.setdefault(each.link, []).append((each.after_commit, each.epoch))
 
@@ -97,7 +106,7 @@ class OwnershipLog:
         with self._lock:
             self._database.execute("BEGIN IMMEDIATE")
             try:
-                self._database.executemany("INSERT INTO ownership VALUES (?, ?, ?, ?, ?, NULL, NULL)", rows)
+                self._database.executemany(_BEGIN, rows)
             except sqlite3.Error:
                 self._database.execute("ROLLBACK")
                 raise
@@ -121,6 +130,19 @@ class OwnershipLog:
         known = self._epochs.get(link, ())
         place = bisect_left(known, commit, key=lambda each: each[0])
         return known[place - 1][1] if place else None
+
+    def set_configuration(self, revision: int, after_commit: int) -> None:
+        """Record that samples after a commit are taken by a revision of the configuration. Raises `sqlite3.Error`."""
+        with self._lock:
+            if self._revisions and self._revisions[-1][1] == revision:
+                return
+            self._database.execute("INSERT INTO configuration VALUES (?, ?)", (after_commit, revision))
+            self._revisions.append((after_commit, revision))
+
+    def revision_of(self, commit: int) -> int:
+        """Return the revision of the configuration by which a commit's samples were taken; 0 if none is known."""
+        place = bisect_left(self._revisions, commit, key=lambda each: each[0])
+        return self._revisions[place - 1][1] if place else 0
 
     def all(self) -> list[Ownership]:
         """Return all periods in which links were owned, the oldest first."""

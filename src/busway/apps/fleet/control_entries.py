@@ -1,0 +1,121 @@
+"""What operators tell a fleet through its coordinator: the plant's configuration, and which collectors are drained.
+
+Knows entries and the checks of a collector file; knows no collector.
+
+1. A configuration is written only after it was checked, by compare-and-set on the revision that was seen. What is
+   refused changes nothing.
+2. The text alone is shared, with the path of its file: profiles that it names must be under the same path on every
+   machine of the fleet.
+3. Keys begin with ``control.``, so that a server can deny them to collectors.
+"""
+
+import asyncio
+import json
+import os
+import zlib
+from contextlib import aclosing
+from dataclasses import dataclass
+from typing import Final
+
+from ...config.reading import read_text
+from ...errors import ConfigError
+from ..collector.configuration import CollectorConfiguration, parse_collector
+from .coordinator import LONGEST_VALUE, SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
+from .lease_times import LeaseTimes
+from .plant import refuse_slow_links
+from .shards import checked_name
+
+CONTROL: Final = "control."
+CONFIGURATION: Final = "control.configuration"
+DRAINED: Final = "control.drain."
+_LONGEST_TEXT: Final = 16 * 1024 * 1024
+
+
+@dataclass(frozen=True, slots=True)
+class SharedConfiguration:
+    """The text of a plant's configuration, as the coordinator has it.
+
+    Attributes:
+        name: the path of the file that was applied.
+        text: its content.
+        revision: of the entry.
+    """
+
+    name: str
+    text: str
+    revision: int
+
+    def parsed(self, times: LeaseTimes) -> CollectorConfiguration:
+        """Check the text. Raises `ConfigError` with all its problems."""
+        configuration = parse_collector(self.text, self.name)
+        refuse_slow_links(configuration, times)
+        return configuration
+
+
+async def read_entries(coordinator: Coordinator, prefix: str) -> dict[str, Entry]:
+    """Return the entries whose keys begin with a prefix, as they are now. Raises `ConfigError`."""
+    found: dict[str, Entry] = {}
+    async with aclosing(coordinator.watch(prefix)) as entries:
+        async for entry in entries:
+            if entry is SNAPSHOT_ENDS:
+                break
+            if entry is SNAPSHOT_BEGINS:
+                found.clear()
+            else:
+                found[entry.key] = entry
+    return found
+
+
+def decode_configuration(entry: Entry) -> SharedConfiguration:
+    """Return the configuration that an entry holds. Raises `ConfigError`."""
+    try:
+        unpacked = zlib.decompressobj().decompress(entry.value, _LONGEST_TEXT)
+        name, text = json.loads(unpacked)
+        return SharedConfiguration(str(name), str(text), entry.revision)
+    except (ValueError, TypeError, zlib.error) as error:
+        raise ConfigError(f"the fleet's configuration of revision {entry.revision} cannot be read: {error}") from error
+
+
+async def read_configuration(coordinator: Coordinator) -> SharedConfiguration | None:
+    """Return the configuration of a zone; None where none was applied. Raises `ConfigError`."""
+    entry = (await read_entries(coordinator, CONFIGURATION)).get(CONFIGURATION)
+    return decode_configuration(entry) if entry is not None and entry.value else None
+
+
+async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseTimes | None = None) -> int:
+    """Check a collector file and make it the configuration of the zone; returns its revision.
+
+    Raises:
+        ConfigError: the file is wrong, with all problems; the zone's configuration is as before.
+        RevisionConflict: another one was applied meanwhile; the zone has that one.
+        CoordinatorDown: nothing was changed.
+        OutcomeUnknown: it may hold.
+    """
+    seen = (await read_entries(coordinator, CONFIGURATION)).get(CONFIGURATION)
+    shared = await asyncio.to_thread(_checked, path, times or LeaseTimes())
+    packed = zlib.compress(json.dumps([shared.name, shared.text]).encode())
+    if len(packed) > LONGEST_VALUE or len(shared.text) > _LONGEST_TEXT // 8:
+        raise ConfigError(f"is too long for the fleet: {len(packed)} bytes packed, {LONGEST_VALUE} at most", file=path)
+    if seen is None:
+        return await coordinator.create(CONFIGURATION, packed)
+    return await coordinator.replace(CONFIGURATION, packed, seen.revision)
+
+
+def _checked(path: str, times: LeaseTimes) -> SharedConfiguration:
+    """Read a collector file and check it, with its problems under the path that was given."""
+    text = read_text(path)
+    SharedConfiguration(path, text, 0).parsed(times)
+    return SharedConfiguration(os.path.abspath(path), text, 0)
+
+
+async def drain_collector(coordinator: Coordinator, name: str, *, draining: bool = True) -> None:
+    """Tell a collector to hand on all its shards and take none, or to take part again; it holds after a restart too.
+
+    Raises as `apply_configuration`.
+    """
+    key = DRAINED + checked_name(name, "collector")
+    seen = (await read_entries(coordinator, key)).get(key)
+    if seen is None:
+        await coordinator.create(key, b"drain" if draining else b"")
+    else:
+        await coordinator.replace(key, b"drain" if draining else b"", seen.revision)

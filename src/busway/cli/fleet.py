@@ -1,0 +1,207 @@
+"""``busway fleet``: several collectors share the links of a plant, as a coordinator says.
+
+1. ``apply`` checks a collector file as ``collect`` does, and writes it to the coordinator only if nothing is wrong.
+2. ``run`` is one collector of the zone; its configuration is the coordinator's, and followed while it runs.
+3. ``status`` asks the coordinator alone: it also shows a zone none of whose collectors lives.
+"""
+
+import asyncio
+import os
+import socket
+from collections.abc import Coroutine
+from contextlib import AsyncExitStack
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from ..errors import ConfigError
+from .arguments import JSON, VERBOSE, seconds, show_traffic, whole_number
+from .collect_status import open_page, print_status
+from .exits import ExitCode
+from .output import print_aligned, print_json, say
+from .signals import stop_event
+
+if TYPE_CHECKING:
+    from ..apps.fleet.coordinator import Coordinator
+    from ..apps.fleet.coordinators.opening import CoordinatorOptions
+    from ..apps.fleet.fleet_status import ZoneStatus
+
+EXAMPLES = """\b
+Examples:
+  busway fleet apply plant.toml --coordinator nats://10.0.0.7 --zone hall
+  busway fleet run --coordinator nats://10.0.0.7 --zone hall --name west --store /var/lib/busway/west
+  busway fleet status --coordinator nats://10.0.0.7 --zone hall
+  busway fleet drain west --coordinator nats://10.0.0.7 --zone hall
+  busway fleet drain west --undo --coordinator nats://10.0.0.7 --zone hall
+
+The coordinator may also be local:FOLDER (one machine) or postgresql://user@host/database; BUSWAY_FLEET_PASSWORD holds
+the password of --user, BUSWAY_FLEET the coordinator.
+"""
+ACTIONS = ("apply", "run", "status", "drain")
+LOOK = 4.0
+"""Seconds after which a collector that has not renewed its entry is shown as silent: it renews every three."""
+
+
+def fleet(
+    words: list[str] = typer.Argument(
+        ..., metavar="apply FILE|run|status|drain NAME", help="A collector file, or the name of a collector."
+    ),
+    coordinator: str | None = typer.Option(
+        None, "--coordinator", metavar="URL", help="nats://host:4222, local:FOLDER."
+    ),
+    zone: str = typer.Option("plant", "--zone", metavar="NAME", help="The network that reaches the devices: plant."),
+    name: str | None = typer.Option(None, "--name", metavar="NAME", help="run: of this collector; the host's name."),
+    folder: str | None = typer.Option(None, "--store", metavar="FOLDER", help="run: the store; that of the file."),
+    shards: str = typer.Option("256", "--shards", metavar="N", help="run: of the zone, the same for all: 256."),
+    user: str | None = typer.Option(None, "--user", metavar="NAME", help="The account at the coordinator."),
+    credentials: str | None = typer.Option(None, "--credentials", metavar="FILE", help="A NATS credentials file."),
+    ca: str | None = typer.Option(None, "--ca", metavar="FILE", help="Certificates to check the coordinator by."),
+    replicas: str = typer.Option("1", "--replicas", metavar="N", help="Servers that must keep each entry: 1."),
+    undo: bool = typer.Option(False, "--undo", help="drain: let the collector take part again."),
+    status_every: str = typer.Option("60s", "--status-every", metavar="TIME", help="run: print a status this often."),
+    as_json: bool = JSON,
+    verbose: int = VERBOSE,
+) -> int:
+    """Share the links of a plant among several collectors."""
+    from ..apps.fleet.coordinators.opening import CoordinatorOptions
+
+    action, about = _action(words)
+    url = coordinator or os.environ.get("BUSWAY_FLEET")
+    if not url:
+        raise ConfigError("is needed: nats://host:4222, local:FOLDER or postgresql://user@host/db", key="--coordinator")
+    if undo and action != "drain":
+        raise ConfigError("is for drain", key="--undo")
+    if (name or folder) and action != "run":
+        raise ConfigError("is for run", key="--name" if name else "--store")
+    options = CoordinatorOptions(
+        user=user,
+        password=os.environ.get("BUSWAY_FLEET_PASSWORD"),
+        credentials=credentials,
+        ca=ca,
+        replicas=whole_number(replicas, "--replicas", 1, 5),
+    )
+    count = whole_number(shards, "--shards", 1, 1024)
+    every = seconds(status_every, "--status-every", low=0.1)
+    show_traffic(verbose)
+    works: dict[str, Any] = {
+        "apply": lambda table: _apply(table, about),
+        "run": lambda table: _run(table, name, folder, count, every, as_json=as_json),
+        "status": lambda table: _show_status(table, as_json=as_json),
+        "drain": lambda table: _drain(table, about, undo=undo),
+    }
+    from ..server.loops import run
+
+    run(_with_coordinator(url, zone, options, works[action]))
+    return ExitCode.DONE
+
+
+def _action(words: list[str]) -> tuple[str, str]:
+    """Return what to do, and the file or collector that it is about."""
+    needs = 2 if words[0] in ("apply", "drain") else 1
+    if words[0] not in ACTIONS or len(words) != needs:
+        raise ConfigError(f"must be apply FILE, run, status or drain NAME, not {' '.join(words)}", key="ACTION")
+    return words[0], words[-1]
+
+
+async def _with_coordinator(url: str, zone: str, options: "CoordinatorOptions", work: Any) -> None:
+    from ..apps.fleet.coordinators import open_coordinator
+
+    table = await open_coordinator(url, zone, options)
+    try:
+        doing: Coroutine[Any, Any, None] = work(table)
+        await doing
+    finally:
+        await table.close()
+
+
+async def _apply(table: "Coordinator", file: str) -> None:
+    from ..apps.fleet.control_entries import apply_configuration
+
+    print(f"{file} is the configuration of the zone, with revision {await apply_configuration(table, file)}")
+
+
+async def _drain(table: "Coordinator", name: str, *, undo: bool) -> None:
+    from ..apps.fleet.control_entries import drain_collector
+
+    await drain_collector(table, name, draining=not undo)
+    print(
+        f"{name} takes part again" if undo else f"{name} is told to hand on its shards; `busway fleet status` shows it"
+    )
+
+
+async def _run(
+    table: "Coordinator", name: str | None, folder: str | None, shards: int, every: float, *, as_json: bool
+) -> None:
+    from ..apps.fleet.control_entries import read_configuration
+    from ..apps.fleet.fleet_collector import FleetCollector
+    from ..apps.fleet.lease_times import LeaseTimes
+
+    shared = await read_configuration(table)
+    if shared is None:
+        raise ConfigError("the zone has no configuration yet: busway fleet apply FILE", key="--zone")
+    configuration = await asyncio.to_thread(shared.parsed, LeaseTimes())
+    configuration = replace(configuration, store=folder or configuration.store)
+    host = socket.gethostname().partition(".")[0]
+    with stop_event() as stop:
+        async with AsyncExitStack() as stack:
+            member = await stack.enter_async_context(
+                FleetCollector(configuration, table, name or host, host=host, shards=shards, revision=shared.revision)
+            )
+            await open_page(stack, member.collector)
+            say(f"{name or host} collects into {configuration.store} by revision {shared.revision}")
+            while not stop.is_set():
+                try:
+                    async with asyncio.timeout(every):
+                        await stop.wait()
+                except TimeoutError:
+                    print_status(member.collector, as_json=as_json)
+                    if member.refused is not None:
+                        say(f"warning: {member.refused}")
+
+
+async def _show_status(table: "Coordinator", *, as_json: bool) -> None:
+    from ..apps.fleet.fleet_status import zone_status
+
+    status = await zone_status(table, LOOK)
+    if as_json:
+        _print_json(status)
+        return
+    print(
+        f"configuration: revision {status.revision}, {status.configuration}" if status.revision else "no configuration"
+    )
+    rows = [
+        [each.record.name, each.record.host, each.state, str(len(each.shards)), f"{each.load:.3f}",
+         str(each.record.revision)]
+        for each in status.members.values()
+    ]  # fmt: skip
+    if rows:
+        print_aligned([["collector", "host", "state", "shards", "load", "revision"], *rows])
+    if status.leases:
+        print_aligned(
+            [
+                ["shard", "owner", "epoch"],
+                *(
+                    [shard, each.owner if each.held else "free", str(each.epoch or "new")]
+                    for shard, each in status.leases.items()
+                ),
+            ]
+        )
+
+
+def _print_json(status: "ZoneStatus") -> None:
+    print_json(
+        {
+            "configuration": status.configuration,
+            "revision": status.revision,
+            "collectors": [
+                {"name": each.record.name, "host": each.record.host, "state": each.state,
+                 "revision": each.record.revision, "load": round(each.load, 6), "shards": list(each.shards)}
+                for each in status.members.values()
+            ],
+            "shards": {
+                shard: {"owner": each.owner if each.held else None, "epoch": str(each.epoch) if each.epoch else None}
+                for shard, each in status.leases.items()
+            },
+        }
+    )  # fmt: skip

@@ -1,0 +1,94 @@
+"""``busway fleet``: a file is applied, a collector runs by it, is shown and drained; wrong use is one sentence."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from program import Busway
+
+PLANT = """\
+[collector]
+store = "data"
+page = "off"
+[poll_class]
+all.period = 0.1
+[[link]]
+name = "a"
+url = "{url}"
+[[device]]
+name = "meter-7"
+link = "a"
+unit = 1
+profile = "meter"
+"""
+
+
+def written(folder: Path, url: str = "tcp://127.0.0.1:9") -> str:
+    (folder / "meter.toml").write_text(
+        '[[unit]]\n[[unit.point]]\nname = "level"\naddress = "4x1"\ntype = "uint16"\npoll_class = "all"\n'
+    )
+    text = PLANT.format(url=url).replace('profile = "meter"', 'profile = "meter.toml"')
+    (folder / "plant.toml").write_text(text)
+    return str(folder / "plant.toml")
+
+
+def test_a_collector_runs_by_what_was_applied_and_is_shown(run: Callable[..., Any], tmp_path: Path) -> None:
+    at = ("--coordinator", f"local:{tmp_path}/zone")
+    file = written(tmp_path)
+    assert "no configuration" in run("fleet", "status", *at).out
+    missing = run("fleet", "run", *at)
+    assert (missing.code, "busway fleet apply FILE" in missing.err) == (2, True)
+    assert run("fleet", "apply", file, *at).out.endswith("with revision 1\n")
+    with Busway("fleet", "run", *at, "--name", "west", "--store", str(tmp_path / "west")) as west:
+        west.wait_for("west collects into")
+        shown: dict[str, Any] = {"collectors": []}
+        while not shown["collectors"]:  # it writes its entry when it has seen those of others
+            shown = json.loads(run("fleet", "status", "--json", *at).out)
+        assert [(each["name"], each["state"], each["revision"]) for each in shown["collectors"]] == [
+            ("west", "polls", 1)
+        ]
+        assert "told to hand on" in run("fleet", "drain", "west", *at).out
+        west.stop()
+    shown = json.loads(run("fleet", "status", "--json", *at).out)
+    assert shown["collectors"][0]["state"] == "ended"
+    assert "west" in run("fleet", "status", *at).out
+
+
+def test_a_broken_file_is_refused_with_its_line(run: Callable[..., Any], tmp_path: Path) -> None:
+    file = written(tmp_path, "nonsense://x")
+    result = run("fleet", "apply", file, "--coordinator", f"local:{tmp_path}/zone")
+    assert result.code == 2
+    assert "plant.toml:8: " in result.err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["status"], "--coordinator"),
+        (["drain", "--coordinator", "local:x"], "drain NAME"),
+        (["status", "--undo", "--coordinator", "local:x"], "--undo: is for drain"),
+        (["status", "--name", "a", "--coordinator", "local:x"], "--name: is for run"),
+        (["status", "--coordinator", "etcd://x"], "local:FOLDER"),
+        (["status", "--coordinator", "local:x", "--zone", "a b"], "zone 'a b'"),
+    ],
+)
+def test_wrong_use_is_one_sentence(
+    run: Callable[..., Any], words: list[str], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("BUSWAY_FLEET", raising=False)
+    result = run("fleet", *words)
+    assert result.code == 2
+    assert said in result.err
+
+
+def test_collect_imports_nothing_of_the_fleet() -> None:
+    program = (
+        "import sys; import busway.cli.collect, busway.apps.collector.collector; "
+        "print([name for name in sys.modules if 'fleet' in name])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout == "[]\n"
