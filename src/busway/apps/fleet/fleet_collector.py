@@ -199,7 +199,7 @@ class FleetCollector:
         try:
             shared = decode_configuration(entry)
             newer = await asyncio.to_thread(shared.parsed, self.member.times)
-            newer = fenced(replace(newer, store=self._configuration.store))
+            newer = replace(newer, store=self._configuration.store)
             refuse_what_cannot_change(self._configuration, newer)
         except ConfigError as error:
             self.refused = f"revision {entry.revision} is refused, revision {self.revision} holds: {error}"
