@@ -14,7 +14,7 @@ from ..options.tls import Curve, TlsVersion, Verify
 
 
 class LinkOptions(TypedDict, total=False):
-    """The keyword options of `busway.connect` and `busway.open`; each URL scheme accepts some of them."""
+    """Keyword options of `busway.connect` and `busway.open`; each scheme takes a part of them."""
 
     timeout: float
     retries: int

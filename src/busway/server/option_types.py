@@ -11,7 +11,7 @@ from ..options.server import Scope, UnitPolicy, UnlistedUnit
 
 
 class ServerOptions(TypedDict, total=False):
-    """The keyword options of `busway.serve`, apart from its own parameters."""
+    """What `busway.serve` takes by name beside its own arguments."""
 
     standard_port: bool | None
     unit_policy: UnitPolicy | Literal["listed", "any"]
