@@ -39,8 +39,8 @@ async def until_spoken(line: PacedLine, count: int = 1) -> None:
 
 
 def spoken(line: PacedLine) -> list[bytes]:
-    """What the server has said."""
-    return [talk.data for talk in line.transmissions(0.0009) if talk.port == 1]
+    """What the server has said; on a busy machine a frame may stall in its middle."""
+    return [talk.data for talk in line.transmissions(0.05) if talk.port == 1]
 
 
 @pytest.mark.clause("S11")
@@ -195,9 +195,11 @@ async def test_server_that_takes_no_more_still_answers_what_it_was_asked_and_not
         await server.take_no_more()
         handler.go_on.set()
         await until_spoken(line)
-        line.inject(READ)
-        await until(lambda: server.status().listeners[0].foreign == 1)
-        await asyncio.to_thread(line.wait_quiet, 0.02)
+        (status,) = server.status().listeners
+        while not status.foreign:  # on a busy machine a frame may stall in its middle: then it is damaged
+            line.inject(READ)
+            await asyncio.to_thread(line.wait_quiet, 0.02)
+            (status,) = server.status().listeners
         assert server.status().counters.requests == 1
     assert len(spoken(line)) == 1
 

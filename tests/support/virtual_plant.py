@@ -217,7 +217,12 @@ class VirtualPlant:
         """From now on the folder is a copy of what it is at this moment. Call it after `committed`."""
         self._copies += 1
         copy = self.folder.with_name(f"{self.folder.name.partition('~')[0]}~{self._copies}")
-        shutil.copytree(self.folder, copy)
+        for _ in range(100):
+            try:
+                shutil.copytree(self.folder, copy)
+                break
+            except shutil.Error:  # a log of SQLite ended in the middle of the copy: that was no moment
+                shutil.rmtree(copy)
         self.folder = copy
 
 
