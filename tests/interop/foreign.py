@@ -60,9 +60,14 @@ class Program:
     def __init__(self, command: Sequence[str | Path]) -> None:
         self.command = [str(word) for word in command]
         self._complaints = tempfile.TemporaryFile("w+")  # noqa: SIM115 - closed together with the program
-        self._process = subprocess.Popen(
-            self.command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._complaints, text=True, bufsize=1
-        )
+        pipe = subprocess.PIPE
+        try:
+            self._process = subprocess.Popen(
+                self.command, stdin=pipe, stdout=pipe, stderr=self._complaints, text=True, bufsize=1
+            )
+        except OSError:
+            self._complaints.close()
+            raise
         try:
             first = self.line()
             assert first.startswith("ready"), self._story(f"it said {first!r} instead of ready")
@@ -146,7 +151,10 @@ def compiled(name: str) -> Path:
     if found.returncode != 0:
         missing("no libmodbus to compile against (Debian: libmodbus-dev)")
     BUILD.mkdir(exist_ok=True)
-    subprocess.run(
-        [compiler, "-Wall", "-Wextra", "-Werror", "-O1", "-o", program, source, *found.stdout.split()], check=True
-    )
+    # Another process of the tests may compile the same program now, or start it: it is whole, or not there.
+    with tempfile.TemporaryDirectory(dir=BUILD) as folder:
+        made = Path(folder) / name
+        options = ["-Wall", "-Wextra", "-Werror", "-O1"]
+        subprocess.run([compiler, *options, "-o", made, source, *found.stdout.split()], check=True)
+        made.replace(program)
     return program
