@@ -20,7 +20,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -42,7 +42,10 @@ PROGRAMS = Path(__file__).parents[1] / "apps" / "fleet" / "programs"
 SHARDS = 16
 COLLECTORS = ("c0", "c1", "c2")
 ZONE = "hall"
-READY_SECONDS = 40.0
+START_SECONDS = 80.0
+"""Seconds for which collectors wait for the engines, which are started together with them."""
+READY_SECONDS = 120.0
+"""Guards against a run that hangs: all of it happens within a few seconds where the machine has time."""
 METER = """
 [[unit]]
 [[unit.point]]
@@ -136,22 +139,61 @@ class Engine:
             self.process.wait()
             self.process = None
 
+    def end(self) -> None:
+        """End it with the processes that it has started, as a server of PostgreSQL does when it is told to quit."""
+        if self.process is not None:
+            self.process.send_signal(signal.SIGQUIT)
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(20)
+            self.kill()
+
+    def revive(self) -> None:
+        """Start it again where it has ended by itself: the processes of the one before may not have been gone."""
+        if self.process is not None and self.process.poll() is not None:
+            self.start()
+
 
 class StallMeter(threading.Thread):
-    """Notes when this machine stood still: a thread that wanted to wake and did not."""
+    """Notes when the machine had no time for a run: a thread of the run waited for a processor, or its disk for others.
 
-    def __init__(self) -> None:
+    What threads waited is the kernel's own account (``schedstat``). A disk that is busy shows in this thread, which
+    writes to it.
+    """
+
+    EVERY = 0.1
+
+    def __init__(self, folder: Path, processes: Callable[[], Iterable[int]]) -> None:
         super().__init__(daemon=True)
         self.stalls: list[tuple[float, float]] = []
+        self._file = folder / "meter"
+        self._processes = processes
+        self._waited: dict[str, float] = {}
         self._end = threading.Event()
 
     def run(self) -> None:
         before = time.time()
-        while not self._end.wait(0.05):
-            now = time.time()
-            if now - before > 0.15:
-                self.stalls.append((before + 0.05, now))
-            before = now
+        with self._file.open("wb", buffering=0) as file:
+            while not self._end.wait(self.EVERY):
+                file.write(b".")
+                os.fsync(file.fileno())
+                lost = self._lost()
+                now = time.time()
+                lost = min(max(lost, now - before - 2 * self.EVERY), now - before)
+                if lost > 0.01:
+                    self.stalls.append((now - lost, now))
+                before = now
+
+    def _lost(self) -> float:
+        """The longest that a thread has waited for a processor since the last look, in seconds."""
+        longest = 0.0
+        known, self._waited = self._waited, {}
+        for process in self._processes():
+            with suppress(OSError, ValueError):  # it has ended
+                for thread in os.listdir(f"/proc/{process}/task"):
+                    waited = int(Path(f"/proc/{process}/task/{thread}/schedstat").read_text().split()[1]) / 1e9
+                    self._waited[thread] = waited
+                    longest = max(longest, waited - known.get(thread, 0.0))
+        return longest
 
     def end(self) -> None:
         self._end.set()
@@ -189,7 +231,9 @@ class Run:
         self._places: dict[str, Place] = {}
         self._sink: Program | None = None
         self._begin = self._end = self._sunk_until = 0.0
-        self._meter = StallMeter()
+        self._meter = StallMeter(folder, self._processes)
+        self._known_frames: list[Frame] = []
+        self._read_frames = 0
 
     # Start and end.
 
@@ -227,6 +271,12 @@ class Run:
         for engine in self._engines.values():
             engine.kill()
 
+    def _processes(self) -> list[int]:
+        """The numbers of all processes that run now."""
+        programs = [*self._collectors.values(), self._sink, getattr(self, "_plant", None)]
+        engines = [engine.process for engine in list(self._engines.values())]
+        return [each.pid for each in (*programs, *engines) if each is not None]
+
     def _lay_out(self) -> None:
         servers = {"nats": ["n0", "n1", "n2"], "postgresql": ["pg"], "local": []}[self.scenario.backend]
         names = [*servers, "plant", *COLLECTORS]
@@ -240,7 +290,7 @@ class Run:
         self._ports = {link: 15_000 + place if self.is_parted else free_port() for place, link in enumerate(self.links)}
 
     def _start_engines(self) -> None:
-        self._options: dict[str, Any] = {"answer": self.scenario.times.answer}
+        self._options: dict[str, Any] = {"answer": self.scenario.times.answer, "start": START_SECONDS}
         if self.scenario.backend == "local":
             self._url = f"local:{self.folder / 'zone'}"
         elif self.scenario.backend == "nats":
@@ -277,6 +327,7 @@ class Run:
         if os.geteuid() == 0:
             words = ["setpriv", "--reuid=postgres", "--regid=postgres", "--clear-groups", *words]
         engine = self._engines["pg"] = Engine("pg", place, place.command(*words))
+        self._stack.callback(engine.end)  # before its folder goes
         engine.start()
         self._url = f"postgresql://collector@{place.address}:{server.port}/postgres"
         self._options["password"] = server.PASSWORD
@@ -341,7 +392,7 @@ poll_class = "fast"
     def go(self) -> None:
         """Let everything happen that the scenario names, then bring all back and wait until all is well."""
         for name in COLLECTORS:
-            self._collector(name).ready()
+            self._collector(name).ready(READY_SECONDS)
         self._until_all_polled(by=len(COLLECTORS))
         self._begin = time.time()
         for fault in self.scenario.faults:
@@ -376,6 +427,20 @@ poll_class = "fast"
             [name for name in COLLECTORS if self._collectors[name] is not None and busy[name] > 1]
         )
 
+    def _links_of(self, name: str, begin: float) -> set[str]:
+        """The links that a collector has read since then."""
+        return {frame.link for frame in self._frames() if frame.at > begin and frame.collector == name}
+
+    def _until_taken_over(self, happened: Happened, links: set[str], again: Callable[[], None] = lambda: None) -> None:
+        """Wait until others read the links of a collector, and at least as long as leases hold; tell it ``again``."""
+        until = happened.begin + self.scenario.takeover + 1.0
+        while time.time() < happened.begin + READY_SECONDS:
+            taken = {f.link for f in self._frames() if f.at > happened.begin and f.collector != happened.whom}
+            if time.time() >= until and links <= taken:
+                return
+            again()
+            time.sleep(0.2)
+
     def _kill(self, happened: Happened) -> None:
         happened.whom = self._any()
         self._collector(happened.whom).kill()
@@ -385,9 +450,13 @@ poll_class = "fast"
         """Stop a process for longer than its leases hold."""
         happened.whom = self._any()
         program = self._collector(happened.whom)
+        links = self._links_of(happened.whom, happened.begin - 1.0)
         os.kill(program.pid, signal.SIGSTOP)
         try:
-            time.sleep(seconds or self.scenario.takeover + 1.0)
+            if seconds:
+                time.sleep(seconds)
+            else:
+                self._until_taken_over(happened, links)
         finally:
             happened.end = time.time()
             os.kill(program.pid, signal.SIGCONT)
@@ -412,24 +481,25 @@ poll_class = "fast"
         happened.whom = self._any()
         host = self._places[happened.whom].host
         assert host is not None
+        links = self._links_of(happened.whom, happened.begin - 1.0)
         host.cut()
-        time.sleep(self.scenario.takeover + 1.0)
+        self._until_taken_over(happened, links)
         happened.end = time.time()
         host.mend()
 
     def _away(self, happened: Happened) -> None:
         """Keep the coordinator's answers from a collector, whose requests still arrive where hosts are parted."""
         happened.whom = self._any()
-        seconds = self.scenario.takeover + 1.0
+        links = self._links_of(happened.whom, happened.begin - 1.0)
         if not self.is_parted:
-            self._collector(happened.whom).ask("away", seconds=seconds)
-            time.sleep(seconds)
+            away = self._collector(happened.whom)
+            self._until_taken_over(happened, links, lambda: away.ask("away", seconds=1.0))
             return
         address = self._places[happened.whom].address
         engines = [host for engine in self._engines.values() if (host := engine.place.host) is not None]
         for host in engines:
             host.drop_to(address, dropped=True)
-        time.sleep(seconds)
+        self._until_taken_over(happened, links)
         happened.end = time.time()
         for host in engines:
             host.drop_to(address, dropped=False)
@@ -437,6 +507,10 @@ poll_class = "fast"
     def _sink_dies(self, happened: Happened) -> None:
         assert self._sink is not None
         happened.whom = "sink"
+        until = time.monotonic() + READY_SECONDS
+        while not self._sunk_rows():
+            assert time.monotonic() < until, "the sink got no samples"
+            time.sleep(0.2)
         self._sink.kill()
         self._start_sink()
 
@@ -454,6 +528,7 @@ poll_class = "fast"
         for engine in self._engines.values():
             if engine.process is None:
                 engine.start()
+            engine.revive()
         for name, program in self._collectors.items():
             if program is None:
                 self._start_collector(name)
@@ -467,6 +542,8 @@ poll_class = "fast"
             pairs = {(frame.collector, frame.link) for frame in frames}
             if len(pairs) == len({link for _, link in pairs}) == SHARDS and len(dict(pairs)) >= by:
                 return
+            for engine in self._engines.values():
+                engine.revive()
             time.sleep(0.2)
         raise AssertionError(f"not all collectors poll, each links of its own: {sorted(pairs)}\n{self.story()}")
 
@@ -498,10 +575,16 @@ poll_class = "fast"
     def _frames(self) -> list[Frame]:
         names = {place.address: name for name, place in self._places.items() if name in COLLECTORS}
         path = self.folder / "frames"
-        lines = path.read_text().splitlines() if path.exists() else []
-        return [
-            Frame(at, link, names[peer], is_write, value) for at, link, peer, is_write, value in map(json.loads, lines)
-        ]
+        if path.exists():
+            with path.open("rb") as file:
+                file.seek(self._read_frames)
+                whole, newline, _ = file.read().rpartition(b"\n")
+            self._read_frames += len(whole + newline)
+            self._known_frames += [
+                Frame(at, link, names[peer], is_write, value)
+                for at, link, peer, is_write, value in map(json.loads, whole.splitlines())
+            ]
+        return self._known_frames
 
     def logs(self) -> Logs:
         """What devices, stores and the sink have, after `go`."""
@@ -512,12 +595,19 @@ poll_class = "fast"
             self._read_store(name, logs)
             self._read_log(name, logs)
         if self.has_stream:
-            with closing(sqlite3.connect(self.folder / "sink.sqlite")) as database:
-                rows = database.execute(
-                    "SELECT device, value FROM rows WHERE point = 'count' AND reason = 0"
-                ).fetchall()
-            logs.sunk = Counter(rows)
+            logs.sunk = self._sunk_rows()
         return logs
+
+    def _sunk_rows(self) -> Counter[tuple[str, int]]:
+        """Link and value of what the sink has."""
+        path = self.folder / "sink.sqlite"
+        if not path.exists():
+            return Counter()
+        with closing(sqlite3.connect(path, timeout=60)) as database:
+            if not database.execute("SELECT 1 FROM sqlite_master WHERE name = 'rows'").fetchall():
+                return Counter()
+            rows = database.execute("SELECT device, value FROM rows WHERE point = 'count' AND reason = 0").fetchall()
+        return Counter(rows)
 
     def _times_without_quorum(self) -> list[tuple[float, float]]:
         successes = self._plant.ask("successes")["successes"]

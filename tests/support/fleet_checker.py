@@ -8,9 +8,10 @@ Knows frames, periods of ownership, samples and faults as data; knows no process
    each reply of a device has a value of its own.
 3. No write is executed twice, and none that was reported as not executed was.
 4. Between two faults a link is silent for at most the time of a takeover and a second, once there are a quorum and a
-   collector that may own it. What the machine itself stood still is added.
+   collector that may own it. What the machine itself stood still, or let a process wait for a processor, is added.
 5. Every moment of a hole is in the store of the collector that ended it, or in that of the link's last owner before
    that moment, as samples without a value or as an interval. What others say of a link that they do not own is nothing.
+   What the machine itself stood still needs no record.
 """
 
 from bisect import bisect_right
@@ -91,7 +92,7 @@ class Logs:
         not_executed: values of writes that were reported as not executed.
         faults: the moments at which something was broken.
         down: times without a quorum or without a collector that may own.
-        stalls: times in which the machine stood still.
+        stalls: times in which the machine stood still, or had no time for a part of the run; one after the other.
         begin, end: of what is judged.
     """
 
@@ -190,8 +191,7 @@ def silences_that_are_too_long(logs: Logs, bounds: Bounds) -> list[str]:
         if end - begin > bounds.takeover:
             for first, last in stretches:
                 low, high = max(begin, first), min(end, last)
-                stood_still = sum(max(0.0, min(high, b) - max(low, a)) for a, b in logs.stalls)
-                if high - low - stood_still > bounds.takeover + bounds.period:
+                if high - low - _stood_still(logs, low, high) > bounds.takeover + bounds.period:
                     found.append(
                         f"{link} was silent from {begin:.2f} to {end:.2f}, {high - low:.2f} s of it without a cause"
                     )
@@ -201,6 +201,11 @@ def silences_that_are_too_long(logs: Logs, bounds: Bounds) -> list[str]:
         if logs.end - last_frame > bounds.takeover:
             found.append(f"{link} is silent at the end")
     return found
+
+
+def _stood_still(logs: Logs, low: float, high: float) -> float:
+    """Seconds of a time in which the machine stood still."""
+    return sum(max(0.0, min(high, end) - max(low, begin)) for begin, end in logs.stalls)
 
 
 def good_stretches(logs: Logs) -> list[tuple[float, float]]:
@@ -231,7 +236,7 @@ def holes_without_a_record(logs: Logs, bounds: Bounds) -> list[str]:
                     for each in unread[owner]
                     if each.link in (None, link) and each.begin < last and (each.end is None or each.end > first)
                 ]
-            left = _uncovered(begin, end, told)
+            left = max(last - first - _stood_still(logs, first, last) for first, last in _uncovered(begin, end, told))
             if left > bounds.unrecorded:
                 found.append(f"{link}: {left:.2f} s of the hole from {begin:.2f} to {end:.2f} are not recorded")
     return found
@@ -274,15 +279,15 @@ def _silences(moments: Iterable[tuple[str, float]]) -> list[tuple[str, float, fl
     return [(link, *pair) for link, times in by_link.items() for pair in pairwise(sorted(times))]
 
 
-def _uncovered(begin: float, end: float, recorded: Sequence[Unread]) -> float:
-    """The longest part of a time that no record covers."""
-    longest, at = 0.0, begin
+def _uncovered(begin: float, end: float, recorded: Sequence[Unread]) -> list[tuple[float, float]]:
+    """The parts of a time that no record covers; the last one may be empty."""
+    found, at = [], begin
     for each in sorted(recorded, key=lambda each: each.begin):
         until = end if each.end is None else each.end
         if until > at and each.begin < end:
-            longest = max(longest, each.begin - at)
+            found.append((at, max(at, each.begin)))
             at = max(at, until)
-    return max(longest, end - at)
+    return [*found, (at, max(at, end))]
 
 
 def histogram(lengths: Iterable[float], edges: Sequence[float]) -> Mapping[float, int]:

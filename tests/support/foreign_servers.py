@@ -121,6 +121,23 @@ def nats_server(folder: Path, *lines: str, jetstream: bool = True) -> ForeignSer
     return ForeignServer([program, "-c", str(config), "-a", "127.0.0.1", "-p", str(port), *streams], port)
 
 
+def nats_cluster(folder: Path, count: int) -> list[ForeignServer]:
+    """The servers of one NATS cluster with JetStream; they have no leader until most of them run."""
+    program = needed("nats-server")
+    ports = [(free_port(), free_port()) for _ in range(count)]
+    routes = ", ".join(f"nats://127.0.0.1:{route}" for _, route in ports)
+    servers = []
+    for number, (port, route) in enumerate(ports):
+        config = folder / f"n{number}.conf"
+        config.write_text(
+            f'server_name: n{number}\nlisten: "127.0.0.1:{port}"\n'
+            f'jetstream {{ store_dir: "{folder / f"n{number}"}" }}\n'
+            f'cluster {{ name: test, listen: "127.0.0.1:{route}", routes: [{routes}] }}\n'
+        )
+        servers.append(ForeignServer([program, "-c", str(config)], port))
+    return servers
+
+
 def influxdb(folder: Path) -> ForeignServer:
     """An InfluxDB 1 that keeps its data in the folder, without users."""
     program, port, other = needed("influxd"), free_port(), free_port()

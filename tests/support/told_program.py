@@ -44,10 +44,10 @@ class Program:
     ) -> None:
         self.kill()
 
-    def ready(self) -> None:
-        """Wait until it says that it is ready; whatever it is asked waits for that."""
+    def ready(self, limit: float = LIMIT) -> None:
+        """Wait until it says that it is ready, for some seconds; whatever it is asked waits for that."""
         if not self._is_ready:
-            first = self._line()
+            first = self._line(limit)
             assert first == "ready", self._story(f"said {first!r} instead of ready")
             self._is_ready = True
 
@@ -113,10 +113,10 @@ class Program:
                 pipe.close()
         self._complaints.close()
 
-    def _line(self) -> str:
+    def _line(self, limit: float = LIMIT) -> str:
         assert self._process.stdout is not None
-        readable, _, _ = select.select([self._process.stdout], [], [], LIMIT)
-        assert readable, self._story(f"said nothing for {LIMIT:g} s")
+        readable, _, _ = select.select([self._process.stdout], [], [], limit)
+        assert readable, self._story(f"said nothing for {limit:g} s")
         line = self._process.stdout.readline()
         assert line, self._story("ended")
         return line.strip()

@@ -16,7 +16,7 @@ from fleet_checker import Logs, histogram, holes, judged
 
 from busway.apps.fleet.lease_times import LeaseTimes
 
-pytestmark = [pytest.mark.real_time, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.real_time, pytest.mark.timeout(600)]
 
 SHORT = LeaseTimes(ttl=3.0, renew=0.6, guard=0.3, answer=0.8)
 ELECTED = LeaseTimes(ttl=5.0, renew=1.0, guard=0.5, answer=1.5)

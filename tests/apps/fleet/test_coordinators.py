@@ -3,11 +3,12 @@
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from fleet_devices import FleetDevice, plant
-from foreign_servers import ForeignServer, PostgresqlServer, nats_server
+from foreign_servers import ForeignServer, PostgresqlServer, nats_cluster, nats_server
 
 from busway.apps.fleet.control_entries import (
     CONFIGURATION,
@@ -292,7 +293,39 @@ async def test_more_replicas_than_servers_are_refused_by_name(servers: dict[str,
 async def test_a_server_that_is_not_there_is_named(url: str) -> None:
     pytest.importorskip("nats" if url.startswith("nats") else "asyncpg")
     with pytest.raises(CoordinatorDown, match=r"127\.0\.0\.1:1"):
-        await open_coordinator(url, "hall", CoordinatorOptions(answer=0.3))
+        await open_coordinator(url, "hall", CoordinatorOptions(answer=0.3, start=0.0))
+
+
+@pytest.mark.parametrize("kind", SERVED)
+async def test_a_server_that_starts_after_its_collector_is_waited_for(
+    kind: str, servers: dict[str, Backend], caplog: pytest.LogCaptureFixture
+) -> None:
+    server = servers[kind].server
+    assert server is not None
+    server.stop()
+    opening = asyncio.create_task(
+        open_coordinator(servers[kind].url, "late", replace(servers[kind].options, start=60.0))
+    )
+    try:
+        while "it is asked again for 60 s" not in caplog.text:
+            assert not opening.done()
+            await asyncio.sleep(0.01)
+    finally:
+        server.start()
+        coordinator = await opening
+        await coordinator.close()
+
+
+async def test_a_cluster_without_a_leader_is_waited_for_and_told(tmp_path: Path) -> None:
+    pytest.importorskip("nats")
+    options = CoordinatorOptions(answer=0.5, start=0.0)
+    one, other = nats_cluster(tmp_path, 2)
+    with one:
+        with pytest.raises(CoordinatorDown, match=r"the bucket busway-hall (does not answer|cannot be used yet)"):
+            await open_coordinator(f"nats://127.0.0.1:{one.port}", "hall", options)
+        with other:
+            coordinator = await open_coordinator(f"nats://127.0.0.1:{one.port}", "hall", replace(options, start=60.0))
+            await coordinator.close()
 
 
 async def test_other_urls_and_names_are_refused(tmp_path: Path) -> None:

@@ -99,3 +99,6 @@ def test_a_fault_a_lost_quorum_and_a_machine_that_stood_still_excuse_their_time(
     assert not [each for each in judged(replace(silent, down=[(3.0, 10.0)]), BOUNDS) if "was silent" in each]
     assert not [each for each in judged(replace(silent, stalls=[(3.5, 9.9)]), BOUNDS) if "was silent" in each]
     assert not [each for each in judged(replace(silent, faults=[5.0, 9.5]), BOUNDS) if "was silent" in each]
+    unrecorded = broken("not recorded")
+    assert not [each for each in judged(replace(unrecorded, stalls=[(9.5, 13.0)]), BOUNDS) if "not recorded" in each]
+    assert [each for each in judged(replace(unrecorded, stalls=[(9.5, 11.0)]), BOUNDS) if "3.50 s of the hole" in each]

@@ -22,6 +22,8 @@ from ...errors import ConfigError
 from ..collector.sinks.interface import Sink, SinkDown, SinkRefused
 from ..collector.store.committed_samples import CommittedSample
 from .coordinator import SNAPSHOT_ENDS, Coordinator, CoordinatorDown, Entry, OutcomeUnknown, RevisionConflict
+from .coordinators.nats import NOT_YET
+from .coordinators.opening import until_up
 from .member_driver import end_tasks
 from .messages import SampleMessage, UnreadableMessage, decode_message
 from .outbox import StreamDown
@@ -51,10 +53,24 @@ class StreamOptions:
     duplicate_window: float = 120.0
 
 
-async def make_stream(client: Any, zone: str, options: StreamOptions | None = None) -> str:
-    """Find or create the message stream for a zone's samples; returns its name. Raises `ConfigError`, `StreamDown`."""
+async def make_stream(client: Any, zone: str, options: StreamOptions | None = None, *, start: float = 30.0) -> str:
+    """Find or create the message stream for a zone's samples; returns its name.
+
+    Args:
+        client: of nats-py, connected.
+        zone: the name of the zone.
+        options: of a stream that is created.
+        start: seconds for which a server that does not answer is asked again; 0 for once.
+
+    Raises:
+        ConfigError: it cannot be created or used.
+        StreamDown: no server has answered.
+    """
+    return await until_up(lambda: _made_stream(client, zone, options or StreamOptions()), StreamDown, start)
+
+
+async def _made_stream(client: Any, zone: str, options: StreamOptions) -> str:
     nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
-    options = options or StreamOptions()
     name = f"busway-samples-{zone}"
     jetstream = client.jetstream(timeout=10.0)
     try:
@@ -74,6 +90,8 @@ async def make_stream(client: Any, zone: str, options: StreamOptions | None = No
                 )
             )
     except errors.APIError as error:
+        if error.err_code in NOT_YET:
+            raise StreamDown(f"the stream {name} cannot be used yet: {error.description}") from error
         raise ConfigError(f"the stream {name} cannot be used: {error.description}", key="coordinator") from error
     except (nats.errors.Error, OSError, TimeoutError) as error:
         raise StreamDown(f"the stream {name} does not answer: {error or type(error).__name__}") from error
@@ -290,7 +308,7 @@ class StreamSink:
 
     async def _hand_on(self) -> None:
         api, errors = import_module("nats.js.api"), import_module("nats.errors")
-        stream = await make_stream(self._client, self._zone, self._options)
+        stream = await make_stream(self._client, self._zone, self._options, start=0.0)
         jetstream = self._client.jetstream(timeout=10.0)
         subscription = await jetstream.pull_subscribe(
             f"busway.{self._zone}.samples.>",

@@ -33,6 +33,8 @@ from .opening import CoordinatorOptions
 OLDEST: Final = (2, 9, 0)
 HEARTBEAT: Final = 1.0
 QUIET: Final = 4.0
+NOT_YET: Final = (10004, 10005, 10008, 10009, 10023, 10118)
+"""Codes of refusals that end by themselves: a cluster has too few of its servers or no leader, a stream has none."""
 _WRONG_SEQUENCE: Final = (10071, 10164)
 _MOST_WAITING: Final = 65_536
 
@@ -112,7 +114,8 @@ async def _find_bucket(client: Any, bucket: str, options: CoordinatorOptions) ->
     stream = f"KV_{bucket}"
     try:
         try:
-            info = await jetstream.stream_info(stream)
+            # A cluster without a leader gives no answer: short, so that it is asked again soon.
+            info = await client.jetstream(timeout=options.answer).stream_info(stream)
         except errors.NotFoundError:
             wanted = api.StreamConfig(
                 name=stream,
@@ -126,9 +129,11 @@ async def _find_bucket(client: Any, bucket: str, options: CoordinatorOptions) ->
                 deny_delete=True,
             )
             info = await jetstream.add_stream(wanted)
-    except errors.ServiceUnavailableError as error:
-        raise ConfigError("the server has no JetStream: start it with -js", key="coordinator") from error
     except errors.APIError as error:
+        if error.err_code in NOT_YET:
+            raise CoordinatorDown(f"the bucket {bucket} cannot be used yet: {error.description}") from error
+        if isinstance(error, errors.ServiceUnavailableError):
+            raise ConfigError("the server has no JetStream: start it with -js", key="coordinator") from error
         raise ConfigError(f"the bucket {bucket} cannot be used: {error.description}", key="coordinator") from error
     except (nats.errors.Error, OSError, TimeoutError) as error:
         raise CoordinatorDown(f"the bucket {bucket} does not answer: {error or type(error).__name__}") from error

@@ -1,11 +1,24 @@
-"""Opens the coordinator of a fleet by its URL, whose scheme names the backend; loads only that one."""
+"""Opens the coordinator of a fleet by its URL, whose scheme names the backend; loads only that one.
 
+1. Servers and collectors may be started at once: a server that does not answer yet is asked again for
+   `CoordinatorOptions.start` seconds, and the log says so. What cannot become right by waiting is raised at once.
+"""
+
+import asyncio
+import logging
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from importlib import import_module
+from typing import Final, TypeVar
 from urllib.parse import urlsplit
 
-from ....errors import ConfigError
-from ..coordinator import Coordinator
+from ....errors import ConfigError, ModbusError
+from ..coordinator import Coordinator, CoordinatorDown
+
+ASK_EVERY: Final = 0.5
+"""Seconds from an answer that a server is not up to the next question."""
+_log = logging.getLogger("busway.fleet")
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,6 +31,8 @@ class CoordinatorOptions:
         ca, certificate, key: paths of PEM files for TLS; None for those of the system, or for none.
         replicas: servers that must keep each entry, 1…5 (NATS).
         answer: seconds after which a change without an answer has an unknown outcome.
+        start: seconds for which a server that does not answer is asked again when the coordinator is opened; 0 for
+            once. Servers that were started just now have to elect a leader.
     """
 
     user: str | None = None
@@ -29,6 +44,7 @@ class CoordinatorOptions:
     key: str | None = None
     replicas: int = 1
     answer: float = 2.5
+    start: float = 30.0
 
 
 async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | None = None) -> Coordinator:
@@ -42,7 +58,7 @@ async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | No
 
     Raises:
         ConfigError: the URL or the zone cannot be, the server is too old, has too few replicas or refuses the rights.
-        CoordinatorDown: the server cannot be reached.
+        CoordinatorDown: the server could not be reached for ``options.start`` seconds.
         MissingExtra: a package for this backend is not installed.
     """
     options = options or CoordinatorOptions()
@@ -52,11 +68,38 @@ async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | No
         return await found.open_local(url.removeprefix("local:"), zone)  # type: ignore[no-any-return]
     if scheme in ("nats", "tls"):
         found = import_module(".nats", __package__)
-        return await found.open_nats(url, zone, options)  # type: ignore[no-any-return]
+        return await until_up(lambda: found.open_nats(url, zone, options), CoordinatorDown, options.start)
     if scheme in ("postgresql", "postgres"):
         found = import_module(".postgresql", __package__)
-        return await found.open_postgresql(url, zone, options)  # type: ignore[no-any-return]
+        return await until_up(lambda: found.open_postgresql(url, zone, options), CoordinatorDown, options.start)
     raise ConfigError(
         f"a coordinator is local:FOLDER, nats://host:4222 or postgresql://user@host/database, not {url!r}",
         key="coordinator",
     )
+
+
+async def until_up(ask: Callable[[], Awaitable[_T]], down: type[ModbusError], seconds: float) -> _T:
+    """Ask a server until it is up, for some seconds at most; the first refusal is logged.
+
+    Args:
+        ask: asks once.
+        down: what it raises while the server is not up. This is raised at the end; any other error at once.
+        seconds: after which no new question is asked.
+    """
+    loop = asyncio.get_running_loop()
+    until = loop.time() + seconds
+    waits = False
+    while True:
+        try:
+            found = await ask()
+        except down as error:
+            if loop.time() + ASK_EVERY > until:
+                raise
+            if not waits:
+                _log.warning("%s; it is asked again for %g s", error, seconds)
+            waits = True
+            await asyncio.sleep(ASK_EVERY)
+        else:
+            if waits:
+                _log.warning("the server answers now")
+            return found
