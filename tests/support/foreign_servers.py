@@ -83,6 +83,11 @@ class ForeignServer:
                 self._process.wait(10)
             self._process = None
 
+    def reload(self) -> None:
+        """Let it read its configuration again."""
+        assert self._process is not None
+        self._process.send_signal(signal.SIGHUP)
+
     def __enter__(self) -> Self:
         return self.start()
 

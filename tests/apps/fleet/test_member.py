@@ -1,5 +1,6 @@
 """A zone on the virtual clock: at most one owner at a time, and all shards polled once all is well."""
 
+import random
 from dataclasses import replace
 
 import pytest
@@ -7,9 +8,10 @@ from fleet_scale import scale
 from fleet_world import Network, World, random_walk
 
 from busway.apps.fleet.balance import BEGIN
+from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.member import FleetMember, NotConfirmed, Proposal, _SeenLease
-from busway.apps.fleet.records import LEASES
+from busway.apps.fleet.records import LEASES, MemberRecord
 
 COSTS = {f"{number:04d}": 0.02 + 0.001 * (number % 7) for number in range(32)}
 
@@ -242,3 +244,49 @@ def test_the_walks_find_a_coordinator_that_does_not_compare(monkeypatch: pytest.
 
     monkeypatch.setattr(World, "_apply", careless)
     assert any(judged(random_walk(seed)) for seed in range(20))
+
+
+CLOCK = 1_000_000.0
+"""The time by the coordinator's clock, where that of leases is 0."""
+
+
+def clocks(ahead: float, *others: float) -> FleetMember:
+    """A member whose clock is so far ahead of the coordinator's, with others whose clocks are too."""
+    member = FleetMember("west", "run", "west", LeaseTimes(), random.Random(1))
+    member.wall_ahead = CLOCK + ahead
+    member.set_shards({"0001": 0.1})
+    for number, each in enumerate(others):
+        record = MemberRecord(f"c{number}", "run", "box", 1, at=CLOCK + each)
+        member.entry(Entry(f"member.c{number}", record.encode(), number + 1, CLOCK + 0.1), 0.0)
+    member.end_snapshot(0.0)
+    (proposal,) = member.turn(0.0)
+    member.entry(Entry(proposal.key, proposal.value, 50, CLOCK + 3.0), 4.0)
+    member.outcome(proposal, 50, 4.0)
+    member.turn(4.0)
+    return member
+
+
+@pytest.mark.parametrize(
+    ("ahead", "others", "problem"),
+    [
+        (0.0, [], ""),
+        (10.0, [], "its clock is 7 s ahead of the coordinator's"),
+        (-60.0, [], "its clock is 59 s behind the coordinator's"),
+        (60.0, [0.0, 60.0], "its clock is 57 s ahead of the coordinator's"),
+        (60.0, [57.0, 58.0, 0.0], ""),
+        (60.0, [57.0], ""),
+    ],
+)
+def test_a_clock_is_wrong_unless_most_collectors_agree_with_it(ahead: float, others: list[float], problem: str) -> None:
+    member = clocks(ahead, *others)
+    assert member.problem == problem
+    member.turn(6.0)
+    assert ("lease.0001" in member._open) is not bool(problem)
+
+
+def test_an_answer_that_takes_long_makes_no_clock_wrong() -> None:
+    member = clocks(0.0)
+    member.turn(8.0)
+    proposal = member._open["member.west"]
+    member.entry(Entry(proposal.key, proposal.value, 51, CLOCK + 9.0), 900.0)
+    assert member.clock_error == 0.0

@@ -10,11 +10,11 @@ Knows no engine. The backends in `coordinators` keep these rules, which one set 
 4. A watch gives every entry that exists, then `SNAPSHOT_ENDS`, then changes. It may leave out values that were replaced
    meanwhile, but never goes back in the revisions of a key. After a lost connection it begins again by itself, with
    `SNAPSHOT_BEGINS`.
-5. No entry expires: an engine's wall clock decides nothing.
+5. No entry expires: an engine's wall clock decides nothing about leases.
 """
 
 from collections.abc import AsyncGenerator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, Protocol
 
 from ...errors import ModbusError
@@ -40,11 +40,13 @@ class Entry:
         key: letters, digits, ``.``, ``-``, ``_``, at most 200.
         value: its content, at most `LONGEST_VALUE` bytes; empty for a deleted entry.
         revision: from 1; 0 only in the two marks of a watch.
+        time: when it was changed, seconds since 1970 UTC by the server's clock; None where the server does not say.
     """
 
     key: str
     value: bytes
     revision: int
+    time: float | None = field(default=None, compare=False)
 
 
 LONGEST_VALUE: Final = 512 * 1024

@@ -151,6 +151,11 @@ class FleetCollector:
             if not any(task.done() for task in self._tasks) and not await self._driver.end(END_LIMIT):
                 _log.warning("not all shards were handed back in %g s: others take them later", END_LIMIT)
 
+    @property
+    def problem(self) -> str:
+        """Why this collector owns nothing, or its leases are not renewed; empty while all is well."""
+        return self._driver.problem
+
     def _opened_outbox(self) -> Outbox | None:
         if self._stream is None:
             return None

@@ -34,11 +34,13 @@ class ZoneMember:
 
     @property
     def state(self) -> str:
-        """``polls``, ``drains``, ``silent`` or ``ended``."""
+        """``polls``, ``drains``, ``refuses`` (its record says why), ``silent`` or ``ended``."""
         if self.record.gone:
             return "ended"
         if not self.lives:
             return "silent"
+        if self.record.problem:
+            return "refuses"
         return "drains" if self.record.draining or self.is_drained else "polls"
 
 

@@ -11,6 +11,8 @@ Pure: entries, outcomes and the time go in; proposals and events come out. Knows
    of the same name had is another owner's.
 4. One proposal of a key is open at a time.
 5. Two processes with one name: the second owns nothing until the first has been silent as in rule 2, and says so.
+6. A collector whose wall clock is wrong would date samples wrongly: it gives back what it owns, takes nothing, and says
+   so. Its clock is compared with the coordinator's; where most collectors agree against that one, that one is wrong.
 """
 
 import random
@@ -42,6 +44,8 @@ PATIENCE: Final = 0.4
 """Seconds after which a free shard is taken by any collector that sees it, whatever its load."""
 PATIENCE_OF_BACKUPS: Final = 3.0
 """Seconds that a pinned shard waits for its first host, where that lives."""
+CLOCK_LIMIT: Final = 5.0
+"""Seconds by which a wall clock may differ from the coordinator's. How long an answer takes is not counted as one."""
 MOST_OPEN: Final = 64
 """Proposals that are open at once."""
 MOST_LEAVING: Final = 8
@@ -111,6 +115,8 @@ class _SeenMember:
     record: MemberRecord
     revision: int
     at: float
+    ahead: float | None
+    """Seconds by which its clock was ahead of the coordinator's; below zero by what its change took on the way."""
 
 
 @dataclass(slots=True)
@@ -162,6 +168,7 @@ class FleetMember:
         counts: its counters.
         generation: the generation number of the zone.
         rival: another process with this name that lives; None without one.
+        clock_error: seconds by which its wall clock is ahead of the coordinator's; 0 within `CLOCK_LIMIT`.
         wall_ahead: seconds by which the wall clock is ahead of the clock of leases; for the record of gaps only.
     """
 
@@ -180,6 +187,9 @@ class FleetMember:
         self.counts: MemberCounts = MemberCounts()
         self.generation: int = 1
         self.rival: str | None = None
+        self.clock_error: float = 0.0
+        self._is_known = False
+        self._drains = False
         self.wall_ahead: float = 0.0
         self._me = MemberRecord(name, run, host, 0, capacity)
         self._my_revision = 0
@@ -222,14 +232,15 @@ class FleetMember:
 
     def drain(self, *, draining: bool = True) -> None:
         """Give all shards (groups of links) to other collectors and take none; or take some again."""
-        self._me = replace(self._me, draining=draining)
+        self._drains = draining
+        self._me = replace(self._me, draining=draining or bool(self._me.problem))
         self._my_renewal = 0.0
 
     def end(self) -> None:
         """Release all shards (groups of links) whose links have stopped, then tell the others that this collector
         leaves.
         """
-        self._ends = True
+        self._ends = self._drains = True
         self._me = replace(self._me, draining=True)
         self._my_renewal = self._look_at = 0.0
 
@@ -237,6 +248,11 @@ class FleetMember:
     def has_ended(self) -> bool:
         """Whether the collector has released all its shards (groups of links) after `end`."""
         return self._ends and not self.owned and self._me.gone and f"{MEMBERS}{self.name}" not in self._open
+
+    @property
+    def problem(self) -> str:
+        """Why this collector may own nothing; empty while it may."""
+        return "another process has its name" if self.rival is not None else self._me.problem
 
     def deadline(self, shard: str) -> float:
         """Return until when all transactions of a shard (group of links) must have ended; minus infinity if it is not
@@ -316,13 +332,41 @@ class FleetMember:
             elif self.rival is not None:
                 self.rival = None
                 self._my_renewal = now
+            if record is not None and record.run == self._me.run:
+                self._compare_clocks(entry, record, now)
             return
         if record is None:
             self._members.pop(name, None)
             return
         seen = self._members.get(name)
         if seen is None or entry.revision > seen.revision:
-            self._members[name] = _SeenMember(record, entry.revision, now)
+            ahead = None if entry.time is None or not record.at else record.at - entry.time
+            self._members[name] = _SeenMember(record, entry.revision, now, ahead)
+
+    def _compare_clocks(self, entry: Entry, record: MemberRecord, now: float) -> None:
+        """Compare the wall clock with the coordinator's: an own change was made after it was asked for, before now."""
+        self._is_known = True
+        if entry.time is not None and record.count == self._me.count:
+            ahead, behind = record.at - entry.time, entry.time - (now + self.wall_ahead)
+            self.clock_error = ahead if ahead > CLOCK_LIMIT else -behind if behind > CLOCK_LIMIT else 0.0
+
+    def _clock_problem(self, now: float) -> str:
+        """Return why this collector's clock forbids it to own anything; empty where it does not (rule 6)."""
+        if not self.clock_error:
+            return ""
+        others = [each.ahead for each in self._members.values() if each.ahead is not None and self._lives(each, now)]
+        with_server = sum(abs(ahead) <= CLOCK_LIMIT for ahead in others)
+        with_this = sum(abs(ahead - self.clock_error) <= CLOCK_LIMIT for ahead in others)
+        if with_this > with_server:
+            return ""
+        side = "ahead of" if self.clock_error > 0 else "behind"
+        return f"its clock is {abs(self.clock_error):.0f} s {side} the coordinator's"
+
+    def _look_at_clock(self, now: float) -> None:
+        problem = self._clock_problem(now)
+        if problem != self._me.problem:
+            self._me = replace(self._me, problem=problem, draining=self._drains or bool(problem))
+            self._my_renewal = min(self._my_renewal, now)
 
     def outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
         """Take the answer to a proposed change of the shared table: the new revision, or why it was not made."""
@@ -402,6 +446,7 @@ class FleetMember:
         for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
             self.counts.lapsed += 1
             self._lose(shard, "it could not be renewed in time", self.owned[shard].asked + self.wall_ahead)
+        self._look_at_clock(now)
         found: list[Proposal] = []
         self._propose_member(now, found)
         self._propose_renewals(now, found)
@@ -426,7 +471,9 @@ class FleetMember:
         key = f"{MEMBERS}{self.name}"
         if self._complete_at is None or now < self._my_renewal or key in self._open or self._me.gone:
             return
-        self._me = replace(self._me, count=self._me.count + 1, gone=self._ends and not self.owned)
+        self._me = replace(
+            self._me, count=self._me.count + 1, gone=self._ends and not self.owned, at=now + self.wall_ahead
+        )
         self._my_renewal = now + self._spread(self.times.renew)
         self._propose(key, self._me.encode(), self._my_revision, now, found)
 
@@ -458,7 +505,7 @@ class FleetMember:
         mapped = takers(free, self._shares(now)) if free else {}
         self._free_since = {shard: self._free_since.get(shard, now) for shard in mapped}
         assert self._complete_at is not None
-        if self._me.draining or self._my_asked is None or now < self._complete_at + SETTLE:
+        if self._me.draining or self._my_asked is None or not self._is_known or now < self._complete_at + SETTLE:
             return
         for shard, taker in mapped.items():
             if len(self._open) >= MOST_OPEN:
@@ -503,9 +550,10 @@ class FleetMember:
         """Start to give away the shards (groups of links) that other collectors should own, by `balance`."""
         leaving = sum(each.leaving is not None for each in self.owned.values())
         for shard, owned in self.owned.items():
-            unwanted = shard not in self._costs or self._ends
+            unwanted = shard not in self._costs or self._ends or self._me.problem
             if unwanted and owned.leaving is None:
-                self._leave(shard, owned, "", "the collector ends" if self._ends else "no link belongs to it")
+                reason = "the collector ends" if self._ends else self._me.problem or "no link belongs to it"
+                self._leave(shard, owned, "", reason)
         shares = self._shares(now)
         found = moves(self._owned_by_all(now), shares, moving=leaving > 0) if not self._free_since else []
         if not found:

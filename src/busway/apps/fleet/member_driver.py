@@ -66,12 +66,19 @@ class MemberDriver:
         self._wake = asyncio.Event()
         self._changed = asyncio.Event()
         self._error: str | None = None
+        self._logged: set[str] = set()
+        self._problem = ""
         self._asking: set[asyncio.Task[None]] = set()
 
     @property
     def error(self) -> str | None:
         """Why the last change of the shared table was not confirmed; None if it was."""
         return self._error
+
+    @property
+    def problem(self) -> str:
+        """Why this collector may own nothing, or own nothing soon, in words; empty while all is well."""
+        return self.member.problem or self._error or ""
 
     async def run(self) -> None:
         """Take part in the fleet until cancelled. Raises `ConfigError` if the shared table can never be read."""
@@ -113,19 +120,21 @@ class MemberDriver:
                 elif entry is SNAPSHOT_ENDS:
                     self.member.end_snapshot(self._now())
                 else:
+                    self._set_wall_clock()
                     self.member.entry(entry, self._now())
                 self.wake()
 
     async def _take_turns(self) -> None:
         while True:
             self._wake.clear()
-            self.member.wall_ahead = time.time() - self._now()
+            self._set_wall_clock()
             for proposal in self.member.turn(self._now()):
                 task = asyncio.create_task(self._ask(proposal))
                 self._asking.add(task)
                 task.add_done_callback(self._asking.discard)
             for event in self.member.events():
                 self._told(event)
+            self._tell_problem()
             self._changed.set()
             wait = self.member.next_turn() - self._now()
             try:
@@ -133,6 +142,26 @@ class MemberDriver:
                     await self._wake.wait()
             except TimeoutError:
                 pass
+
+    def _set_wall_clock(self) -> None:
+        self.member.wall_ahead = time.time() - self._now()
+
+    def _tell_problem(self) -> None:
+        """Log why this collector may own nothing, and when it may again."""
+        problem = self.member.problem
+        if problem != self._problem:
+            if not problem:
+                _log.warning("collector %s may own links again", self.member.name)
+            elif not self._problem:
+                _log.error("collector %s owns nothing: %s", self.member.name, problem)
+            self._problem = problem
+
+    def _failed(self, error: str) -> None:
+        """Note why a change was not confirmed; each reason is logged once until one is confirmed."""
+        self._error = error
+        if error not in self._logged:
+            self._logged.add(error)
+            _log.warning("the coordinator does not confirm: %s", error)
 
     async def _ask(self, proposal: Proposal) -> None:
         result: int | NotConfirmed = NotConfirmed.UNKNOWN
@@ -143,12 +172,11 @@ class MemberDriver:
                 else:
                     result = await self._coordinator.create(proposal.key, proposal.value)
             self._error = None
+            self._logged.clear()
         except RevisionConflict:
             result = NotConfirmed.CONFLICT
         except (CoordinatorDown, OutcomeUnknown, TimeoutError) as error:
-            if self._error is None:
-                _log.warning("the coordinator does not confirm: %s", str(error) or "no answer in time")
-            self._error = str(error) or "no answer in time"
+            self._failed(str(error) or "no answer in time")
         except Exception as error:  # a defect of a client library: else its key would stay open for good
             _log.exception("the coordinator fails in an unexpected way")
             self._error = f"{type(error).__name__}: {error}"

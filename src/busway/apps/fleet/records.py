@@ -68,6 +68,8 @@ class MemberRecord:
         draining: whether it hands everything on and takes nothing.
         revision: the revision of the configuration that it works by.
         gone: whether it has ended in order.
+        at: seconds since 1970 UTC by its wall clock; to find clocks that are wrong.
+        problem: why it owns nothing; empty while it may own.
     """
 
     name: str
@@ -78,6 +80,8 @@ class MemberRecord:
     draining: bool = False
     revision: int = 0
     gone: bool = False
+    at: float = 0.0
+    problem: str = ""
 
     def encode(self) -> bytes:
         """Return the record of a collector as bytes for the shared table."""
@@ -91,6 +95,8 @@ class MemberRecord:
                 int(self.draining),
                 self.revision,
                 int(self.gone),
+                round(self.at, 3),
+                self.problem,
             ],
             separators=(",", ":"),
         ).encode()
@@ -117,7 +123,7 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
 def decode_member(value: bytes) -> MemberRecord | None:
     """Return the record of a collector in the bytes of a table entry; None if they are none."""
     try:
-        name, run, host, count, capacity, draining, revision, gone = _list(value)[:8]
+        name, run, host, count, capacity, draining, revision, gone, at, problem = [*_list(value), 0.0, ""][:10]
         return MemberRecord(
             str(name),
             str(run),
@@ -127,6 +133,8 @@ def decode_member(value: bytes) -> MemberRecord | None:
             bool(draining),
             int(revision),
             bool(gone),
+            float(at),
+            str(problem),
         )
     except (ValueError, TypeError, IndexError):
         return None

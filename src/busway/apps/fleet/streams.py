@@ -255,6 +255,7 @@ class StreamSink:
         taken: samples that the sink has taken since the start.
         refused: samples that it refused.
         unreadable: messages that could not be read.
+        dropped: messages that a full stream has dropped before this sink took them.
         error: what cannot be reached now; None while all is well.
     """
 
@@ -268,7 +269,7 @@ class StreamSink:
         set_aside: Callable[[CommittedSample, str], None] = lambda sample, error: None,
         options: StreamOptions | None = None,
     ) -> None:
-        self.taken = self.refused = self.unreadable = 0
+        self.taken = self.refused = self.unreadable = self.dropped = 0
         self.error: str | None = None
         self._client, self._coordinator, self._zone, self._name = client, coordinator, zone, name
         self._sink, self._set_aside, self._options = sink, set_aside, options
@@ -359,8 +360,16 @@ class StreamSink:
             place += 1
         if place == len(messages):
             return messages
-        info = await jetstream.stream_info(stream)
-        return messages if int(info.state.first_seq) > expected else messages[:place]
+        first = int((await jetstream.stream_info(stream)).state.first_seq)
+        if first <= expected:
+            return messages[:place]
+        self.dropped += first - expected
+        _log.warning(
+            "sink %s: the stream was full and has dropped %d messages that were not taken; collectors send them again",
+            self._name,
+            first - expected,
+        )
+        return messages
 
     async def _give_back(self, messages: Iterable[Any]) -> None:
         """Let the stream deliver messages again soon, after those that come before them."""

@@ -7,12 +7,15 @@ Knows streams and subjects; the protocol is nats-py's (``busway[nats]``). Works 
 2. A watch is a consumer without acknowledgement whose messages must follow each other without a gap. After a gap, or
    `QUIET` seconds without a message or heartbeat, it begins anew.
 3. A connection that answers no ping is given up after about five seconds; the next server of the URL is tried.
+4. A connection that the server ends, for whatever reason, is tried again for good: credentials that were revoked may be
+   granted again. What the server said last is in the error of every change meanwhile.
 """
 
 import asyncio
 import contextlib
 import ssl
 from collections.abc import AsyncGenerator
+from functools import cache
 from importlib import import_module
 from typing import Any, Final
 
@@ -57,11 +60,6 @@ async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCo
 async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py's own
     """Connect to NATS by a URL that may name several servers; also used for streams. Raises as `open_nats`."""
     nats = import_module("nats")
-    causes: list[str] = []
-
-    async def note(error: Exception) -> None:
-        causes.append(str(error) or type(error).__name__)
-
     scheme, _, hosts = url.partition("://")
     given = {
         "user": options.user,
@@ -70,12 +68,13 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
         "user_credentials": options.credentials,
         "tls": _tls(options) if scheme == "tls" or options.ca or options.certificate else None,
     }
-    client = nats.NATS()
+    client = _client_kind()()
     try:
         async with asyncio.timeout(4 * options.answer):
             await client.connect(
                 servers=[f"{scheme}://{each.strip()}" for each in hosts.split(",")],
-                error_cb=note,
+                error_cb=client.note_cause,
+                reconnected_cb=client.forget_cause,
                 connect_timeout=options.answer,
                 allow_reconnect=True,
                 max_reconnect_attempts=-1,
@@ -87,8 +86,8 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
     except (nats.errors.Error, OSError, TimeoutError) as error:
         with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):
             await client.close()
-        cause = causes[-1] if causes else str(error) or type(error).__name__
-        if "authorization" in cause.lower():
+        cause = client.cause or str(error) or type(error).__name__
+        if _is_refusal(cause):
             raise ConfigError(f"{url} refuses the credentials: {cause}", key="coordinator") from error
         raise CoordinatorDown(f"{url} cannot be reached: {cause}", endpoint=url) from error
     server = client.connected_server_version
@@ -99,6 +98,44 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
             f"{url} runs nats-server {'.'.join(map(str, version))}; 2.9 or newer is needed", key="coordinator"
         )
     return client
+
+
+def _is_refusal(cause: str) -> bool:
+    """Whether a server has refused the credentials: it says authorization, or authentication."""
+    return "auth" in cause.lower()
+
+
+@cache
+def _client_kind() -> Any:
+    """Return nats-py's client with rule 4: its own ends for good where a server ends a connection with an error."""
+    nats = import_module("nats")
+
+    class Client(nats.NATS):  # type: ignore[misc, name-defined] # Any: the package is loaded when it is used
+        def __init__(self) -> None:
+            super().__init__()
+            self.cause = ""
+
+        async def note_cause(self, error: Exception) -> None:
+            self.cause = str(error) or type(error).__name__
+
+        async def forget_cause(self) -> None:
+            self.cause = ""
+
+        async def _process_connect_init(self) -> None:
+            try:
+                await super()._process_connect_init()
+            except BaseException:
+                if self._transport is not None:
+                    self._transport.close()  # else each refused try would leave its socket open
+                raise
+
+        async def _process_err(self, message: str) -> None:
+            error = nats.errors.Error(f"nats: {message}")
+            await self.note_cause(error)
+            if "permissions" not in message.lower():  # those are of one subject, and the connection stays
+                await self._process_op_err(error)
+
+    return Client
 
 
 def _tls(options: CoordinatorOptions) -> ssl.SSLContext:
@@ -129,13 +166,20 @@ async def _find_bucket(client: Any, bucket: str, options: CoordinatorOptions) ->
                 deny_delete=True,
             )
             info = await jetstream.add_stream(wanted)
+    except TimeoutError as error:
+        if "permissions" in client.cause.lower():
+            raise ConfigError(
+                f"the credentials do not permit the zone {bucket.removeprefix('busway-')}: {client.cause}",
+                key="coordinator",
+            ) from error
+        raise CoordinatorDown(f"the bucket {bucket} does not answer in time") from error
     except errors.APIError as error:
         if error.err_code in NOT_YET:
             raise CoordinatorDown(f"the bucket {bucket} cannot be used yet: {error.description}") from error
         if isinstance(error, errors.ServiceUnavailableError):
             raise ConfigError("the server has no JetStream: start it with -js", key="coordinator") from error
         raise ConfigError(f"the bucket {bucket} cannot be used: {error.description}", key="coordinator") from error
-    except (nats.errors.Error, OSError, TimeoutError) as error:
+    except (nats.errors.Error, OSError) as error:
         raise CoordinatorDown(f"the bucket {bucket} does not answer: {error or type(error).__name__}") from error
     if (info.config.num_replicas or 1) < options.replicas:
         raise ConfigError(
@@ -172,7 +216,9 @@ class NatsCoordinator:
         if len(value) > LONGEST_VALUE:
             raise ConfigError(f"an entry has up to {LONGEST_VALUE} bytes, not {len(value)}", key=key)
         if not self.client.is_connected:
-            raise CoordinatorDown("the connection to the server is lost")
+            cause = self.client.cause
+            refused = "the server refuses the credentials" if _is_refusal(cause) else "the connection is lost"
+            raise CoordinatorDown(f"{refused}: {cause}" if cause else refused)
         try:
             made = await self._jetstream.publish(
                 f"$KV.{self._bucket}.{key}", value, headers={"Nats-Expected-Last-Subject-Sequence": str(revision)}
@@ -184,7 +230,8 @@ class NatsCoordinator:
                 raise RevisionConflict(f"{key} has not revision {revision}: {error.description}") from error
             raise OutcomeUnknown(f"the server answers: {error.description}") from error
         except (nats.errors.Error, OSError, TimeoutError) as error:
-            raise OutcomeUnknown(f"the server does not answer: {error or type(error).__name__}") from error
+            cause = self.client.cause or str(error) or type(error).__name__
+            raise OutcomeUnknown(f"the server does not answer: {cause}") from error
         return int(made.seq)
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
@@ -230,7 +277,7 @@ class NatsCoordinator:
                 follows += 1
                 key = message.subject.removeprefix(f"$KV.{self._bucket}.")
                 if key.startswith(prefix):
-                    yield Entry(key, message.data, data.sequence.stream)
+                    yield Entry(key, message.data, data.sequence.stream, data.timestamp.timestamp())
                 if pending and not data.num_pending:
                     pending = 0
                     yield SNAPSHOT_ENDS
