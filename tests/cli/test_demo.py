@@ -19,7 +19,7 @@ PROGRAM = [sys.executable, "-m", "busway"]
 
 def test_it_prints_a_block_a_second_and_ends_with_a_summary_and_three_commands() -> None:
     ended = subprocess.run(
-        [*PROGRAM, "demo", "--seconds", "2.2", "--port", "0"], capture_output=True, text=True, timeout=60, check=False
+        [*PROGRAM, "demo", "--for", "2.2", "--port", "0"], capture_output=True, text=True, timeout=60, check=False
     )
     assert ended.returncode == 0
     assert ended.stderr == ""
@@ -40,7 +40,7 @@ def test_it_prints_a_block_a_second_and_ends_with_a_summary_and_three_commands()
 @pytest.mark.real_time
 def test_a_device_dies_and_comes_back_while_the_others_are_answered() -> None:
     ended = subprocess.run(
-        [*PROGRAM, "demo", "--seconds", "9.5", "--port", "0"], capture_output=True, text=True, timeout=60, check=False
+        [*PROGRAM, "demo", "--for", "9.5", "--port", "0"], capture_output=True, text=True, timeout=60, check=False
     )
     assert (ended.returncode, ended.stderr) == (0, "")
     rows = [line.split() for line in ended.stdout.splitlines() if line.startswith("  ") and "tank." in line]
@@ -90,7 +90,7 @@ def test_a_port_that_is_taken_is_replaced_and_that_is_said_in_one_line() -> None
     with socket.create_server(("127.0.0.1", 0)) as holder:
         port = holder.getsockname()[1]
         ended = subprocess.run(
-            [*PROGRAM, "demo", "--seconds", "0.3", "--port", str(port)],
+            [*PROGRAM, "demo", "--for", "0.3", "--port", str(port)],
             capture_output=True,
             text=True,
             timeout=60,
@@ -102,7 +102,7 @@ def test_a_port_that_is_taken_is_replaced_and_that_is_said_in_one_line() -> None
     assert f":{port} " not in ended.stdout
 
 
-@pytest.mark.parametrize(("arguments", "name"), [(["--seconds", "x"], "--seconds"), (["--port", "65536"], "--port")])
+@pytest.mark.parametrize(("arguments", "name"), [(["--for", "x"], "--for"), (["--port", "65536"], "--port")])
 def test_a_bad_option_is_named(run: Callable[..., Any], arguments: list[str], name: str) -> None:
     result = run("demo", *arguments)
     assert (result.code, result.out) == (2, "")

@@ -287,7 +287,7 @@ def test_sigterm_lets_what_was_asked_be_answered_and_takes_nothing_new() -> None
         peer = accepted()
         request = peer.recv(100)
         program.process.send_signal(signal.SIGTERM)
-        assert "1 requests are answered before it ends, within 5 s" in program.wait_for("answered")
+        assert "ends when 1 request is answered, within 5 s" in program.wait_for("answered")
         peer.sendall(request[:4] + bytes.fromhex("0005") + request[6:7] + bytes.fromhex("03 02 1234"))
         assert asked.result(LIMIT) == 0x1234
         out, said = program.end()
@@ -302,7 +302,7 @@ def test_a_second_signal_ends_it_at_once_and_says_what_is_left() -> None:
         program.wait_for("another signal ends it at once")
         _, said = program.stop(signal.SIGTERM)
         assert program.process.returncode == 0
-        assert "1 requests were left unanswered" in said
+        assert "left unanswered: 1 request" in said
         with pytest.raises(busway.LinkDown):
             asked.result(LIMIT)
 
@@ -315,7 +315,7 @@ def test_the_deadline_of_the_file_ends_it_too(write_file: Callable[..., Path]) -
             asked = pool.submit(read_first, url, timeout=15, retries=0)
             accepted().recv(100)
             program.process.send_signal(signal.SIGTERM)
-            assert program.wait_for("left") == "busway: 1 requests were left unanswered"
+            assert program.wait_for("left") == "busway: left unanswered: 1 request"
             with pytest.raises(busway.LinkDown):
                 asked.result(LIMIT)
             program.end()

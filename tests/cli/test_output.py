@@ -52,7 +52,7 @@ def test_a_value_as_json_can_hold_it(value: object, expected: object) -> None:
 def test_consecutive_values_stand_at_consecutive_places() -> None:
     rows = value_rows(parse_address("4x10"), value_type("uint32"), [1, 2], bytes(range(8)))
     assert rows == [
-        TableRow(parse_address("4x10"), 1, b"\x00\x01\x02\x03"),
-        TableRow(parse_address("4x12"), 2, b"\x04\x05\x06\x07"),
+        TableRow(parse_address("4x10"), 1, b"\x00\x01\x02\x03", "uint32"),
+        TableRow(parse_address("4x12"), 2, b"\x04\x05\x06\x07", "uint32"),
     ]
     assert rows[1].raw_text == "0405 0607"

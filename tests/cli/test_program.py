@@ -1,6 +1,7 @@
 """The program around the commands: help, version, wrong commands, what is loaded, and how it ends in a pipe."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -102,8 +103,8 @@ def test_watching_ends_quietly_with_an_interrupt(url: str) -> None:
     )
     assert process.stdout is not None
     with process:
-        assert process.stdout.readline() == "time,address,value,raw\n"
-        assert process.stdout.readline().endswith(",4x1,0,0000\n")
+        assert process.stdout.readline() == "time,address,value,quality,reason,type,raw\n"
+        assert process.stdout.readline().endswith(",4x1,0,good,,uint16,0000\n")
         process.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
         assert process.returncode == 0
@@ -129,3 +130,12 @@ def test_an_interrupt_while_waiting_for_a_reply_ends_as_130(peer: Callable[..., 
         process.send_signal(signal.SIGINT)
         out, said = process.communicate(timeout=60)
         assert (process.returncode, out, said) == (130, "", "")
+
+
+@pytest.mark.parametrize("seed", ["1", "2", "3"])
+def test_help_names_its_options_in_one_order(seed: str) -> None:
+    help_text = subprocess.run(
+        [sys.executable, "-m", "busway", "read", "--help"],
+        env={**os.environ, "PYTHONHASHSEED": seed}, capture_output=True, text=True, timeout=60, check=True,
+    ).stdout  # fmt: skip
+    assert "  -h, --help " in help_text

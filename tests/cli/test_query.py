@@ -102,7 +102,7 @@ def test_the_points_are_listed(run: Callable[..., Any], data: str) -> None:
 def test_a_parquet_file_is_written_and_never_overwritten(run: Callable[..., Any], data: str, tmp_path: Path) -> None:
     pq = pytest.importorskip("pyarrow.parquet")
     target = tmp_path / "x.parquet"
-    assert run("query", data, "--parquet", str(target)).err == f"busway: 11 rows are in {target}\n"
+    assert run("query", data, "--parquet", str(target)).err == f"busway: {target} has 11 rows\n"
     assert pq.read_table(target).num_rows == 11
     result = run("query", data, "--parquet", str(target))
     assert (result.code, "exists already" in result.err) == (2, True)

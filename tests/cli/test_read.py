@@ -40,8 +40,26 @@ def test_json_is_one_object_per_line(run: Callable[..., Any], url: str, device: 
     device.holding_registers[0] = 42
     lines = run("read", url, "holding:0", "1x1", "--json").out.splitlines()
     assert [json.loads(line) for line in lines] == [
-        {"address": "4x1", "table": "holding_registers", "offset": 0, "value": 42, "raw": "002a"},
-        {"address": "1x1", "table": "discrete_inputs", "offset": 0, "value": False, "raw": "00"},
+        {
+            "address": "4x1",
+            "table": "holding_registers",
+            "offset": 0,
+            "value": 42,
+            "quality": "good",
+            "reason": "",
+            "type": "uint16",
+            "raw": "002a",
+        },
+        {
+            "address": "1x1",
+            "table": "discrete_inputs",
+            "offset": 0,
+            "value": False,
+            "quality": "good",
+            "reason": "",
+            "type": "bit",
+            "raw": "00",
+        },
     ]
 
 
@@ -52,7 +70,32 @@ def test_json_has_a_text_where_it_has_no_number(run: Callable[..., Any], url: st
 
 def test_csv_has_one_header_line(run: Callable[..., Any], url: str, device: Device) -> None:
     device.write("4x1", "a,b", "string:4")
-    assert run("read", url, "4x1", "-t", "string:4", "--csv").out == 'address,value,raw\n4x1,"a,b",612c6200\n'
+    assert run("read", url, "4x1", "-t", "string:4", "--csv").out == (
+        'address,value,quality,reason,type,raw\n4x1,"a,b",good,,string:4,612c6200\n'
+    )
+
+
+@pytest.mark.parametrize("addresses", [["3x11"], ["4x1", "3x11"]])
+def test_what_could_not_be_read_is_a_record_with_its_reason(
+    run: Callable[..., Any], url: str, addresses: list[str]
+) -> None:
+    result = run("read", url, *addresses, "--json", "-t", "int32", "-n", "2")
+    assert result.code == 4
+    records = [json.loads(line) for line in result.out.splitlines()]
+    assert [(each["address"], each["quality"]) for each in records][-2:] == [("3x11", "bad"), ("3x13", "bad")]
+    assert records[-1] == {
+        "address": "3x13", "table": "input_registers", "offset": 12, "value": None, "quality": "bad",
+        "reason": "exception 02, illegal data address: an item in the range does not exist or may not be written",
+        "type": "int32", "raw": "",
+    }  # fmt: skip
+    assert run("read", url, *addresses, "--csv").out.splitlines()[-1].startswith('3x11,,bad,"exception 02')
+    assert "bad" not in run("read", url, *addresses).out  # it is said on stderr
+
+
+def test_without_a_connection_each_value_is_a_record_of_that(run: Callable[..., Any], closed_port: str) -> None:
+    result = run("read", closed_port, "4x1", "3x1", "--csv")
+    assert result.code == 5
+    assert result.out.splitlines()[1:] == ["4x1,,bad,no connection,uint16,", "3x1,,bad,no connection,uint16,"]
 
 
 def test_an_address_that_the_device_refuses_does_not_hide_the_others(run: Callable[..., Any], url: str) -> None:
@@ -158,3 +201,11 @@ def test_traffic_is_shown_on_stderr(run: Callable[..., Any], url: str, flag: str
     assert result.code == 0
     assert shown in result.err
     assert result.out == "4x1  0  0000\n"
+
+
+@pytest.mark.parametrize("url", ["rtu:///dev/null", "tcp://127.0.0.1?unit=1"])
+def test_a_unit_is_named_as_the_command_line_names_it(run: Callable[..., Any], url: str) -> None:
+    result = run("read", url, "4x1")
+    assert result.code == 2
+    assert "--unit 1" in result.err
+    assert "link.unit" not in result.err

@@ -227,3 +227,13 @@ def test_what_cannot_be_is_one_clear_sentence_and_nothing_is_sent(
     assert complaint in result.err
     assert len(result.err.strip().splitlines()) == 1
     assert not result.out
+
+
+def test_a_quiet_scan_says_what_it_found_and_not_what_it_does(run: Run, device: Callable[..., str]) -> None:
+    url = device(lambda unit, pdu: [(unit, VALUE)])
+    told = run("scan", url, "--units", "1", "--timeout", "1s")
+    quiet = run("scan", url, "--units", "1", "--timeout", "1s", "--quiet")
+    assert "asking 1 unit of" in told.err
+    assert quiet.err == ""
+    assert quiet.out.split()[:2] == told.out.split()[:2] == ["unit", "1"]
+    assert "asking 1 unit of" in run("scan", url, "--units", "1", "--timeout", "1s").err

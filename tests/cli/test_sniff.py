@@ -134,7 +134,7 @@ def test_what_was_heard_is_captured(line: PacedLine, talker: Callable[..., None]
 
 @pytest.mark.real_time
 def test_listening_ends_with_its_duration(run: Callable[..., Any], line: PacedLine) -> None:
-    result = run("sniff", url(line), "--duration", "50ms")
+    result = run("sniff", url(line), "--for", "50ms")
     assert result.code == 0
     assert "0 frames in 0.1 s, the line was busy 0.0 %" in result.out
 
@@ -180,7 +180,7 @@ def test_the_statistics_come_also_when_a_connection_ends() -> None:
             peer.sendall(encode_rtu(1, bytes.fromhex("03 006b 0001")))
         out, err = busway.end()
     assert busway.process.returncode == 5
-    assert "1 frames in " in out
+    assert "1 frame in " in out
     assert len(err.strip().splitlines()) == 1
 
 
@@ -189,7 +189,7 @@ def test_the_statistics_come_also_when_a_connection_ends() -> None:
     [
         (["tcp://127.0.0.1"], 2, "only a line can be listened to"),
         (["rtu:///dev/there-is-none"], 5, "there-is-none"),
-        (["rtu:///dev/null", "--duration", "soon"], 2, "--duration"),
+        (["rtu:///dev/null", "--for", "soon"], 2, "--for"),
         (["rtu:///dev/null", "--reply-window", "0"], 2, "--reply-window"),
         (["rtu:///dev/null", "--capture", "/there/is/no/such/folder"], 2, "cannot be opened"),
     ],

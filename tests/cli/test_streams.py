@@ -95,7 +95,7 @@ def runs(plant: Plant) -> dict[str, list[list[str]]]:
         "simulate": [["--list-faults"], [str(folder / "plant.toml"), "--check"]],
         "gateway": [["tcp://127.0.0.1:0", url, "--systemd-unit"]],
         "status": [[plant.status], [plant.status, "--json"]],
-        "sniff": [["rtu+udp://127.0.0.1:0", "--duration", "10ms", *how] for how in ([], ["--json"])],
+        "sniff": [["rtu+udp://127.0.0.1:0", "--for", "10ms", *how] for how in ([], ["--json"])],
         "decode": [["2b0e0101000001000547 72 c3b6 df".replace(" ", "")], ["03006b0003", "--json"]],
         "config": [["schema"], ["show", str(folder / "plant.toml")]],
         "policy": [["check", str(folder / "policy.toml")]],
@@ -108,7 +108,7 @@ def runs(plant: Plant) -> dict[str, list[list[str]]]:
     }
 
 
-UNTIL_STOPPED = {"serve": [["--listen", "tcp://127.0.0.1:0"]], "demo": [["--port", "0", "--seconds", "1"]]}
+UNTIL_STOPPED = {"serve": [["--listen", "tcp://127.0.0.1:0"]], "demo": [["--port", "0", "--for", "1"]]}
 """Commands that go on where their output can be written."""
 
 

@@ -121,9 +121,9 @@ def test_a_write_without_an_answer_ends_as_3_and_is_not_repeated(
 def test_json_and_csv_say_that_a_value_was_written(run: Callable[..., Any], url: str) -> None:
     told = json.loads(run("write", url, "4x1", "7", "--json").out)
     assert (told["value"], told["written"], "verified" in told) == (7, True, False)
-    assert run("write", url, "4x1", "7", "--csv").out == "address,value,raw,outcome\n4x1,7,0007,written\n"
+    assert run("write", url, "4x1", "7", "--csv").out == "address,value,type,raw,outcome\n4x1,7,uint16,0007,written\n"
     assert "written" not in run("read", url, "4x1", "--json").out
-    assert run("read", url, "4x1", "--csv").out == "address,value,raw\n4x1,7,0007\n"
+    assert run("read", url, "4x1", "--csv").out == "address,value,quality,reason,type,raw\n4x1,7,good,,uint16,0007\n"
 
 
 WRITES = [

@@ -70,7 +70,7 @@ def test_the_command_line_reference_names_every_option() -> None:
     page = (GUIDE.parent / "reference" / "cli.md").read_text(encoding="utf-8")
     sections = dict(re.findall(r"^## (\w+)\n(.*?)(?=^## |\Z)", page, re.DOTALL | re.MULTILINE))
     told = sections["serve"] + sections["simulate"]
-    of_many = {"-v", "--verbose", "--capture"}
+    of_many = {"-v", "--verbose", "-q", "--quiet", "--capture"}
     declared = {
         name
         for parameter in signature(simulate).parameters.values()

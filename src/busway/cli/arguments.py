@@ -31,6 +31,15 @@ RETRIES = typer.Option(None, "--retries", metavar="N", help="Further attempts of
 VERBOSE = typer.Option(
     0, "-v", "--verbose", count=True, help="Show messages on stderr; -vv frames too, -vvv every byte."
 )
+
+
+def _show_progress(quiet: bool) -> None:
+    from .output import show_progress
+
+    show_progress(not quiet)
+
+
+QUIET = typer.Option(False, "-q", "--quiet", help="Print results and what fails, no progress.", callback=_show_progress)
 CAPTURE = typer.Option(
     None, "--capture", metavar="FILE", help="Write all traffic to a capture file for Wireshark: line.pcapng."
 )

@@ -17,7 +17,7 @@ import typer
 from ..errors import ConfigError
 from .arguments import whole_number
 from .exits import ExitCode
-from .output import say
+from .output import warn
 
 if TYPE_CHECKING:
     from ..transport.tls.certificates.authority import Issued
@@ -108,7 +108,7 @@ def _write(directory: Path, made: "dict[str, Issued]", *, force: bool) -> None:
 
 def _say_what_to_try(directory: Path, host: str, client: str) -> None:
     listener = _url(directory, "127.0.0.1" if host == "localhost" else host, "server")
-    say("the key of this authority lies beside what it signs: it is for tests. To try it:")
+    warn("the key of this authority lies beside what it signs: it is for tests. To try it:")
     print(f"  busway serve --listen '{listener}'", file=sys.stderr)
     print(f"  busway read '{_url(directory, host, client)}' 4x1", file=sys.stderr)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from ..errors import ConfigError
 from .arguments import opened_unit, seconds
 from .exits import ExitCode
-from .output import say
+from .output import say, warn
 
 if TYPE_CHECKING:
     from ..apps.simulator.clone import Clone
@@ -83,7 +83,7 @@ def clone_device(options: CloneOptions) -> int:
     ) as unit:
         clone = _recorded(unit, options, duration)
     for remark in clone.remarks:
-        say(remark)
+        warn(remark)
     remarks = [f"Recorded from {options.url}, unit {unit.number}.", *clone.remarks]
     _put_out(device_text([clone.section], remarks=remarks, compact=options.map is None), options)
     return ExitCode.DONE

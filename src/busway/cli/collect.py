@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import typer
 
 from ..errors import ConfigError, ModbusError
-from .arguments import JSON, VERBOSE, seconds, show_traffic
+from .arguments import JSON, QUIET, VERBOSE, seconds, show_traffic
 from .collect_status import open_page, print_status
 from .exits import ExitCode
-from .output import print_aligned, print_json, say, say_problems
+from .output import print_aligned, print_json, say, say_problems, warn
 from .signals import on_hangup, stop_event
 
 if TYPE_CHECKING:
@@ -50,6 +50,7 @@ def collect(
     forget: str | None = typer.Option(None, "--forget", metavar="DEVICE", help="learnt: learn it anew."),
     as_json: bool = JSON,
     verbose: int = VERBOSE,
+    quiet: bool = QUIET,
 ) -> int:
     """Poll devices and store their values."""
     from ..apps.collector.configuration import load_collector
@@ -150,7 +151,7 @@ def _say_what_runs(collector: "Collector") -> None:
         say(f"last values for Prometheus on {page}")
     for load in configuration.loads(collector.knowledge):
         for problem in load.problems:
-            say(f"warning: {problem}")
+            warn(f"warning: {problem}")
 
 
 async def _read_again(collector: "Collector", begun: asyncio.Event) -> None:

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 from ..errors import LinkDown, ModbusError
 from ..extras import missing_extra
-from .output import print_json, say
+from ..values.counts import counted
+from .output import print_json, say, warn
 
 if TYPE_CHECKING:
     from ..apps.collector.collector import Collector
@@ -19,7 +20,7 @@ async def open_page(stack: AsyncExitStack, collector: "Collector") -> None:
     try:
         await _open_page_at(at, stack, collector)
     except ModbusError as error:
-        say(f'no page: {error}; [collector] page = "off", or another address, in {collector.configuration.name}')
+        warn(f'no page: {error}; [collector] page = "off", or another address, in {collector.configuration.name}')
 
 
 async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
@@ -30,10 +31,10 @@ async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
             await _open_page_at(at, stack, collector)
         except LinkDown:
             host, _, port = at.rpartition(":")
-            say(f"port {port} is taken; the page takes another")
+            warn(f"port {port} is taken; the page takes another")
             await _open_page_at(f"{host}:0", stack, collector)
     except ModbusError as error:
-        say(f"no page: {error}")
+        warn(f"no page: {error}")
 
 
 async def _open_page_at(at: str, stack: AsyncExitStack, collector: "Collector") -> None:
@@ -74,12 +75,13 @@ def print_status(collector: "Collector", *, as_json: bool) -> None:
         return
     lost = f", {store.lost} lost: {store.error or 'the store could not be written'}" if store.lost else ""
     polled = sum(each.state == "polled" for each in devices)
-    print(f"{store.samples} samples kept{lost}; {polled} of {len(devices)} devices answer", flush=True)
+    kept = counted(store.samples, "sample")
+    print(f"{kept} kept{lost}; {polled} of {len(devices)} devices answer", flush=True)
     for name, (busy, probing) in collector.loads().items():
         print(f"  link {name}: {100 * busy:.0f} % busy, {100 * probing:.1f} % with silent devices", flush=True)
     for sink in collector.sink_statuses():
         error = f": {sink.error}" if sink.error else ""
-        print(f"  sink {sink.name}: {sink.sent} samples sent, {sink.lost} lost{error}", flush=True)
+        print(f"  sink {sink.name}: {counted(sink.sent, 'sample')} sent, {sink.lost} lost{error}", flush=True)
     for each in devices:
         if each.state != "polled" or each.skipped:
             skipped = f", {each.skipped} rounds skipped" if each.skipped else ""

@@ -15,7 +15,7 @@ from ..errors import ExceptionReply
 from .arguments import CAPTURE, JSON, RETRIES, TIMEOUT, UNIT, URL, VERBOSE, opened_unit
 from .exits import ExitCode
 from .files import capturing
-from .output import print_aligned, print_json, say
+from .output import print_aligned, print_json, warn
 
 if TYPE_CHECKING:
     from ..client.blocking import BlockingUnit
@@ -98,7 +98,7 @@ def counters(
                 if error.from_gateway:
                     raise
                 refusals.append(error)
-                say(f"{function} ({name.replace('_', ' ')}) is not offered: exception {error.code:02X}")
+                warn(f"{function} ({name.replace('_', ' ')}) is not offered: exception {error.code:02X}")
     if not facts:
         raise refusals[0]
     _show(facts, as_json=as_json)

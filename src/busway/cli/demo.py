@@ -20,9 +20,9 @@ import typer
 
 from ..errors import LinkDown, ModbusError
 from ..values import format_address
-from .arguments import VERBOSE, seconds, show_traffic, whole_number
+from .arguments import QUIET, VERBOSE, seconds, show_traffic, whole_number
 from .exits import ExitCode
-from .output import print_aligned, say
+from .output import print_aligned, warn
 from .signals import stop_event
 
 if TYPE_CHECKING:
@@ -78,12 +78,13 @@ class Polled:
 
 def demo(
     forever: bool = typer.Option(False, "--forever", help="Keep it up until Ctrl-C."),
-    duration: str = typer.Option("10", "--seconds", metavar="TIME", help="End after this time: 10."),
+    duration: str = typer.Option("10s", "--for", metavar="TIME", help="End after this time: 10s."),
     port: str = typer.Option("5020", "--port", metavar="PORT", help="The port to serve on; another if it is taken."),
     verbose: int = VERBOSE,
+    quiet: bool = QUIET,
 ) -> int:
     """Run a small plant on a serial line, and poll it through a gateway."""
-    limit = None if forever else seconds(duration, "--seconds", low=0.1)
+    limit = None if forever else seconds(duration, "--for", low=0.1)
     wanted = whole_number(port, "--port", 0, 65_535)
     from ..server.loops import run
 
@@ -173,7 +174,7 @@ async def _started(line: str, port: int) -> "Gateway":
     except LinkDown:
         gateway = Gateway(simple_plan([f"{HOST}:0"], line, **options))
         await gateway.start()
-        say(f"port {port} is taken; the gateway is on {gateway.endpoints[0]}")
+        warn(f"port {port} is taken; the gateway is on {gateway.endpoints[0]}")
     return gateway
 
 

@@ -19,7 +19,7 @@ from ..errors import ConfigError
 from .arguments import JSON, VERBOSE, seconds, show_traffic, whole_number
 from .collect_status import open_page, print_status
 from .exits import ExitCode
-from .output import print_aligned, print_json, say
+from .output import print_aligned, print_json, say, warn
 from .signals import stop_event
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ async def _run(
                 except TimeoutError:
                     print_status(member.collector, as_json=as_json)
                     if member.refused is not None:
-                        say(f"warning: {member.refused}")
+                        warn(f"warning: {member.refused}")
 
 
 async def _show_status(table: "Coordinator", *, as_json: bool) -> None:

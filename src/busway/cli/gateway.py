@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError
-from .arguments import CAPTURE, VERBOSE, limits_of, seconds, show_traffic
+from ..values.counts import counted
+from .arguments import CAPTURE, QUIET, VERBOSE, limits_of, seconds, show_traffic
 from .exits import ExitCode
 from .files import capturing
-from .output import print_aligned, say
+from .output import print_aligned, say, warn
 from .running import (
     ALLOW,
     ALLOW_WRITES,
@@ -90,6 +91,7 @@ def gateway(
     ),
     capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
+    quiet: bool = QUIET,
 ) -> int:
     """Forward client requests to serial lines or other servers."""
     from ..apps.server.overrides import Overrides
@@ -242,9 +244,12 @@ def _standing(gateway: "Gateway") -> str:
 async def _drain(gateway: "Gateway", seconds: float, at_once: asyncio.Event, manager: "Manager") -> None:
     """Wait until all open requests of the gateway are answered; a second signal stops at once."""
     waiting = gateway.open_requests
-    manager.stopping(f"{waiting} requests to answer")
+    manager.stopping(f"{counted(waiting, 'request')} to answer")
     if waiting:
-        say(f"{waiting} requests are answered before it ends, within {seconds:g} s; another signal ends it at once")
+        say(
+            f"ends when {counted(waiting, 'request')} {'is' if waiting == 1 else 'are'} answered, "
+            f"within {seconds:g} s; another signal ends it at once"
+        )
     draining = asyncio.ensure_future(gateway.drain(seconds))
     hurried = asyncio.ensure_future(at_once.wait())
     await asyncio.wait({draining, hurried}, return_when=asyncio.FIRST_COMPLETED)
@@ -253,4 +258,4 @@ async def _drain(gateway: "Gateway", seconds: float, at_once: asyncio.Event, man
     hurried.cancel()
     await asyncio.gather(draining, hurried, return_exceptions=True)
     if left:
-        say(f"{left} requests were left unanswered")
+        warn(f"left unanswered: {counted(left, 'request')}")

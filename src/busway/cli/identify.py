@@ -13,7 +13,7 @@ from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkDown, Modb
 from .arguments import CAPTURE, CSV, JSON, RETRIES, TIMEOUT, UNIT, URL, VERBOSE, opened_unit
 from .exits import ExitCode
 from .files import capturing
-from .output import print_aligned, print_csv, print_json, say, shown_value
+from .output import print_aligned, print_csv, print_json, shown_value, warn
 
 if TYPE_CHECKING:
     from ..client.blocking import BlockingUnit
@@ -60,7 +60,7 @@ def identify(
                 raise
             except ModbusError as error:
                 failures.append(error)
-                say(f"{name} is not offered: {error}")
+                warn(f"{name} is not offered: {error}")
     if len(failures) == len(questions):
         raise failures[0]
     _show(facts, as_json=as_json, as_csv=as_csv)

@@ -28,7 +28,9 @@ class TableRow:
     Attributes:
         address: where it stands.
         value: what was read or written.
-        raw: its registers in wire order; for one bit one byte, 0 or 1.
+        raw: its registers in wire order; for one bit one byte, 0 or 1; empty where it could not be read.
+        type: name of its value type; ``bit`` for one bit.
+        reason: why it could not be read; empty where it was.
         written: whether it was written, and not read.
         verified: whether it was found when it was read back; None where it was not read back.
         holds: what the device holds instead, where ``verified`` is False.
@@ -37,6 +39,8 @@ class TableRow:
     address: Address
     value: Any  # what its type says
     raw: bytes
+    type: str = ""
+    reason: str = ""
     written: bool = False
     verified: bool | None = None
     holds: Any = None  # what its type says
@@ -51,6 +55,11 @@ class TableRow:
         return "written, read back" if self.verified else f"written, but the device holds {shown_value(self.holds)}"
 
     @property
+    def quality(self) -> str:
+        """``good``, or ``bad`` for a value that could not be read."""
+        return "bad" if self.reason else "good"
+
+    @property
     def raw_text(self) -> str:
         """The value's registers in hexadecimal, four digits each; a bit as 0 or 1."""
         return self.raw.hex(" ", 2) if len(self.raw) > 1 else str(self.raw[0])
@@ -58,15 +67,28 @@ class TableRow:
 
 def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any], raw: bytes) -> list[TableRow]:
     """Return the rows to print for values at consecutive addresses; ``form`` is None for coils and discrete inputs."""
-    step = 1 if form is None else form.registers
-    size = 1 if form is None else 2 * step
+    size = 1 if form is None else 2 * form.registers
     rows = []
-    for index, value in enumerate(values):
+    for index, (address, value) in enumerate(zip(_addresses(place, form, len(values)), values, strict=True)):
         if form is not None and form.name.startswith("float"):
             value = fewest_digits(value, size)
-        address = Address(place.table, place.offset + index * step, place.bit)
-        rows.append(TableRow(address, value, raw[index * size : (index + 1) * size]))
+        rows.append(TableRow(address, value, raw[index * size : (index + 1) * size], _type_name(place, form)))
     return rows
+
+
+def failed_rows(place: Address, form: ValueType[Any] | None, count: int, reason: str) -> list[TableRow]:
+    """Return the rows of values that could not be read, one for each of ``count`` values."""
+    name = _type_name(place, form)
+    return [TableRow(address, None, b"", name, reason) for address in _addresses(place, form, count)]
+
+
+def _addresses(place: Address, form: ValueType[Any] | None, count: int) -> list[Address]:
+    step = 1 if form is None else form.registers
+    return [Address(place.table, place.offset + index * step, place.bit) for index in range(count)]
+
+
+def _type_name(place: Address, form: ValueType[Any] | None) -> str:
+    return "bit" if form is None or place.bit is not None else form.name
 
 
 def fewest_digits(value: float, size: int) -> float:
@@ -127,12 +149,16 @@ def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writ
 
 
 class LineWriter:
-    """Prints values as columns: address, value, bytes; with the time in front if there is one."""
+    """Prints values as columns: address, value, bytes; with the time in front if there is one.
+
+    What could not be read has been said on stderr.
+    """
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         cells = [
             (*([time] if time else []), format_address(row.address), shown_value(row.value), row.raw_text, row.outcome)
             for row in rows
+            if not row.reason
         ]
         print_aligned(cells)
 
@@ -151,8 +177,10 @@ class JsonWriter:
                 "table": row.address.table.value if row.address.table else None,
                 "offset": row.address.offset,
                 "value": json_value(row.value),
-                "raw": row.raw.hex(),
             }
+            if not row.written:
+                fields |= {"quality": row.quality, "reason": row.reason}
+            fields |= {"type": row.type, "raw": row.raw.hex()}
             if row.written:
                 fields["written"] = True
             if row.verified is not None:
@@ -173,15 +201,16 @@ class CsvWriter:
         self._has_header = False
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
-        outcome = ["outcome"] if any(row.written for row in rows) else []
-        header = [] if self._has_header else [*(["time"] if time else []), "address", "value", "raw", *outcome]
+        written = any(row.written for row in rows)
+        names = ["type", "raw", "outcome"] if written else ["quality", "reason", "type", "raw"]
+        header = [] if self._has_header else [*(["time"] if time else []), "address", "value", *names]
         self._has_header = True
         lines = []
         for row in rows:
-            lines.append(
-                [*([time] if time else []), format_address(row.address), shown_value(row.value), row.raw.hex()]
-            )
-            lines[-1] += [row.outcome] if outcome else []
+            value = "" if row.value is None else shown_value(row.value)
+            lines.append([*([time] if time else []), format_address(row.address), value])
+            lines[-1] += [] if written else [row.quality, row.reason]
+            lines[-1] += [row.type, row.raw.hex(), *([row.outcome] if written else [])]
         print_csv(header, lines)
 
     def close(self) -> None:
@@ -257,6 +286,8 @@ def _table(rows: Sequence[TableRow], time: str) -> Any:
     if outcome:
         table.add_column("Outcome")
     for row in rows:
+        if row.reason:
+            continue
         outcomes = [Text(row.outcome)] if outcome else []
         table.add_row(format_address(row.address), Text(shown_value(row.value)), row.raw_text, *outcomes)
     return table
@@ -299,13 +330,30 @@ def json_text(document: Any, *, indent: int | None = None) -> str:
     return "".join(each if each.isprintable() or each == "\n" else json.dumps(each)[1:-1] for each in text)
 
 
+class _Progress:
+    """Whether sentences about progress are printed."""
+
+    shown = True
+
+
+def show_progress(shown: bool) -> None:
+    """Choose whether `say` prints from now on: not with the option ``--quiet``."""
+    _Progress.shown = shown
+
+
 def say(sentence: str) -> None:
-    """Print one sentence on stderr, for people."""
+    """Print one sentence about progress on stderr, for people; nothing with ``--quiet``."""
+    if _Progress.shown:
+        warn(sentence)
+
+
+def warn(sentence: str) -> None:
+    """Print one sentence on stderr about what failed or is not as expected."""
     print(f"busway: {printable(sentence)}", file=sys.stderr, flush=True)
 
 
 def say_problems(sentence: str, problems: str) -> None:
     """Print one sentence on stderr, and a line for each problem below it."""
-    say(sentence)
+    warn(sentence)
     for line in problems.split("\n"):
         print(printable(line), file=sys.stderr, flush=True)

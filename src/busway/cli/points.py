@@ -12,7 +12,7 @@ import typer
 from ..errors import ConfigError
 from .arguments import whole_number
 from .exits import ExitCode
-from .output import say
+from .output import warn
 
 EXAMPLES = """\b
 Examples:
@@ -50,7 +50,7 @@ def points(
     )
     text = found.text(os.path.basename(file))
     for omission in found.omissions:
-        say(f"not carried over: {omission}")
+        warn(f"not carried over: {omission}")
     if out is None:
         print(text, end="")
     else:

@@ -75,6 +75,9 @@ class Command(TyperCommand):
     def get_params(self, ctx: Any) -> list[Any]:
         return _verbatim(super().get_params(ctx))
 
+    def get_help_option_names(self, ctx: Any) -> list[str]:
+        return sorted(super().get_help_option_names(ctx))[::-1]  # the parser's come from a set, in any order
+
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         return ["[OPTIONS]", *(param.metavar or param.name.upper() for param in _arguments(self))]
 
@@ -95,6 +98,9 @@ class Program(TyperGroup):
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _verbatim(super().get_params(ctx))
+
+    def get_help_option_names(self, ctx: Any) -> list[str]:
+        return sorted(super().get_help_option_names(ctx))[::-1]
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(COMMANDS)
@@ -144,7 +150,9 @@ class Program(TyperGroup):
             sys.stdout.flush()
         except ModbusError as error:
             # What is wrong in a file begins with file and line, as editors expect it.
-            code = _fail(str(error), exit_code_of(error), prefix="" if getattr(error, "file", None) else "busway: ")
+            # How a unit is named in Python is no help here.
+            sentence = str(error).replace("link.unit(1)", "--unit 1")
+            code = _fail(sentence, exit_code_of(error), prefix="" if getattr(error, "file", None) else "busway: ")
         except KeyboardInterrupt:
             code = ExitCode.INTERRUPTED
         except (BrokenPipeError, ReaderGoneError):

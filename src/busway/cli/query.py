@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError
-from .arguments import CSV, JSON
+from ..values.counts import counted
+from .arguments import CSV, JSON, QUIET
 from .exits import ExitCode
 from .output import json_value, print_aligned, print_csv, print_json, say, shown_value
 
@@ -50,6 +51,7 @@ def query(
     names: bool = typer.Option(False, "--list", help="List the points of the store."),
     as_json: bool = JSON,
     as_csv: bool = CSV,
+    quiet: bool = QUIET,
 ) -> int:
     """Show what a store of the collector holds."""
     from ..apps.collector.store.reading import Store
@@ -185,7 +187,7 @@ def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> 
     finally:
         if writer is not None:
             writer.close()
-    say(f"{rows} rows are in {name}")
+    say(f"{name} has {counted(rows, 'row')}")
     return ExitCode.DONE
 
 

@@ -4,6 +4,7 @@
 2. With several addresses, one that the device refuses does not keep the others from being read; the exit code is that
    of the first failure.
 3. While it watches, a failure is said and watching goes on.
+4. In JSON and CSV a value that could not be read is a record too, with the reason.
 """
 
 import time
@@ -35,7 +36,7 @@ from .arguments import (
 )
 from .exits import ExitCode, exit_code_of
 from .files import capturing
-from .output import TableRow, Writer, choose_writer, say, value_rows
+from .output import TableRow, Writer, choose_writer, failed_rows, value_rows, warn
 
 if TYPE_CHECKING:
     from ..client.blocking import BlockingUnit
@@ -159,18 +160,28 @@ def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool)
 def _read_once(unit: "BlockingUnit", wanted: Sequence[Wanted], writer: Writer, *, split: bool) -> int:
     rows: list[TableRow] = []
     code: int = ExitCode.DONE
-    for each in wanted:
+    for number, each in enumerate(wanted):
         try:
             rows += _rows(unit, each, split=split)
-        except LinkDown:
+        except InvalidRequest:
             raise
         except ModbusError as error:
-            if len(wanted) == 1:
+            if isinstance(error, LinkDown) or len(wanted) == 1:
+                writer.write([*rows, *(row for one in wanted[number:] for row in _failed(one, error))])
                 raise
-            say(f"{each.place}: {error}")
+            warn(f"{each.place}: {error}")
+            rows += _failed(each, error)
             code = code or exit_code_of(error)
     writer.write(rows)
     return code
+
+
+def _failed(wanted: Wanted, error: ModbusError) -> list[TableRow]:
+    """Return the rows of the values at an address that could not be read because of an error."""
+    from ..points.quality import reason_text
+    from .read_points import reason_of
+
+    return failed_rows(wanted.place, wanted.form, wanted.count, reason_text(reason_of(error)))
 
 
 def _read_again_and_again(
@@ -186,7 +197,8 @@ def _read_again_and_again(
             except InvalidRequest:
                 raise
             except ModbusError as error:
-                say(f"{now} {each.place}: {error}")
+                warn(f"{now} {each.place}: {error}")
+                rows += _failed(each, error)
         writer.write(rows, now)
         due = max(due + period, time.monotonic())
         time.sleep(due - time.monotonic() if due > time.monotonic() else 0)

@@ -15,7 +15,7 @@ import typer
 
 from ..errors import ModbusError
 from .files import read_text
-from .output import say, say_problems
+from .output import say, say_problems, warn
 from .signals import on_hangup
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def is_file(policy: str | None) -> bool:
 def announce(service: "Service") -> None:
     """Print what the program serves: listeners, metrics, and which listeners are read-only."""
     if service.read_only:
-        say(f"read-only, for want of a policy: {', '.join(service.read_only)}; --allow-writes takes writes")
+        warn(f"read-only, for want of a policy: {', '.join(service.read_only)}; --allow-writes takes writes")
     if service.metrics:
         say(f"metrics on {service.metrics}")
     for endpoint in service.server.endpoints:

@@ -15,10 +15,11 @@ from ..codes import LAST_SERIAL_UNIT
 from ..errors import ConfigError
 from ..options.endpoints import Endpoint, parse_endpoint
 from ..pdu.encapsulated import OBJECT_NAMES
-from .arguments import CAPTURE, JSON, VERBOSE, seconds, show_traffic, whole_number
+from ..values.counts import counted
+from .arguments import CAPTURE, JSON, QUIET, VERBOSE, seconds, show_traffic, whole_number
 from .exits import ExitCode
 from .files import capturing
-from .output import print_json, say, shown_value
+from .output import print_json, say, shown_value, warn
 
 EXAMPLES = """\b
 Examples:
@@ -48,18 +49,19 @@ def scan(
     as_json: bool = JSON,
     capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
+    quiet: bool = QUIET,
 ) -> int:
     """Find the units that answer."""
     endpoint = parse_endpoint(url)
     settings = list(_settings(endpoint, baud, parity))
     asked = _units(units, endpoint)
     longest = seconds(timeout, "--timeout", low=0.001, high=60)
-    quiet = seconds(listen, "--listen", low=0.01, high=3600)
+    patience = seconds(listen, "--listen", low=0.01, high=3600)
     show_traffic(verbose)
     found = 0
     with capturing(capture):
         if not force:
-            _refuse_busy_line(settings[0], quiet)
+            _refuse_busy_line(settings[0], patience)
         for each in settings:
             one = _Scan(each, asked, longest, learns=not patient, names=names, as_json=as_json)
             found += one.run()
@@ -158,7 +160,7 @@ class _Scan:
     def run(self) -> int:
         """Ask all units behind the endpoint, and print those found. Returns how many answered."""
         most = len(self._units) * self._adaptive_timeout.longest
-        say(f"asking {len(self._units)} units of {self._where}, {_duration(most)} at most")
+        say(f"asking {counted(len(self._units), 'unit')} of {self._where}, {_duration(most)} at most")
         try:
             for present in self._scan.found():
                 self._found.append(present)
@@ -214,7 +216,7 @@ class _Scan:
             )
             return
         if not self._found:
-            say(f"no unit answered on {self._where}")
+            warn(f"no unit answered on {self._where}")
             return
         several = "unit answers" if len(self._found) == 1 else "units answer"
         print(f"{len(self._found)} {several} on {self._where}")

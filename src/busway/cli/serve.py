@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError
-from .arguments import CAPTURE, VERBOSE, show_traffic
+from .arguments import CAPTURE, QUIET, VERBOSE, show_traffic
 from .exits import ExitCode
 from .files import capturing
 from .output import say
@@ -78,6 +78,7 @@ def serve(
     control: str | None = CONTROL,
     capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
+    quiet: bool = QUIET,
 ) -> int:
     """Serve one or several devices over Modbus."""
     from ..apps.server.overrides import Overrides

@@ -20,11 +20,12 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError, MissingExtra
-from .arguments import CAPTURE, VERBOSE, seconds, show_traffic, whole_number
+from ..values.counts import counted
+from .arguments import CAPTURE, QUIET, VERBOSE, seconds, show_traffic, whole_number
 from .cloning import CloneOptions, clone_device, refuse_without_clone
 from .exits import ExitCode
 from .files import capturing, read_text
-from .output import say
+from .output import say, warn
 from .running import (
     ALLOW,
     ALLOW_WRITES,
@@ -141,6 +142,7 @@ def simulate(
     control: str | None = CONTROL,
     capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
+    quiet: bool = QUIET,
 ) -> int:
     """Serve simulated devices that a file describes."""
     wanted = CloneOptions(clone or "", unit, map_file, out, watch, ranges, thorough, force=force, verbose=verbose)
@@ -244,7 +246,7 @@ def _print_units(simulation: "Simulation") -> None:
     for unit in simulation.units.values():
         moving = sum(point.behaviour != "" for point in unit.points.values())
         name = f" {unit.name}:" if unit.name else ""
-        print(f"unit {unit.unit}:{name} {len(unit.points)} points, {moving} with a behaviour")
+        print(f"unit {unit.unit}:{name} {counted(len(unit.points), 'point')}, {moving} with a behaviour")
     for each in simulation.board:
         print(f"fault {each.name}: {each.fault_profile}, {'on' if each.is_on else 'off'}")
 
@@ -262,7 +264,7 @@ async def _simulate(
                 await stack.enter_async_context(page)
                 say(f"control API and page on {page.announced_url}")
             for sentence in simulation.warnings:
-                say(sentence)
+                warn(sentence)
             for each in simulation.board:
                 if each.is_on:
                     say(f"fault {each.name}: {each.happens}")

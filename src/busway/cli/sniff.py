@@ -2,7 +2,7 @@
 
 1. One line per frame: time, silence before it, unit, function, fields. What is damaged is shown with the reason, and a
    request without a reply by itself.
-2. At the end – Ctrl-C, SIGTERM, ``--duration`` – come the statistics, also where the connection has ended.
+2. At the end – Ctrl-C, SIGTERM, ``--for`` – come the statistics, also where the connection has ended.
 3. A serial port that vanishes is waited for and opened again; where it is still gone at the end, the exit code says so.
 """
 
@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from .arguments import CAPTURE, JSON, seconds
+from ..values.counts import counted
+from .arguments import CAPTURE, JSON, QUIET, seconds
 from .exits import ExitCode
 from .files import open_capture
-from .output import print_aligned, print_json, say
+from .output import print_aligned, print_json, say, warn
 from .signals import stop_flag
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 EXAMPLES = """\b
 Examples:
   busway sniff rtu:///dev/ttyUSB0
-  busway sniff 'rtu:///dev/ttyUSB0?baud=9600&parity=none' --duration 1m
+  busway sniff 'rtu:///dev/ttyUSB0?baud=9600&parity=none' --for 1m
   busway sniff ascii:///dev/ttyS1 --json
   busway sniff rtu+tcp://10.0.0.9:4001 --capture line.pcapng
   busway sniff rtu+udp://:4001
@@ -49,13 +50,14 @@ def sniff(
         metavar="URL",
         help="The line: rtu:///dev/ttyUSB0, ascii:///dev/ttyS1, rtu+tcp://host:4001, rtu+udp://:4001.",
     ),
-    duration: str | None = typer.Option(None, "--duration", metavar="TIME", help="Listen so long: 30s, 5m, 1h."),
+    duration: str | None = typer.Option(None, "--for", metavar="TIME", help="End after this time: 30s, 5m, 1h."),
     reply_window: str = typer.Option(
         "1s", "--reply-window", metavar="TIME", help="A request without a reply within this time counts as unanswered."
     ),
     raw: bool = typer.Option(False, "-x", "--hex", help="Show the bytes of each frame too."),
     capture: str | None = CAPTURE,
     as_json: bool = JSON,
+    quiet: bool = QUIET,
 ) -> int:
     """Listen to a line, never send."""
     from ..observe.pairing import Pairing
@@ -63,14 +65,14 @@ def sniff(
 
     line = line_to_hear(url)
     window = seconds(reply_window, "--reply-window", low=0.001, high=60)
-    lasting = None if duration is None else seconds(duration, "--duration", low=0.01, high=10 * 365 * 86_400)
+    lasting = None if duration is None else seconds(duration, "--for", low=0.01, high=10 * 365 * 86_400)
     with ExitStack() as stack:
         file = stack.enter_context(open_capture(capture) if capture is not None else nullcontext())
         listening = stack.enter_context(
             Listening(
                 line,
                 Pairing(window),
-                vanished=lambda error: say(f"{line.endpoint.url}: {error.message}; waiting for it"),
+                vanished=lambda error: warn(f"{line.endpoint.url}: {error.message}; waiting for it"),
                 returned=lambda: say(f"{line.endpoint.url}: it is back"),
             )
         )
@@ -266,13 +268,13 @@ def _rounded(time: float | None) -> float | None:
 def _print_statistics(statistics: "LineStatistics", lasted: float, *, is_wire: bool) -> None:
     damaged = sum(statistics.damaged.values())
     busy = f", the line was busy {min(100 * statistics.busy / lasted, 100):.1f} %" if is_wire and lasted else ""
-    print(f"\n{statistics.frames} frames in {lasted:.1f} s{busy}")
+    print(f"\n{counted(statistics.frames, 'frame')} in {lasted:.1f} s{busy}")
     if statistics.broadcasts:
         print(f"{statistics.broadcasts} of them for all units")
     if damaged:
         reasons = ", ".join(f"{reason.value}: {count}" for reason, count in statistics.damaged.most_common())
-        several = "disturbance" if damaged == 1 else "disturbances"
-        print(f"{damaged} {several}, {statistics.damaged_bytes} bytes in all ({reasons})")
+        size = counted(statistics.damaged_bytes, "byte")
+        print(f"{counted(damaged, 'disturbance')}, {size} in all ({reasons})")
     if not statistics.units:
         return
     heading = _HEADING.split(", ")

@@ -15,7 +15,7 @@ import typer
 from ..errors import LinkDown, ModbusError
 from .arguments import seconds
 from .exits import ExitCode
-from .output import print_aligned, print_json, say
+from .output import print_aligned, print_json, warn
 from .signals import stop_flag
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def _tellers(running: "list[Running]") -> Iterator[dict[str, Any]]:
         try:
             yield {"control": str(one), **ask(one)}
         except ModbusError as error:
-            say(str(error))
+            warn(str(error))
 
 
 def _show(told: list[dict[str, Any]], *, as_json: bool) -> None:
@@ -119,7 +119,7 @@ def _ask_again(where: str | None) -> list[dict[str, Any]]:
     try:
         return _ask(where)
     except ModbusError as error:
-        say(str(error))
+        warn(str(error))
         return []
 
 

@@ -34,7 +34,7 @@ from .arguments import (
 )
 from .exits import ExitCode
 from .files import capturing
-from .output import TableRow, choose_writer, print_csv, print_json, say, shown_value, value_rows
+from .output import TableRow, choose_writer, print_csv, print_json, shown_value, value_rows, warn
 
 if TYPE_CHECKING:
     from ..client.blocking import BlockingUnit
@@ -123,7 +123,7 @@ def _read_back(read: Callable[[], _Found]) -> _Found | None:
     try:
         return read()
     except ModbusError as error:
-        say(f"it was written, but could not be read back: {error}")
+        warn(f"it was written, but could not be read back: {error}")
         return None
 
 
@@ -144,7 +144,7 @@ def _compared(written: Sequence[TableRow], held: Sequence[TableRow]) -> list[Tab
         is_there = row.raw == found.raw
         compared.append(replace(row, verified=is_there, holds=None if is_there else found.value))
         if not is_there:
-            say(
+            warn(
                 f"{row.address}: written, but the device holds {shown_value(found.value)}, not {shown_value(row.value)}"
             )
     return compared
@@ -175,7 +175,7 @@ def _write_mask(
             code = ExitCode.DONE if told["verified"] else code
             if not told["verified"]:
                 told["holds"] = found
-                say(f"{place}: {outcome}")
+                warn(f"{place}: {outcome}")
     where = format_address(place)
     if as_json:
         at = {"address": where, "table": Table.HOLDING_REGISTERS.value, "offset": place.offset}

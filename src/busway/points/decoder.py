@@ -21,6 +21,7 @@ from typing import Any, Final
 
 from ..codes import Table
 from ..errors import BadReply, InvalidRequest
+from ..values.counts import counted
 from ..values.orders import Wire, byte_order
 from .conversion import LARGEST_EXPONENT, pattern
 from .point import Point
@@ -73,7 +74,7 @@ class ReadDecoder:
     def __init__(self, points: Sequence[Point], table: Table, start: int, count: int) -> None:
         for point in points:
             if point.table is not table or point.formula or point.start < start or point.end > start + count:
-                raise InvalidRequest(f"{point.name} does not lie within {count} {table.label}s from {start} on")
+                raise InvalidRequest(f"{point.name} does not lie within {counted(count, table.label)} from {start} on")
         self.points: tuple[Point, ...] = tuple(points)
         self.table = table
         self.start = start

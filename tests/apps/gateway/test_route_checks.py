@@ -128,7 +128,7 @@ def test_a_client_that_gives_up_before_the_line_can_have_answered_is_refused_wit
     (sentence,) = refused(impatient, LINE, "timeout = 0.6\n")
     assert sentence == (
         "4: listener[0].client_deadline: 1 s is less than link 'hall' may take: "
-        "1.31 s = (1 + 1 retries) × (0.6 s timeout + 0.0546 s for frames and silence)"
+        "1.31 s = (1 + 1 retry) × (0.6 s timeout + 0.0546 s for frames and silence)"
     )
     assert warned(impatient, LINE, "timeout = 0.4\n") == []
     # The timeout of a route goes before that of its line, and a split read is several requests.
@@ -255,7 +255,7 @@ def test_a_route_that_calls_the_registers_of_a_rule_by_other_addresses_is_odd() 
 def test_a_line_that_is_slower_than_the_default_deadline_of_a_listener_is_odd_and_told_with_the_figures() -> None:
     (sentence,) = warned(LISTENER, LINE, "timeout = 1.5\n")
     assert sentence == (
-        "4: link[0]: warning: link 'hall' may take 3.11 s = (1 + 1 retries) × (1.5 s timeout + 0.0546 s for frames and "
+        "4: link[0]: warning: link 'hall' may take 3.11 s = (1 + 1 retry) × (1.5 s timeout + 0.0546 s for frames and "
         "silence), and clients are answered 0B after 2.5 s; set client_deadline of the listener to what its clients "
         "wait, or a shorter timeout"
     )

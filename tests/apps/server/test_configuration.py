@@ -197,7 +197,7 @@ def test_the_overview_has_a_row_for_everything() -> None:
     assert rows["link", "boiler"] == (
         "tcp://10.0.0.5?retries=0; timeout 0.5, deadline none, keepalive_idle 30, hold 60.0, max_transactions 4"
     )
-    assert rows["unit", "2"] == "100 holding registers, 1 points"
+    assert rows["unit", "2"] == "100 holding registers, 1 point"
 
 
 @pytest.mark.parametrize(

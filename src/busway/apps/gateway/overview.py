@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from ...client.sessions import timing_of
 from ...codes import BROADCAST_UNIT, exception_meaning
+from ...values.counts import counted
 from ..server.overview import Row, overview
 from .configuration import GatewayConfiguration
 from .file_routes import PlacedRoute
@@ -66,12 +67,12 @@ def _upstream(upstream: UpstreamSettings, routes: Sequence[PlacedRoute]) -> Iter
         port = upstream.link.line.port
         timing = timing_of(port)
         yield f"{port.baud} baud, {timing.character * 1000:.3g} ms a character"
-    yield f"timeout {parameters.timeout:g} s, {parameters.retries} retries"
+    yield f"timeout {parameters.timeout:g} s, {counted(parameters.retries, 'retry')}"
     cases = [worst_case(upstream, one.route, one.gap) for one in routes if one.route.upstream == upstream.name]
     if cases:
         yield f"{max(case.seconds for case in cases):.3g} s at most"
     if upstream.options.connections > 1:
-        yield f"{upstream.options.connections} connections"
+        yield counted(upstream.options.connections, "connection")
     if not upstream.options.share_reads:
         yield "reads are not shared"
     for group in upstream.same_device:
@@ -110,9 +111,9 @@ def _details(route: Route, gap: float) -> Iterator[str]:
     if route.shift:
         yield f"addresses {route.shift:+d}"
     if route.max_registers is not None:
-        yield f"at most {route.max_registers} registers at once"
+        yield f"at most {counted(route.max_registers, 'register')} at once"
     if route.max_bits is not None:
-        yield f"at most {route.max_bits} bits at once"
+        yield f"at most {counted(route.max_bits, 'bit')} at once"
     if route.split_writes:
         yield "writes are split too"
     if route.timeout is not None:

@@ -21,6 +21,7 @@ from ...config.report import ConfigurationReport
 from ...options.endpoints import Endpoint
 from ...pdu.functions import STANDARD
 from ...server.bound_sockets import is_loopback
+from ...values.counts import counted
 from .file_routes import PlacedListener, PlacedRoute, upstream_units
 from .policy_gaps import policy_gaps
 from .routes import SERIAL_UNITS, AddressRange, Route, RouteAction, taken_before, units_text
@@ -294,7 +295,7 @@ def _pieces(most: int, limit: int | None) -> int:
 
 
 def _attempts(retries: int, timeout: float, beside: float, pieces: int) -> WorstCase:
-    text = f"(1 + {retries} retries) × ({timeout:g} s timeout"
+    text = f"(1 + {counted(retries, 'retry')}) × ({timeout:g} s timeout"
     text += f" + {beside:.3g} s for frames and silence)" if beside else ")"
     text += f" × {pieces} pieces" if pieces > 1 else ""
     return WorstCase((1 + retries) * (timeout + beside) * pieces, text)

@@ -14,6 +14,7 @@ from ...options.declaration import NONE
 from ...options.endpoints import parse_endpoint
 from ...options.server import ListenerParameters
 from ...server.listener import Listener
+from ...values.counts import counted
 from .configuration import Configuration
 
 Row = tuple[str, str, str]
@@ -70,8 +71,7 @@ def _policy(configuration: Configuration) -> str:
         beyond = "; the command makes what the network reaches read-only" if exposed else ""
         return f"none: a client that may connect may do everything{beyond}"
     rules = access.policy.rules
-    count = "1 rule" if len(rules) == 1 else f"{len(rules)} rules"
-    named = f"{count} ({', '.join(rule.name for rule in rules)}), else " if rules else ""
+    named = f"{counted(len(rules), 'rule')} ({', '.join(rule.name for rule in rules)}), else " if rules else ""
     return "; ".join((f"{named}{access.policy.default.value}", *_addresses(access.addresses)))
 
 
@@ -93,8 +93,8 @@ def _unit(section: UnitSection) -> str:
         declared = section.table(table)
         points = section.points_in(table)
         if declared is not None:
-            parts.append(f"{declared.size} {table.label}s")
+            parts.append(counted(declared.size, table.label))
         elif points:
-            parts.append(f"{sum(point.size for point in points)} {table.label}s")
-    parts.append(f"{len(section.placed)} points")
+            parts.append(counted(sum(point.size for point in points), table.label))
+    parts.append(counted(len(section.placed), "point"))
     return ", ".join(parts)

@@ -30,6 +30,7 @@ from ...config.files.device import OBJECT_NUMBERS
 from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
 from ...errors import BadReply, ExceptionReply, InvalidRequest, ModbusError
 from ...values import Address, ValueType, format_address
+from ...values.counts import counted
 
 Answer = TypeVar("Answer")
 Progress = Callable[[str], None]
@@ -93,10 +94,10 @@ def clone_points(
             error.message = f"point {point.name} at {point.place}: {error.message}"
             raise
         if number % 100 == 0:
-            progress(f"{number} of {len(points)} points")
+            progress(f"{number} of {counted(len(points), 'point')}")
     if refusal is not None and not found:
         raise refusal
-    progress(f"{len(found)} points")
+    progress(counted(len(found), "point"))
     found += recorder.unnamed_bits()
     return Clone(SimulatedUnitSection.model_validate({**keys, "point": [_keys_of(each) for each in found]}), remarks)
 
@@ -136,7 +137,7 @@ def clone_tables(
         refusal = scanner.refusal or refusal
         runs = list(_runs(items))
         any_item = any_item or bool(runs)
-        progress(f"{len(items)} {table.label}s")
+        progress(counted(len(items), table.label))
         if len(runs) == 1:
             keys[table.value] = _table_keys(table, *runs[0])
         else:

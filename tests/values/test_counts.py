@@ -1,0 +1,14 @@
+"""Numbers with their nouns."""
+
+import pytest
+
+from busway.values.counts import counted
+
+
+@pytest.mark.parametrize(
+    ("count", "noun", "text"),
+    [(0, "coil", "0 coils"), (1, "coil", "1 coil"), (2, "holding register", "2 holding registers"),
+     (1, "retry", "1 retry"), (2, "retry", "2 retries")],
+)  # fmt: skip
+def test_a_number_is_said_with_its_noun(count: int, noun: str, text: str) -> None:
+    assert counted(count, noun) == text
