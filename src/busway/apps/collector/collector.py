@@ -20,7 +20,7 @@ from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from ...access.audit_log import AuditLog
 from ...client.aio import AsyncLink, open_link
@@ -109,6 +109,8 @@ class Collector:
         self._upkeep: asyncio.Task[None] | None = None
         self._sinks: SinkThread | None = None
         self._pages: list[PrometheusPage] = []
+        # Families of prometheus-client, whose types are not there without its extra.
+        self.more_metrics: list[Callable[[], Iterable[Any]]] = []
         self._counters: dict[str, dict[str, CounterState]] = {}
         self._started = 0.0
         self.values: LastValues = LastValues()
@@ -206,7 +208,14 @@ class Collector:
         if configuration.pages:
             for page in configuration.pages.values():
                 alarms = self.alarms.active
-                made = PrometheusPage(page.parts.netloc, page.points, self.values, stale=page.stale, alarms=alarms)
+                made = PrometheusPage(
+                    page.parts.netloc,
+                    page.points,
+                    self.values,
+                    stale=page.stale,
+                    alarms=alarms,
+                    more=lambda: [family for give in self.more_metrics for family in give()],
+                )
                 self._pages.append(made)
 
     def _start_commands(self) -> None:

@@ -12,6 +12,8 @@
 `plant`            the part of a plant's configuration that one collector works on
 `control_entries`  what operators tell: the plant's configuration, and who is drained
 `fleet_status`     the status of a zone: collectors, owners of shards, configuration
+`zone_watch`       follows a zone for its page: the status at any moment, holes of ownership
+`fleet_metrics`    the metrics of one collector in its fleet, for Prometheus
 `ownership`        what a collector owned, and in which epoch its samples were taken
 `messages`         samples of one link as a message
 `outbox`           what a collector has stored, sent until the sinks of the fleet have it

@@ -70,6 +70,7 @@ class FleetCollector:
         ownership: the log of what it owned.
         outbox: sends its samples on; None without a stream.
         revision: the revision of the configuration in force; 0 for one that is not from the coordinator.
+        unowned_seconds: seconds in which links that it took had no owner, as far as known, all links together.
         refused: why the newest configuration of the zone was not taken; None if it was.
     """
 
@@ -100,6 +101,8 @@ class FleetCollector:
         self._coordinator, self._shards, self._hosts = coordinator, shards, dict(hosts or {})
         self.revision: int = revision
         self.refused: str | None = None
+        self.unowned_seconds: float = 0.0
+        self.outbox = None
         self._set_configuration(configuration)
         self.member: FleetMember = FleetMember(
             checked_name(name, "collector"),
@@ -110,7 +113,7 @@ class FleetCollector:
             capacity=capacity,
         )
         self.member.set_revision(revision)
-        self._driver = MemberDriver(self.member, coordinator, self._told, now=now)
+        self._driver = MemberDriver(self.member, coordinator, self._told, now=now, behind=lambda: self.behind)
         self._active: dict[str, Epoch] = {}
         self._unowned_since: dict[str, int] = {}
         self._permitted: dict[str, int] = {}
@@ -155,6 +158,16 @@ class FleetCollector:
     def problem(self) -> str:
         """Why this collector owns nothing, or its leases are not renewed; empty while all is well."""
         return self._driver.problem
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether the coordinator has confirmed this collector's last change."""
+        return self._driver.error is None
+
+    @property
+    def behind(self) -> int:
+        """Commits of the store that not all sinks have; 0 without a stream."""
+        return 0 if self.outbox is None else max(0, self.collector.newest_commit - self.outbox.status().kept)
 
     def _opened_outbox(self) -> Outbox | None:
         if self._stream is None:
@@ -348,6 +361,7 @@ class FleetCollector:
                 begin = int(silent_since * NANOSECONDS)
             if begin is not None:
                 self._note_unowned(link, min(begin, now), now)
+                self.unowned_seconds += max(0, now - begin) / NANOSECONDS
 
     def _note_unowned(self, link: str, begin: int, end: int | None) -> None:
         for device in self._configuration.devices_of(link):

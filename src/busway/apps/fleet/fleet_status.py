@@ -6,12 +6,23 @@ Knows entries of the coordinator; asks no collector.
 """
 
 import asyncio
+from collections.abc import Container, Mapping
 from contextlib import aclosing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .control_entries import CONFIGURATION, DRAINED, decode_configuration
 from .coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
-from .records import LEASES, MEMBERS, LeaseRecord, MemberRecord, decode_lease, decode_member
+from .lease_times import Epoch
+from .records import (
+    GENERATION,
+    LEASES,
+    MEMBERS,
+    LeaseRecord,
+    MemberRecord,
+    decode_generation,
+    decode_lease,
+    decode_member,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +64,14 @@ class ZoneStatus:
         leases: by shard, the last known lease.
         configuration: the path of the file that was applied; empty for none.
         revision: of the configuration; 0 for none.
+        generation: the generation of the zone.
     """
 
     members: dict[str, ZoneMember]
     leases: dict[str, LeaseRecord]
     configuration: str
     revision: int
+    generation: int = 1
 
 
 async def zone_status(coordinator: Coordinator, seconds: float) -> ZoneStatus:
@@ -82,7 +95,7 @@ async def zone_status(coordinator: Coordinator, seconds: float) -> ZoneStatus:
                     break
     except TimeoutError:
         pass
-    return _status(found, living)
+    return status_of(found, living)
 
 
 def _running(found: dict[str, Entry]) -> set[str]:
@@ -91,12 +104,19 @@ def _running(found: dict[str, Entry]) -> set[str]:
     return {key for key, record in members.items() if record is not None and not record.gone}
 
 
-def _status(found: dict[str, Entry], living: set[str]) -> ZoneStatus:
+def status_of(found: Mapping[str, Entry], living: Container[str]) -> ZoneStatus:
+    """Return the status of a zone. Raises `ConfigError` for a configuration that cannot be read.
+
+    Args:
+        found: the entries of its table, by key.
+        living: the keys of collectors that live.
+    """
+    generation = decode_generation(found[GENERATION].value) if GENERATION in found else 1
     leases: dict[str, LeaseRecord] = {}
     for key, entry in sorted(found.items()):
         lease = decode_lease(entry.value) if key.startswith(LEASES) else None
         if lease is not None:
-            leases[key.removeprefix(LEASES)] = lease
+            leases[key.removeprefix(LEASES)] = replace(lease, epoch=lease.epoch or Epoch(generation, entry.revision))
     members: dict[str, ZoneMember] = {}
     for key, entry in sorted(found.items()):
         record = decode_member(entry.value) if key.startswith(MEMBERS) else None
@@ -112,4 +132,4 @@ def _status(found: dict[str, Entry], living: set[str]) -> ZoneStatus:
             )
     entry = found.get(CONFIGURATION, Entry("", b"", 0))
     name = decode_configuration(entry).name if entry.value else ""
-    return ZoneStatus(members, leases, name, entry.revision)
+    return ZoneStatus(members, leases, name, entry.revision, generation)

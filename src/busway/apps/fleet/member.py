@@ -169,6 +169,7 @@ class FleetMember:
         generation: the generation number of the zone.
         rival: another process with this name that lives; None without one.
         clock_error: seconds by which its wall clock is ahead of the coordinator's; 0 within `CLOCK_LIMIT`.
+        behind: commits that not all sinks have, to be told to the others.
         wall_ahead: seconds by which the wall clock is ahead of the clock of leases; for the record of gaps only.
     """
 
@@ -191,6 +192,7 @@ class FleetMember:
         self._is_known = False
         self._drains = False
         self.wall_ahead: float = 0.0
+        self.behind: int = 0
         self._me = MemberRecord(name, run, host, 0, capacity)
         self._my_revision = 0
         self._my_asked: float | None = None
@@ -472,7 +474,11 @@ class FleetMember:
         if self._complete_at is None or now < self._my_renewal or key in self._open or self._me.gone:
             return
         self._me = replace(
-            self._me, count=self._me.count + 1, gone=self._ends and not self.owned, at=now + self.wall_ahead
+            self._me,
+            count=self._me.count + 1,
+            gone=self._ends and not self.owned,
+            at=now + self.wall_ahead,
+            behind=self.behind,
         )
         self._my_renewal = now + self._spread(self.times.renew)
         self._propose(key, self._me.encode(), self._my_revision, now, found)

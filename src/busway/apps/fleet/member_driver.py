@@ -51,6 +51,7 @@ class MemberDriver:
         coordinator: the coordinator of its zone; not closed here.
         told: gets each event of a shard, in order, in the event loop; it must be quick.
         now: the clock of leases.
+        behind: gives the commits that not all sinks have.
     """
 
     def __init__(
@@ -60,8 +61,10 @@ class MemberDriver:
         told: Callable[[ShardEvent], None],
         *,
         now: Callable[[], float] = boot_time,
+        behind: Callable[[], int] = lambda: 0,
     ) -> None:
         self.member: FleetMember = member
+        self._behind = behind
         self._coordinator, self._told, self._now = coordinator, told, now
         self._wake = asyncio.Event()
         self._changed = asyncio.Event()
@@ -128,6 +131,7 @@ class MemberDriver:
         while True:
             self._wake.clear()
             self._set_wall_clock()
+            self.member.behind = self._behind()
             for proposal in self.member.turn(self._now()):
                 task = asyncio.create_task(self._ask(proposal))
                 self._asking.add(task)

@@ -70,6 +70,7 @@ class MemberRecord:
         gone: whether it has ended in order.
         at: seconds since 1970 UTC by its wall clock; to find clocks that are wrong.
         problem: why it owns nothing; empty while it may own.
+        behind: commits of its store that not all sinks have.
     """
 
     name: str
@@ -82,6 +83,7 @@ class MemberRecord:
     gone: bool = False
     at: float = 0.0
     problem: str = ""
+    behind: int = 0
 
     def encode(self) -> bytes:
         """Return the record of a collector as bytes for the shared table."""
@@ -97,6 +99,7 @@ class MemberRecord:
                 int(self.gone),
                 round(self.at, 3),
                 self.problem,
+                self.behind,
             ],
             separators=(",", ":"),
         ).encode()
@@ -123,7 +126,7 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
 def decode_member(value: bytes) -> MemberRecord | None:
     """Return the record of a collector in the bytes of a table entry; None if they are none."""
     try:
-        name, run, host, count, capacity, draining, revision, gone, at, problem = [*_list(value), 0.0, ""][:10]
+        name, run, host, count, capacity, draining, revision, gone, at, problem, behind, *_ = [*_list(value), 0, "", 0]
         return MemberRecord(
             str(name),
             str(run),
@@ -135,6 +138,7 @@ def decode_member(value: bytes) -> MemberRecord | None:
             bool(gone),
             float(at),
             str(problem),
+            int(behind),
         )
     except (ValueError, TypeError, IndexError):
         return None

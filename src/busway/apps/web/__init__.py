@@ -16,6 +16,7 @@
 `collector_stream`    `/stream` of a collector's page: a WebSocket with changed values, alarms and commands
 `collector_log`       The latest log messages of a collector, for its page: records of all loggers of busway
 `live_values`         Last committed values of all points, and what changed since a tick, for all viewers
+`fleet_page`          The fleet on the page of one of its collectors, and over HTTP
 `page`                HTML, style and script
 `faults`              Faults of a simulation as its HTTP API shows and changes them
 `page_tokens`         The file with the access tokens of a page: created at the first start, for its owner alone

@@ -29,6 +29,7 @@ class CollectorAnswer(Answer):
     error: str | None = Field(description="What is wrong with the store.")
     restart_needed: list[str] = Field(description="Keys of the file whose changes hold after the next start.")
     refused: list[str] = Field(description="Lines and keys for which the file was refused when it was read last.")
+    in_fleet: bool = Field(default=False, description="Whether it is one of a fleet; /api/fleet shows its zone then.")
 
 
 class CollectedPoint(Answer):

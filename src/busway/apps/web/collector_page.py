@@ -13,7 +13,7 @@ import contextlib
 import math
 import time
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from fastapi import Depends, FastAPI, Query
 from starlette.exceptions import HTTPException
@@ -57,6 +57,9 @@ from .hosting import SHARED_FILES, HostedPage, guarded, page_application
 from .messages import Failure, plain_value
 from .page_tokens import TOKEN_FILE, KeptTokens
 
+if TYPE_CHECKING:
+    from .fleet_page import FleetApi
+
 PERCENTILES: Final = (0.5, 0.9, 0.99)
 MOST_BUCKETS: Final = 2000
 MOST_QUERIES: Final = 2
@@ -67,7 +70,8 @@ _PLAN_SECONDS: Final = 30.0
 _LONGEST: Final = 366 * 86_400.0
 _MILLION: Final = 1_000_000
 _SCRIPTS: Final = (
-    "alarms", "collector", "collector_log", "commands", "configuration", "devices", "history", "session", "values",
+    "alarms", "collector", "collector_log", "commands", "configuration", "devices", "fleet", "history",
+    "session", "values",
 )  # fmt: skip
 _FILES: Final = {
     **SHARED_FILES,
@@ -84,6 +88,7 @@ class CollectorPage(HostedPage):
     Args:
         collector: the running collector.
         at: host and port; port 0 takes a free one.
+        fleet: the routes of its fleet; None for a collector of its own.
 
     Attributes:
         token_path: the file of its tokens.
@@ -92,7 +97,7 @@ class CollectorPage(HostedPage):
         ConfigError: the address is invalid, or the tokens cannot be read or made.
     """
 
-    def __init__(self, collector: Collector, at: str) -> None:
+    def __init__(self, collector: Collector, at: str, fleet: "FleetApi | None" = None) -> None:
         configuration = collector.configuration
         access = configuration.file.page_access
         super().__init__(at, key="page", tls=_tls_of(configuration))
@@ -103,7 +108,8 @@ class CollectorPage(HostedPage):
         )
         self._subjects = {subject: ROLES[label] for subject, label in access.subjects.items()}
         self._collector = collector
-        self.api: CollectorApi = CollectorApi(collector)
+        self._fleet = fleet
+        self.api: CollectorApi = CollectorApi(collector, is_in_fleet=fleet is not None)
         self.commands: CommandsApi = CommandsApi(collector)
 
     def _rules(self, *, local: bool) -> PageAccessRules:
@@ -119,6 +125,8 @@ class CollectorPage(HostedPage):
         self.api.add_to(inner)
         self.commands.add_to(inner)
         AlarmApi(self._collector).add_to(inner)
+        if self._fleet is not None:
+            self._fleet.add_to(inner)
         return inner
 
     def application(self, rules: PageAccessRules) -> Application:
@@ -147,8 +155,8 @@ def _tls_of(configuration: CollectorConfiguration) -> TlsParameters | None:
 class CollectorApi:
     """Routes of the collector's page that only read: points, values, devices, links, sinks, log, trends."""
 
-    def __init__(self, collector: Collector) -> None:
-        self._collector = collector
+    def __init__(self, collector: Collector, *, is_in_fleet: bool = False) -> None:
+        self._collector, self._is_in_fleet = collector, is_in_fleet
         self.stream: CollectorStream = CollectorStream(collector)
         self.log: CollectorLog = CollectorLog()
         self._newest = 0
@@ -197,6 +205,7 @@ class CollectorApi:
             error=store.error or store.upkeep_error,
             restart_needed=self._collector.restart_needed,
             refused=self._collector.refused_file,
+            in_fleet=self._is_in_fleet,
         )
 
     async def list_points(self) -> CollectedPoints:

@@ -11,7 +11,7 @@ Knows what was committed last; the format is prometheus-client's (``busway[metri
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
@@ -116,6 +116,7 @@ class PrometheusPage:
         *,
         stale: float = 300.0,
         alarms: Callable[[], Sequence[RaisedAlarm]] = tuple,
+        more: Callable[[], Iterable[Any]] = tuple,
         now: Callable[[], int] = time.time_ns,
     ) -> None:
         """Begin to listen for scrapes.
@@ -126,6 +127,7 @@ class PrometheusPage:
             values: last values.
             stale: seconds after which a value is left out.
             alarms: gives the alarms that are active or not acknowledged; from any thread.
+            more: gives further families of metrics of prometheus-client; from any thread.
             now: nanoseconds since 1970 UTC.
 
         Raises:
@@ -137,7 +139,7 @@ class PrometheusPage:
         if not points:
             raise ConfigError('names no point; points = ["meter-7/*"] shows those of a device', key="points")
         self._points, self._values, self._stale, self._now = tuple(points), values, stale, now
-        self._alarms = alarms
+        self._alarms, self._more = alarms, more
         self._service = HttpService(bind_tcp(*host_and_port(where, "url")), self._answer, name="busway prometheus")
         host, port = self._service.socket.getsockname()[:2]
         self.url: str = f"http://{host}:{port}/metrics"
@@ -173,6 +175,7 @@ class PrometheusPage:
         yield value
         yield moment
         yield from self._alarm_families()
+        yield from self._more()
 
     def _alarm_families(self) -> Iterator[Any]:
         from prometheus_client.core import GaugeMetricFamily

@@ -83,13 +83,14 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
                 max_outstanding_pings=2,
                 **{name: value for name, value in given.items() if value is not None},
             )
+    except ConfigError:
+        await _close(client)
+        raise
     except (nats.errors.Error, OSError, TimeoutError) as error:
-        with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):
-            await client.close()
+        await _close(client)
         cause = client.cause or str(error) or type(error).__name__
-        if _is_refusal(cause):
-            raise ConfigError(f"{url} refuses the credentials: {cause}", key="coordinator") from error
         raise CoordinatorDown(f"{url} cannot be reached: {cause}", endpoint=url) from error
+    client.was_connected = True
     server = client.connected_server_version
     version = (server.major, server.minor, server.patch)
     if version < OLDEST:
@@ -100,9 +101,15 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
     return client
 
 
+async def _close(client: Any) -> None:
+    nats = import_module("nats")
+    with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone already
+        await client.close()
+
+
 def _is_refusal(cause: str) -> bool:
-    """Whether a server has refused the credentials: it says authorization, or authentication."""
-    return "auth" in cause.lower()
+    """Whether a server has refused the credentials, and not only waited too long for them on a busy machine."""
+    return "auth" in cause.lower() and "timeout" not in cause.lower()
 
 
 @cache
@@ -114,6 +121,7 @@ def _client_kind() -> Any:
         def __init__(self) -> None:
             super().__init__()
             self.cause = ""
+            self.was_connected = False
 
         async def note_cause(self, error: Exception) -> None:
             self.cause = str(error) or type(error).__name__
@@ -124,9 +132,11 @@ def _client_kind() -> Any:
         async def _process_connect_init(self) -> None:
             try:
                 await super()._process_connect_init()
-            except BaseException:
+            except BaseException as error:
                 if self._transport is not None:
                     self._transport.close()  # else each refused try would leave its socket open
+                if _is_refusal(str(error)) and not self.was_connected:
+                    raise ConfigError(f"the server refuses the credentials: {error}", key="coordinator") from error
                 raise
 
         async def _process_err(self, message: str) -> None:
@@ -306,6 +316,4 @@ class NatsCoordinator:
 
     async def close(self) -> None:
         """Close the connection to NATS, where the shared table is."""
-        nats = import_module("nats")
-        with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone already
-            await self.client.close()
+        await _close(self.client)

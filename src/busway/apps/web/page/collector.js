@@ -6,12 +6,13 @@ import { WriteDialog, showCommands } from "./commands.js";
 import { ConfigurationView } from "./configuration.js";
 import { DeviceView, showLinks, showSinks } from "./devices.js";
 import { byId, setText } from "./dom.js";
+import { showFleet } from "./fleet.js";
 import { History } from "./history.js";
 import { Refusal, Stream, ask, hasToken } from "./link.js";
 import { askForToken, learnRole, may, offerTokens, onRole, takeRole } from "./session.js";
 import { ValueTable } from "./values.js";
 
-const VIEWS = ["values", "alarms", "devices", "links", "sinks", "commands", "log", "configuration"];
+const VIEWS = ["values", "alarms", "devices", "links", "sinks", "fleet", "commands", "log", "configuration"];
 const PERIOD = 1000;
 const STATES = { waiting: "connecting", live: "live", down: "not connected" };
 
@@ -45,6 +46,7 @@ const SHOW = {
   devices: () => devices.show(),
   links: showLinks,
   sinks: showSinks,
+  fleet: showFleet,
   commands: showCommands,
   log: showLog,
   configuration: () => configuration.show(),
@@ -68,6 +70,7 @@ async function about() {
   setText(byId("name"), found.name);
   setText(byId("store"), `${found.store}: ${found.samples} samples${found.lost ? `, ${found.lost} lost` : ""}${found.error ? `: ${found.error}` : ""}`);
   setText(byId("file"), fileText(found));
+  byId("tab-fleet").hidden = !found.in_fleet;
 }
 
 /** How the file differs from what is in use. */

@@ -8,7 +8,7 @@ import { ago } from "./values.js";
 const percent = (part) => `${(100 * part).toFixed(1)} %`;
 
 /** Fill a table; `cells` gives the texts of an item. */
-function fill(id, items, keyOf, cells, numbers) {
+export function fill(id, items, keyOf, cells, numbers) {
   const make = (item) =>
     element("tr", {}, ...cells(item).map((_, at) => element(at ? "td" : "th", { class: numbers.includes(at) ? "number" : false, scope: at ? false : "row" })));
   const update = (row, item) => cells(item).forEach((text, at) => setText(row.children[at], String(text)));

@@ -1,0 +1,136 @@
+"""Follows the table of a zone, for its page: the status at any moment, and the holes of ownership since the start.
+
+Knows entries of the coordinator; asks no collector.
+
+1. A collector lives while its entry changes within the time of a lease, by the clock of this process.
+2. A hole is the time from an owner's last renewal, or its release, until the next owner took the shard, by the wall
+   clocks of both. An owner that fell silent may have polled for a part of it: it lasted so long at most.
+"""
+
+import asyncio
+import json
+from collections import deque
+from collections.abc import Callable
+from contextlib import aclosing
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Final, Self
+
+from .coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
+from .fleet_status import ZoneStatus, status_of
+from .lease_times import Epoch, LeaseTimes
+from .member_driver import boot_time, end_tasks
+from .records import LEASES, MEMBERS, LeaseRecord, decode_lease
+
+CURSORS: Final = "cursor."
+MOST_HOLES: Final = 200
+"""Holes that are kept; older ones are in the stores of the collectors."""
+
+
+@dataclass(frozen=True, slots=True)
+class OwnershipHole:
+    """A time in which no collector owned a shard (group of links).
+
+    Attributes:
+        shard: its name.
+        before, after: the collector that had it, and the one that took it.
+        was_silent: whether the first one fell silent; it gave the shard back otherwise.
+        begin, end: seconds since 1970 UTC.
+        epoch: the epoch of the new ownership.
+    """
+
+    shard: str
+    before: str
+    after: str
+    was_silent: bool
+    begin: float
+    end: float
+    epoch: Epoch
+
+
+class ZoneWatch:
+    """Follows the shared table of a zone while the ``async with`` block lasts.
+
+    Args:
+        coordinator: the coordinator of the zone; not closed here.
+        times: the lengths of the leases; the same as those of the collectors.
+        now: the clock of leases.
+    """
+
+    def __init__(
+        self, coordinator: Coordinator, times: LeaseTimes | None = None, *, now: Callable[[], float] = boot_time
+    ) -> None:
+        self._coordinator, self._times, self._now = coordinator, times or LeaseTimes(), now
+        self._entries: dict[str, Entry] = {}
+        self._seen: dict[str, float] = {}
+        self._holes: deque[OwnershipHole] = deque(maxlen=MOST_HOLES)
+        self._complete = asyncio.Event()
+        self._task: asyncio.Task[None] | None = None
+
+    async def __aenter__(self) -> Self:
+        """Begin to follow the table."""
+        self._task = asyncio.create_task(self._follow(), name="busway fleet watch")
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop following the table."""
+        assert self._task is not None
+        await end_tasks([self._task])
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all entries of the table are known; False at the start and while the coordinator is away."""
+        return self._complete.is_set()
+
+    def status(self) -> ZoneStatus:
+        """Return the status of the zone as it is known now. Raises `ConfigError` for an unreadable configuration."""
+        now = self._now()
+        living = {key for key, at in self._seen.items() if key.startswith(MEMBERS) and now < self._times.free_at(at)}
+        return status_of(self._entries, living)
+
+    def holes(self) -> list[OwnershipHole]:
+        """Return the times in which shards had no owner since this watch began, the newest first."""
+        return [*reversed(self._holes)]
+
+    def sinks(self) -> dict[str, int]:
+        """Return by sink the number of the last message of the stream that it has taken."""
+        found: dict[str, int] = {}
+        for key, entry in sorted(self._entries.items()):
+            if key.startswith(CURSORS) and entry.value:
+                try:
+                    found[key.removeprefix(CURSORS)] = int(json.loads(entry.value)[0])
+                except (ValueError, TypeError, LookupError):
+                    continue  # of a newer version of this program
+        return found
+
+    def take(self, entry: Entry) -> None:
+        """Take over an entry of the table, or a mark of its watch."""
+        if entry is SNAPSHOT_BEGINS:
+            self._complete.clear()
+        elif entry is SNAPSHOT_ENDS:
+            self._complete.set()
+        else:
+            known = self._entries.get(entry.key)
+            if known is not None and entry.revision <= known.revision:
+                return
+            if entry.key.startswith(LEASES) and known is not None:
+                self._note_hole(entry, decode_lease(known.value), decode_lease(entry.value))
+            self._entries[entry.key] = entry
+            self._seen[entry.key] = self._now()
+
+    def _note_hole(self, entry: Entry, before: LeaseRecord | None, after: LeaseRecord | None) -> None:
+        if before is None or after is None or not after.held or after.count:
+            return  # a renewal, a release
+        epoch = after.epoch or Epoch(status_of(self._entries, set()).generation, entry.revision)
+        hole = OwnershipHole(
+            entry.key.removeprefix(LEASES), before.owner, after.owner, before.held, before.at, after.at, epoch
+        )
+        if before.at and after.at > before.at:
+            self._holes.append(hole)
+
+    async def _follow(self) -> None:
+        async with aclosing(self._coordinator.watch()) as entries:
+            async for entry in entries:
+                self.take(entry)

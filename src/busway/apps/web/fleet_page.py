@@ -1,0 +1,122 @@
+"""The fleet on the page of one of its collectors, and over HTTP: owners, epochs, load, lag and holes of a zone.
+
+Knows what the coordinator shows of the zone and shapes of answers; asks no collector.
+"""
+
+import time
+from typing import Final
+
+from fastapi import FastAPI
+from pydantic import Field
+
+from ..fleet.zone_watch import ZoneWatch
+from .messages import Answer
+
+MOST_SHARDS: Final = 1100
+
+
+class FleetCollectorAnswer(Answer):
+    """Response: one collector of a zone."""
+
+    name: str
+    host: str
+    state: str = Field(description="polls, drains, refuses, silent or ended.")
+    problem: str = Field(description="Why it owns nothing; empty while it may.")
+    shards: int
+    load: float = Field(description="Seconds of line time in a second that its shards need.")
+    behind: int = Field(description="Commits of its store that not all sinks have; 0 without a stream.")
+    revision: int = Field(description="Of the configuration that it works by.")
+
+
+class FleetShardAnswer(Answer):
+    """Response: one shard (group of links) and its owner."""
+
+    shard: str
+    owner: str = Field(description="Empty while it is free.")
+    epoch: str = Field(description="Number of the ownership; each later owner has a greater one.")
+    load: float
+
+
+class FleetHoleAnswer(Answer):
+    """Response: a time in which no collector owned a shard. Times are milliseconds since 1970 UTC."""
+
+    shard: str
+    before: str
+    after: str
+    was_silent: bool = Field(description="Whether the owner fell silent; it gave the shard back otherwise.")
+    begin: int
+    end: int
+    epoch: str
+
+
+class FleetSinkAnswer(Answer):
+    """Response: how far a sink of the zone has come in the stream."""
+
+    name: str
+    taken: int = Field(description="Number of the last message that it has taken.")
+
+
+class FleetAnswer(Answer):
+    """Response: a zone of a fleet, as its coordinator shows it."""
+
+    now: int
+    is_complete: bool = Field(description="False while the coordinator is away: all is as it was known last.")
+    configuration: str
+    revision: int
+    collectors: list[FleetCollectorAnswer]
+    shards: list[FleetShardAnswer]
+    holes: list[FleetHoleAnswer] = Field(description="Since this collector began, the newest first.")
+    sinks: list[FleetSinkAnswer]
+
+
+class FleetApi:
+    """The route of a collector's page that shows its zone."""
+
+    def __init__(self, watch: ZoneWatch) -> None:
+        self._watch = watch
+
+    def add_to(self, application: FastAPI) -> None:
+        """Add the route to an application."""
+        application.add_api_route("/api/fleet", self.get_fleet, methods=["GET"], summary="The zone of the fleet")
+
+    async def get_fleet(self) -> FleetAnswer:
+        """Return collectors, owners of shards, holes and sinks of the zone."""
+        status = self._watch.status()
+        return FleetAnswer(
+            now=time.time_ns() // 1_000_000,
+            is_complete=self._watch.is_complete,
+            configuration=status.configuration,
+            revision=status.revision,
+            collectors=[
+                FleetCollectorAnswer(
+                    name=each.record.name,
+                    host=each.record.host,
+                    state=each.state,
+                    problem=each.record.problem,
+                    shards=len(each.shards),
+                    load=each.load,
+                    behind=each.record.behind,
+                    revision=each.record.revision,
+                )
+                for each in status.members.values()
+            ],
+            shards=[
+                FleetShardAnswer(
+                    shard=shard, owner=each.owner if each.held else "", epoch=str(each.epoch or ""), load=each.cost
+                )
+                for shard, each in list(status.leases.items())[:MOST_SHARDS]
+            ],
+            holes=[
+                FleetHoleAnswer(
+                    shard=each.shard,
+                    before=each.before,
+                    after=each.after,
+                    was_silent=each.was_silent,
+                    begin=int(1000 * each.begin),
+                    end=int(1000 * each.end),
+                    epoch=str(each.epoch),
+                )
+                for each in self._watch.holes()
+            ],
+            sinks=[FleetSinkAnswer(name=name, taken=taken) for name, taken in self._watch.sinks().items()],
+        )

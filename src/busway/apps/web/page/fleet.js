@@ -1,0 +1,23 @@
+// The zone of a collector that is one of a fleet: who owns what, how far behind, and when nothing was owned.
+
+import { fill } from "./devices.js";
+import { byId, setText } from "./dom.js";
+import { ask } from "./link.js";
+
+const percent = (part) => `${(100 * part).toFixed(1)} %`;
+const seconds = (hole) => ((hole.end - hole.begin) / 1000).toFixed(1);
+
+export async function showFleet() {
+  const found = await ask("GET", "/api/fleet");
+  const away = found.is_complete ? "" : "The coordinator is away; this is what was known last. ";
+  const file = found.revision ? `Configuration: revision ${found.revision}, ${found.configuration}` : "No configuration was applied.";
+  setText(byId("fleet-message"), away + file);
+  const state = (each) => (each.problem ? `${each.state}: ${each.problem}` : each.state);
+  fill("fleet-collector-rows", found.collectors, (each) => each.name, (each) => [each.name, each.host, state(each), each.shards, percent(each.load), each.behind, each.revision], [3, 4, 5, 6]);
+  const from = (each) => (each.was_silent ? `${each.before}, which fell silent` : each.before);
+  fill("hole-rows", found.holes, (each) => `${each.shard} ${each.epoch}`, (each) => [each.shard, new Date(each.end).toLocaleTimeString(), seconds(each), from(each), each.after, each.epoch], [2]);
+  byId("no-holes").hidden = found.holes.length > 0;
+  byId("hole-table").hidden = found.holes.length === 0;
+  fill("shard-rows", found.shards, (each) => each.shard, (each) => [each.shard, each.owner || "free", each.epoch, percent(each.load)], [3]);
+  setText(byId("fleet-sinks"), found.sinks.map((each) => `Sink ${each.name} has taken ${each.taken} messages of the stream.`).join(" "));
+}
