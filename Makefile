@@ -24,6 +24,14 @@ OTHER_PYTHONS := 3.12 3.13
 # Exact versions: the interop tests compare values, and these programs change from release to release.
 PEER_PACKAGES := pymodbus==3.16.1 pyModbusTCP==0.3.1 minimalmodbus==2.1.1 pysparkplug==0.6.1
 
+# Published programs that run over `busway.compat`, what they import, and the releases of pymodbus they were written for
+# where that is not the one above. In folders of their own: none of them meets the others' versions.
+PROGRAM_PACKAGES := modpoll==1.6.0 sdm_modbus==0.7.0 solaredge_modbus==0.8.0 alfen_eve_modbus_tcp==0.0.17 \
+	prettytable==3.18.0 wcwidth==0.9.4 paho-mqtt==2.2.0 requests==2.34.2 urllib3==2.8.0 certifi==2026.10.18 \
+	idna==3.20 charset-normalizer==3.5.2 epevermodbus==0.0.18
+PYMODBUS_RELEASES := 3.6.9 3.9.2
+PEERS_WANTED = $(PEER_PACKAGES) $(PROGRAM_PACKAGES) $(PYMODBUS_RELEASES)
+
 # Every second unit test waits for something, so there is room for one more than there are processors.
 JOBS ?= $(shell expr $$(getconf _NPROCESSORS_ONLN) + 1)
 SIDE_BY_SIDE := --numprocesses=$(JOBS) --maxprocesses=4 --dist=worksteal
@@ -171,11 +179,16 @@ $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 
 # The stamp names the packages, so a changed pin reinstalls.
 $(PEERS)/.installed: Makefile | $(VENV)/bin/python
-	@if [ "$$(cat $@ 2>/dev/null)" != "$(PEER_PACKAGES)" ]; then \
-		echo "== $(PEERS): $(PEER_PACKAGES)"; \
-		$(RUN)/python -m venv $(PEERS) && $(PEERS)/bin/python $(PIP) $(PEER_PACKAGES); \
+	@if [ "$$(cat $@ 2>/dev/null)" != "$(PEERS_WANTED)" ]; then \
+		echo "== $(PEERS): $(PEERS_WANTED)"; \
+		$(RUN)/python -m venv $(PEERS) && $(PEERS)/bin/python $(PIP) $(PEER_PACKAGES) && \
+		rm -rf $(PEERS)/programs $(PEERS)/pymodbus && \
+		$(PEERS)/bin/python $(PIP) --no-deps --target $(PEERS)/programs $(PROGRAM_PACKAGES) || exit 1; \
+		for release in $(PYMODBUS_RELEASES); do \
+			$(PEERS)/bin/python $(PIP) --no-deps --target $(PEERS)/pymodbus/$$release pymodbus==$$release || exit 1; \
+		done; \
 	fi
-	@echo "$(PEER_PACKAGES)" > $@
+	@echo "$(PEERS_WANTED)" > $@
 
 $(BENCH_PEERS)/.installed: bench/peers/requirements.txt | $(VENV)/bin/python
 	@echo "== $(BENCH_PEERS): the peers of the benchmark"

@@ -23,6 +23,7 @@ import busway
 
 ROOT = Path(__file__).resolve().parents[2]
 WRITTEN_ENDPOINT = "tcp://127.0.0.1:5020"
+WRITTEN_PORT = "port=5020"
 FREE_PORT = "tcp://127.0.0.1:0"
 SECONDS = 60
 """Far above what any page needs, so that only a program that hangs reaches it."""
@@ -107,6 +108,7 @@ def run_page(tmp_path: Path) -> RunPage:
         with serving(page, tmp_path) as endpoint:
             if page.program:
                 program = page.program.replace(WRITTEN_ENDPOINT, endpoint)
+                program = program.replace(WRITTEN_PORT, f"port={endpoint.rpartition(':')[2]}")
                 assert finished([sys.executable, "-W", "error", "-c", program], tmp_path) == page.expected
             for command, expected in page.commands:
                 words = shlex.split(command.replace(WRITTEN_ENDPOINT, endpoint))

@@ -1,0 +1,75 @@
+"""The names of pymodbus' modules in all its releases, and which module here has what each of them had.
+
+1. A module that is here is itself; another name is a module that takes its attributes from those named in `HOMES`.
+2. Names are served below this package, and after `serve_as` below ``pymodbus`` too, where they are the same objects.
+"""
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+HERE = __name__.rpartition(".")[0]
+OWN = frozenset({"calls", "client", "constants", "exceptions", "framer", "payload", "pdu"})
+"""The modules of this package that have pymodbus' names, and `calls`."""
+MESSAGES = (
+    "bit_message",
+    "bit_read_message",
+    "bit_write_message",
+    "diag_message",
+    "file_message",
+    "mei_message",
+    "other_message",
+    "register_message",
+    "register_read_message",
+    "register_write_message",
+)
+HOMES: dict[str, tuple[str, ...]] = {
+    **{f"{folder}{name}": ("pdu",) for folder in ("", "pdu.") for name in MESSAGES},
+    "pdu.pdu": ("pdu",),
+    "pdu.exceptionresponse": ("pdu",),
+    "client.mixin": ("calls",),
+    **{f"client.{name}": ("client",) for name in ("base", "tcp", "udp", "serial", "tls", "sync", "asynchronous")},
+    **{f"framer.{name}": ("framer",) for name in ("base", "rtu", "ascii", "socket", "tls")},
+    **{f"framer.{name}_framer": ("framer",) for name in ("rtu", "ascii", "socket", "tls")},
+    "transaction": ("framer",),
+    "utilities": ("calls",),
+}
+"""Names of modules that are not here, and where their contents are."""
+
+
+class AliasFinder(MetaPathFinder, Loader):
+    """Finds the modules of pymodbus below one name."""
+
+    def __init__(self, root: str) -> None:
+        self.root: str = root
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """The specification of a module that is here or has a home here; None for others."""
+        root, _, name = fullname.partition(f"{self.root}.")
+        if root or not name or name not in OWN | HOMES.keys() or (name in OWN and self.root == HERE):
+            return None
+        return ModuleSpec(fullname, self, is_package=name in ("client", "framer", "pdu"))
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """Let the import system make the module."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Fill a module of another name, or put the module that is here in its place."""
+        name = module.__name__.removeprefix(f"{self.root}.")
+        if name in OWN:
+            sys.modules[module.__name__] = import_module(f"{HERE}.{name}")
+            return
+        for home in HOMES[name]:
+            contents = vars(import_module(f"{HERE}.{home}"))
+            module.__dict__.update({key: value for key, value in contents.items() if not key.startswith("__")})
+
+
+def serve_below(root: str) -> None:
+    """Let imports below this name find pymodbus' modules; once is enough."""
+    if not any(isinstance(finder, AliasFinder) and finder.root == root for finder in sys.meta_path):
+        sys.meta_path.append(AliasFinder(root)) if root == HERE else sys.meta_path.insert(0, AliasFinder(root))

@@ -1,0 +1,259 @@
+"""The calls that all clients of pymodbus share, and the conversion of registers. Knows requests; knows no connection.
+
+Each call makes a request of `pdu` and gives it to ``execute``, which a client defines: the blocking ones return the
+response, the asyncio ones an awaitable of it. The unit is ``device_id``, ``slave`` or ``unit``, 1 if none is named.
+"""
+
+import enum
+import struct
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from typing import Any
+
+from ...pdu.bits import pack_bits, unpack_bits
+from .exceptions import ModbusException
+from .pdu import (
+    SUB_FUNCTIONS,
+    DiagnosticBase,
+    FileRecord,
+    GetCommEventCounterRequest,
+    GetCommEventLogRequest,
+    MaskWriteRegisterRequest,
+    ModbusPDU,
+    ReadCoilsRequest,
+    ReadDeviceInformationRequest,
+    ReadDiscreteInputsRequest,
+    ReadExceptionStatusRequest,
+    ReadFifoQueueRequest,
+    ReadFileRecordRequest,
+    ReadHoldingRegistersRequest,
+    ReadInputRegistersRequest,
+    ReadWriteMultipleRegistersRequest,
+    ReportDeviceIdRequest,
+    WriteFileRecordRequest,
+    WriteMultipleCoilsRequest,
+    WriteMultipleRegistersRequest,
+    WriteSingleCoilRequest,
+    WriteSingleRegisterRequest,
+)
+
+BITS_OF_REGISTER = 16
+
+
+class RegisterDataType(enum.Enum):
+    """The types of `ModbusClientMixin.convert_from_registers`: a struct code, and registers of one value (0: all)."""
+
+    INT16 = ("h", 1)
+    UINT16 = ("H", 1)
+    INT32 = ("i", 2)
+    UINT32 = ("I", 2)
+    INT64 = ("q", 4)
+    UINT64 = ("Q", 4)
+    FLOAT32 = ("f", 2)
+    FLOAT64 = ("d", 4)
+    STRING = ("s", 0)
+    BITS = ("bits", 0)
+
+
+class ModbusClientMixin:
+    """The calls of all clients. What they return is what ``execute`` returns: a response, or an awaitable of one."""
+
+    DATATYPE: type[RegisterDataType] = RegisterDataType
+
+    def execute(self, no_response_expected: bool, request: ModbusPDU) -> Any:
+        """Send a request; clients define it.
+
+        Args:
+            no_response_expected: whether silence is no error; the call returns None then.
+            request: a request of `pdu`, or one of a class of the program itself.
+        """
+        raise NotImplementedError
+
+    def _ask(self, kind: Callable[..., ModbusPDU], names: dict[str, Any], *given: Any) -> Any:
+        silent = names.pop("no_response_expected", False)
+        return self.execute(silent, kind(*given, **names))
+
+    # --- data ---------------------------------------------------------------------------------------------------------
+
+    def read_coils(self, address: int, count: int = 1, device_id: int = 1, **names: Any) -> Any:
+        """Read coils, function 01; ``.bits`` of the response is filled up to whole bytes."""
+        return self._ask(ReadCoilsRequest, names, address, count, device_id)
+
+    def read_discrete_inputs(self, address: int, count: int = 1, device_id: int = 1, **names: Any) -> Any:
+        """Read discrete inputs, function 02; ``.bits`` of the response is filled up to whole bytes."""
+        return self._ask(ReadDiscreteInputsRequest, names, address, count, device_id)
+
+    def read_holding_registers(self, address: int, count: int = 1, device_id: int = 1, **names: Any) -> Any:
+        """Read holding registers, function 03, as ``.registers`` of the response."""
+        return self._ask(ReadHoldingRegistersRequest, names, address, count, device_id)
+
+    def read_input_registers(self, address: int, count: int = 1, device_id: int = 1, **names: Any) -> Any:
+        """Read input registers, function 04, as ``.registers`` of the response."""
+        return self._ask(ReadInputRegistersRequest, names, address, count, device_id)
+
+    def write_coil(self, address: int, value: bool, device_id: int = 1, **names: Any) -> Any:
+        """Write one coil, function 05."""
+        return self._ask(WriteSingleCoilRequest, names, address, value, device_id)
+
+    def write_register(self, address: int, value: int | bytes, device_id: int = 1, **names: Any) -> Any:
+        """Write one holding register, function 06."""
+        return self._ask(WriteSingleRegisterRequest, names, address, value, device_id)
+
+    def write_coils(self, address: int, values: Iterable[bool] | bool, device_id: int = 1, **names: Any) -> Any:
+        """Write coils, function 15."""
+        return self._ask(WriteMultipleCoilsRequest, names, address, values, device_id)
+
+    def write_registers(
+        self, address: int, values: Iterable[int | bytes] | int, device_id: int = 1, **names: Any
+    ) -> Any:
+        """Write holding registers, function 16."""
+        return self._ask(WriteMultipleRegistersRequest, names, address, values, device_id)
+
+    def mask_write_register(
+        self, address: int = 0, and_mask: int = 0xFFFF, or_mask: int = 0, device_id: int = 1, **names: Any
+    ) -> Any:
+        """Change bits of a register, function 22."""
+        return self._ask(MaskWriteRegisterRequest, names, address, and_mask, or_mask, device_id)
+
+    def readwrite_registers(
+        self,
+        read_address: int = 0,
+        read_count: int = 0,
+        write_address: int = 0,
+        address: int | None = None,
+        values: Iterable[int] | int | None = None,
+        device_id: int = 1,
+        **names: Any,
+    ) -> Any:
+        """Write holding registers, then read some, function 23."""
+        if address:
+            read_address = write_address = address
+        values = names.pop("write_registers", values)
+        return self._ask(
+            ReadWriteMultipleRegistersRequest, names, read_address, read_count, write_address, values, device_id
+        )
+
+    def read_fifo_queue(self, address: int = 0, device_id: int = 1, **names: Any) -> Any:
+        """Read a FIFO queue, function 24, as ``.values`` of the response."""
+        return self._ask(ReadFifoQueueRequest, names, address, device_id)
+
+    def read_file_record(self, records: Sequence[FileRecord], device_id: int = 1, **names: Any) -> Any:
+        """Read parts of files, function 20, as ``.records`` of the response."""
+        return self._ask(ReadFileRecordRequest, names, records, device_id)
+
+    def write_file_record(self, records: Sequence[FileRecord], device_id: int = 1, **names: Any) -> Any:
+        """Write parts of files, function 21."""
+        return self._ask(WriteFileRecordRequest, names, records, device_id)
+
+    # --- identification and diagnostics -------------------------------------------------------------------------------
+
+    def read_device_information(
+        self, read_code: int | None = None, object_id: int = 0, device_id: int = 1, **names: Any
+    ) -> Any:
+        """Read identification objects, function 43/14, as ``.information`` of the response: one request, one answer."""
+        return self._ask(ReadDeviceInformationRequest, names, read_code, object_id, device_id)
+
+    def read_exception_status(self, device_id: int = 1, **names: Any) -> Any:
+        """Read eight status bits, function 07, as ``.status`` of the response."""
+        return self._ask(ReadExceptionStatusRequest, names, device_id)
+
+    def diag_get_comm_event_counter(self, device_id: int = 1, **names: Any) -> Any:
+        """Read the counter of messages, function 11."""
+        return self._ask(GetCommEventCounterRequest, names, device_id)
+
+    def diag_get_comm_event_log(self, device_id: int = 1, **names: Any) -> Any:
+        """Read the log of communication events, function 12."""
+        return self._ask(GetCommEventLogRequest, names, device_id)
+
+    def report_device_id(self, device_id: int = 1, **names: Any) -> Any:
+        """Read what the device says of itself, function 17, as ``.identifier`` of the response."""
+        return self._ask(ReportDeviceIdRequest, names, device_id)
+
+    report_slave_id = report_device_id
+
+    def __getattr__(self, name: str) -> Any:
+        """The calls ``diag_…`` of function 08: with data, if they take some, and the unit."""
+        code = SUB_FUNCTIONS.get(name.removeprefix("diag_")) if name.startswith("diag_") else None
+        if code is None:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        return partial(self._diagnose, code)
+
+    def _diagnose(self, code: int, data: Any = None, device_id: int = 1, **names: Any) -> Any:
+        for other in ("msg", "toggle", "delimiter"):
+            data = names.pop(other, data)
+        if isinstance(data, bool):  # the option of sub-function 01: whether the event log is cleared too
+            data = 0xFF00 if data else 0
+        return self._ask(DiagnosticBase, {"sub_function": code, **names}, 0 if data is None else data, device_id)
+
+    # --- conversion ---------------------------------------------------------------------------------------------------
+
+    @classmethod
+    def convert_from_registers(
+        cls,
+        registers: Sequence[int],
+        data_type: RegisterDataType,
+        word_order: str = "big",
+        string_encoding: str = "utf-8",
+    ) -> Any:
+        """Convert registers to a number, to a list of numbers if there are several, to a text or to bits.
+
+        Args:
+            registers: as a response has them.
+            data_type: a member of ``DATATYPE``.
+            word_order: ``big`` or ``little``: which register of a value comes first.
+            string_encoding: of a text, whose zero bytes at the end are left out.
+
+        Raises:
+            TypeError: ``data_type`` is no member of ``DATATYPE``.
+            ModbusException: the registers are no whole number of values.
+        """
+        code, width = checked(data_type)
+        if len(registers) % (width or 1):
+            raise ModbusException(f"Registers illegal size ({len(registers)}) expected multiple of {width}!")
+        data = struct.pack(f">{len(registers)}H", *in_word_order(registers, width, word_order))
+        if data_type is RegisterDataType.STRING:
+            return data.rstrip(b"\0").decode(string_encoding)
+        if data_type is RegisterDataType.BITS:
+            return unpack_bits(data, 8 * len(data))
+        values = list(struct.unpack(f">{len(registers) // width}{code}", data))
+        return values[0] if len(values) == 1 else values
+
+    @classmethod
+    def convert_to_registers(
+        cls, value: Any, data_type: RegisterDataType, word_order: str = "big", string_encoding: str = "utf-8"
+    ) -> list[int]:
+        """Convert a number, a list of numbers, a text or bits to registers. The opposite of `convert_from_registers`.
+
+        Raises:
+            TypeError: ``data_type`` is no member of ``DATATYPE``, or does not fit the value.
+            struct.error: a number is out of the range of its type.
+        """
+        code, width = checked(data_type)
+        if data_type is RegisterDataType.BITS:
+            if not isinstance(value, list):
+                raise TypeError(f"Value should be list of bool but is {type(value)}.")
+            data = pack_bits(value + [False] * (-len(value) % BITS_OF_REGISTER))
+        elif data_type is RegisterDataType.STRING:
+            if not isinstance(value, str):
+                raise TypeError(f"Value should be string but is {type(value)}.")
+            data = value.encode(string_encoding)
+            data += bytes(len(data) % 2)
+        else:
+            values = value if isinstance(value, list) else [value]
+            data = struct.pack(f">{len(values)}{code}", *values)
+        return in_word_order(struct.unpack(f">{len(data) // 2}H", data), width, word_order)
+
+
+def checked(data_type: RegisterDataType) -> tuple[str, int]:
+    """The struct code and the registers of one value of a type. Raises ``TypeError`` for what is no such type."""
+    if not isinstance(data_type, RegisterDataType):
+        raise TypeError("Illegal data_type, please use <client>.DATATYPE!")
+    return data_type.value
+
+
+def in_word_order(registers: Sequence[int], width: int, word_order: str) -> list[int]:
+    """Registers with those of each value reversed if the order is little; all of them where a value takes all."""
+    if word_order != "little":
+        return list(registers)
+    step = width or len(registers) or 1
+    return [one for at in range(0, len(registers), step) for one in reversed(registers[at : at + step])]

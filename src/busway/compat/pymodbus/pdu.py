@@ -1,0 +1,802 @@
+"""The request and response objects of pymodbus: each request knows the message of busway that it means.
+
+Knows both kinds of objects; knows no connection. `ModbusPDU.to_request` gives the message to send,
+`ModbusPDU.response` the response object for its reply.
+
+1. Values are checked where busway's message is made, so what is wrong is `InvalidRequest` (a ``ValueError``) before any
+   byte is sent.
+2. A class of the program itself, with ``function_code``, ``encode`` and ``decode``, is sent as the bytes it encodes.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from ...client.operations import diagnostic_data, diagnostic_request
+from ...codes import DiagnosticCode
+from ...pdu.bits import as_state, unpack_bits
+from ...pdu.diagnostics import GetCommEventCounter, GetCommEventLog, ReadExceptionStatus, ReportServerId
+from ...pdu.encapsulated import ReadDeviceIdentification
+from ...pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
+from ...pdu.general import OpaqueRequest
+from ...pdu.message import Request
+from ...pdu.read_items import (
+    ReadCoils,
+    ReadDiscreteInputs,
+    ReadFifoQueue,
+    ReadHoldingRegisters,
+    ReadInputRegisters,
+)
+from ...pdu.write_items import (
+    MaskWriteRegister,
+    ReadWriteMultipleRegisters,
+    WriteMultipleCoils,
+    WriteMultipleRegisters,
+    WriteSingleCoil,
+    WriteSingleRegister,
+)
+from .constants import DeviceInformation, ModbusStatus
+from .exceptions import ModbusException, ModbusIOException
+
+UNIT_NAMES = ("device_id", "slave", "unit", "dev_id", "slave_id", "unit_id")
+"""What releases of pymodbus have called the unit."""
+EXCEPTION_BIT = 0x80
+RUNS = 0xFF
+COIL_ON = 0xFF00
+LAST_UNIT = 255
+
+
+def unit_of(names: dict[str, Any], given: int | None = None) -> int:
+    """The unit that a call names under any of its names, 1 if it names none. Raises ``TypeError`` for other names."""
+    for name, value in names.items():
+        if name not in UNIT_NAMES:
+            raise TypeError(f"unexpected keyword argument {name!r}")
+        if value is not None:
+            given = value
+    return 1 if given is None else given
+
+
+class ModbusPDU:
+    """Base of all requests and responses.
+
+    Attributes:
+        dev_id: the unit; ``slave_id`` and ``unit_id`` are the same.
+        registers, bits: the values, empty lists where there are none.
+        exception_code: of an exception response; 0 otherwise.
+    """
+
+    function_code: int = 0
+    sub_function_code: int = -1
+
+    def __init__(
+        self,
+        dev_id: int = 1,
+        transaction_id: int = 0,
+        address: int = 0,
+        count: int = 0,
+        bits: Iterable[bool] | None = None,
+        registers: Iterable[int] | None = None,
+        status: int = 1,
+        **names: Any,  # the unit under an older name
+    ) -> None:
+        self.dev_id: int = unit_of({name: value for name, value in names.items() if name != "skip_encode"}, dev_id)
+        if not 0 <= self.dev_id <= LAST_UNIT:
+            raise ModbusIOException(f"Invalid ID {self.dev_id}", self.function_code)
+        self.transaction_id: int = transaction_id
+        self.address: int = address
+        self.bits: Sequence[bool] = list(bits or [])
+        self.registers: Sequence[int] = list(registers or [])
+        self.count: int = count or len(self.registers)
+        self.status: int = status
+        self.exception_code: int = 0
+        self.retries: int = 0
+
+    @property
+    def slave_id(self) -> int:
+        """The unit, by its name of releases before 3.9."""
+        return self.dev_id
+
+    @property
+    def unit_id(self) -> int:
+        """The unit, by its name of releases before 3.0."""
+        return self.dev_id
+
+    def fill(self, **values: Any) -> None:
+        """Set attributes by name."""
+        for name, value in values.items():
+            setattr(self, name, value)
+
+    def isError(self) -> bool:
+        """Whether this is an exception response."""
+        return self.function_code > EXCEPTION_BIT
+
+    def __str__(self) -> str:
+        return (
+            f"{type(self).__name__}(dev_id={self.dev_id}, transaction_id={self.transaction_id}, "
+            f"address={self.address}, count={self.count}, bits={self.bits!s}, registers={self.registers!s}, "
+            f"status={self.status!s}, retries={self.retries})"
+        )
+
+    def encode(self) -> bytes:
+        """The bytes after the function code; classes of the program itself override it."""
+        return b""
+
+    def decode(self, data: bytes) -> None:
+        """Take the values from the bytes after the function code; classes of the program itself override it."""
+
+    def to_request(self) -> Request:
+        """The message of busway that this request means. Raises `InvalidRequest`; nothing was sent."""
+        return OpaqueRequest(self.function_code, self.encode())
+
+    def response(self, reply: Any, own: "dict[int, type[ModbusPDU]]") -> "ModbusPDU":
+        """The response object for a reply message; ``own``: classes that the program registered, by code."""
+        kind = own.get(self.function_code)
+        if kind is None:
+            raise ModbusIOException(f"no class is registered for function {self.function_code}", self.function_code)
+        response = kind()
+        response.dev_id = self.dev_id
+        response.decode(reply.encode()[1:])
+        return response
+
+
+ModbusRequest = ModbusPDU
+ModbusResponse = ModbusPDU
+
+
+class ExceptionResult(ModbusPDU):
+    """An exception response of any function; pymodbus' name is ``ExceptionResponse``."""
+
+    def __init__(
+        self, function_code: int, exception_code: int = 0, device_id: int = 1, transaction: int = 0, **names: Any
+    ) -> None:
+        super().__init__(device_id, transaction, **names)
+        self.original_code: int = function_code & ~EXCEPTION_BIT
+        self.fill(function_code=function_code | EXCEPTION_BIT, exception_code=exception_code)
+
+    def __str__(self) -> str:
+        return (
+            f"ExceptionResponse(dev_id={self.dev_id}, function_code={self.function_code}, "
+            f"exception_code={self.exception_code})"
+        )
+
+
+ExceptionResult.__name__ = ExceptionResult.__qualname__ = "ExceptionResponse"
+ExceptionResponse = ExceptionResult
+
+
+class KnownRequest(ModbusPDU):
+    """Base of the requests of standard functions: they name the class of their response."""
+
+    responds: ClassVar[type["KnownResponse"]]
+
+    def response(self, reply: Any, own: dict[int, type[ModbusPDU]]) -> ModbusPDU:
+        response = self.responds(dev_id=self.dev_id)
+        response.take(reply)
+        return response
+
+
+class KnownResponse(ModbusPDU):
+    """Base of the responses of standard functions: they take their values from busway's reply."""
+
+    def take(self, reply: Any) -> None:
+        """Take the values of a reply, which is of the class that the request's message names."""
+
+
+# --- bits -------------------------------------------------------------------------------------------------------------
+
+
+class ReadCoilsResponse(KnownResponse):
+    """01: ``bits``, as many as whole bytes hold."""
+
+    function_code: int = 1
+
+    def take(self, reply: Any) -> None:
+        self.fill(bits=unpack_bits(reply.data, 8 * len(reply.data)))
+
+    def getBit(self, address: int) -> bool:
+        """One of the bits, by its position."""
+        return self.bits[address]
+
+
+class ReadDiscreteInputsResponse(ReadCoilsResponse):
+    """02: ``bits``, as many as whole bytes hold."""
+
+    function_code: int = 2
+
+
+class ReadCoilsRequest(KnownRequest):
+    """01: ``count`` coils from ``address`` on."""
+
+    function_code: int = 1
+    responds: ClassVar[type[KnownResponse]] = ReadCoilsResponse
+
+    def __init__(
+        self, address: int = 0, count: int = 1, dev_id: int = 1, transaction_id: int = 0, **names: Any
+    ) -> None:
+        super().__init__(dev_id, transaction_id, address, count, **names)
+
+    def to_request(self) -> Request:
+        return ReadCoils(self.address, self.count)
+
+
+class ReadDiscreteInputsRequest(ReadCoilsRequest):
+    """02: ``count`` discrete inputs from ``address`` on."""
+
+    function_code: int = 2
+    responds: ClassVar[type[KnownResponse]] = ReadDiscreteInputsResponse
+
+    def to_request(self) -> Request:
+        return ReadDiscreteInputs(self.address, self.count)
+
+
+class WriteSingleCoilResponse(KnownResponse):
+    """05: repeats ``address`` and the state in ``bits``; ``value`` is that state."""
+
+    function_code: int = 5
+
+    def take(self, reply: Any) -> None:
+        self.fill(address=reply.address, bits=[reply.value == COIL_ON])
+
+    @property
+    def value(self) -> bool:
+        """The state that was written."""
+        return bool(self.bits[0])
+
+
+class WriteSingleCoilRequest(KnownRequest):
+    """05: one coil."""
+
+    function_code: int = 5
+    responds: ClassVar[type[KnownResponse]] = WriteSingleCoilResponse
+
+    def __init__(
+        self,
+        address: int = 0,
+        bits: Iterable[bool] | bool | None = None,
+        dev_id: int = 1,
+        transaction_id: int = 0,
+        **names: Any,
+    ) -> None:
+        values = names.pop("value", False) if bits is None else bits
+        states: list[Any] = list(values) if isinstance(values, list | tuple) else [values]  # checked by `state`
+        super().__init__(dev_id, transaction_id, address, bits=states, **names)
+
+    def to_request(self) -> Request:
+        return WriteSingleCoil.of(self.address, state(self.bits[0]))
+
+
+class WriteMultipleCoilsResponse(KnownResponse):
+    """15: the range that was written."""
+
+    function_code: int = 15
+
+    def take(self, reply: Any) -> None:
+        self.fill(address=reply.address, count=reply.count)
+
+
+class WriteMultipleCoilsRequest(KnownRequest):
+    """15: coils from ``address`` on."""
+
+    function_code: int = 15
+    responds: ClassVar[type[KnownResponse]] = WriteMultipleCoilsResponse
+
+    def __init__(
+        self,
+        address: int = 0,
+        bits: Iterable[bool] | bool | None = None,
+        dev_id: int = 1,
+        transaction_id: int = 0,
+        **names: Any,
+    ) -> None:
+        values = names.pop("values", ()) if bits is None else bits
+        states = list(values) if isinstance(values, Iterable) else [values]
+        super().__init__(dev_id, transaction_id, address, len(states), bits=states, **names)
+
+    def to_request(self) -> Request:
+        return WriteMultipleCoils.of(self.address, [state(value) for value in self.bits])
+
+
+def state(value: object) -> bool:
+    """A coil's state from what pymodbus takes for one: numbers are true unless 0; a text is refused."""
+    return bool(value) if isinstance(value, int) else as_state("value", value)
+
+
+# --- registers --------------------------------------------------------------------------------------------------------
+
+
+class ReadHoldingRegistersResponse(KnownResponse):
+    """03: ``registers``."""
+
+    function_code: int = 3
+
+    def take(self, reply: Any) -> None:
+        self.fill(registers=reply.registers)
+
+    def getRegister(self, index: int) -> int:
+        """One of the registers, by its position."""
+        return self.registers[index]
+
+
+class ReadInputRegistersResponse(ReadHoldingRegistersResponse):
+    """04: ``registers``."""
+
+    function_code: int = 4
+
+
+class ReadWriteMultipleRegistersResponse(ReadHoldingRegistersResponse):
+    """23: ``registers`` that were read."""
+
+    function_code: int = 23
+
+
+class ReadHoldingRegistersRequest(KnownRequest):
+    """03: ``count`` holding registers from ``address`` on."""
+
+    function_code: int = 3
+    responds: ClassVar[type[KnownResponse]] = ReadHoldingRegistersResponse
+
+    def __init__(
+        self, address: int = 0, count: int = 1, dev_id: int = 1, transaction_id: int = 0, **names: Any
+    ) -> None:
+        super().__init__(dev_id, transaction_id, address, count, **names)
+
+    def to_request(self) -> Request:
+        return ReadHoldingRegisters(self.address, self.count)
+
+
+class ReadInputRegistersRequest(ReadHoldingRegistersRequest):
+    """04: ``count`` input registers from ``address`` on."""
+
+    function_code: int = 4
+    responds: ClassVar[type[KnownResponse]] = ReadInputRegistersResponse
+
+    def to_request(self) -> Request:
+        return ReadInputRegisters(self.address, self.count)
+
+
+class WriteSingleRegisterResponse(KnownResponse):
+    """06: repeats ``address`` and the value in ``registers``; ``value`` is that value."""
+
+    function_code: int = 6
+
+    def take(self, reply: Any) -> None:
+        self.fill(address=reply.address, registers=[reply.value], count=1)
+
+    @property
+    def value(self) -> int:
+        """The value that was written."""
+        return self.registers[0]
+
+
+class WriteSingleRegisterRequest(KnownRequest):
+    """06: one holding register. Its value may be two bytes, as a payload builder gives them."""
+
+    function_code: int = 6
+    responds: ClassVar[type[KnownResponse]] = WriteSingleRegisterResponse
+
+    def __init__(
+        self,
+        address: int = 0,
+        registers: Iterable[int] | bytes | int | None = None,
+        dev_id: int = 1,
+        transaction_id: int = 0,
+        **names: Any,
+    ) -> None:
+        value = names.pop("value", 0) if registers is None else registers
+        super().__init__(dev_id, transaction_id, address, registers=numbers(value), **names)
+
+    def to_request(self) -> Request:
+        return WriteSingleRegister(self.address, self.registers[0])
+
+
+class WriteMultipleRegistersResponse(KnownResponse):
+    """16: the range that was written."""
+
+    function_code: int = 16
+
+    def take(self, reply: Any) -> None:
+        self.fill(address=reply.address, count=reply.count)
+
+
+class WriteMultipleRegistersRequest(KnownRequest):
+    """16: holding registers from ``address`` on. Values may be pairs of bytes, as a payload builder gives them."""
+
+    function_code: int = 16
+    responds: ClassVar[type[KnownResponse]] = WriteMultipleRegistersResponse
+
+    def __init__(
+        self,
+        address: int = 0,
+        registers: Iterable[int | bytes] | int | None = None,
+        dev_id: int = 1,
+        transaction_id: int = 0,
+        **names: Any,
+    ) -> None:
+        values = names.pop("values", ()) if registers is None else registers
+        super().__init__(dev_id, transaction_id, address, registers=numbers(values), **names)
+
+    def to_request(self) -> Request:
+        return WriteMultipleRegisters.of(self.address, self.registers)
+
+
+def numbers(values: Any) -> list[int]:  # what programs pass: a number, two bytes, or a sequence of either
+    """Registers as numbers, from one number, two bytes, or a sequence of either."""
+    found = [values] if isinstance(values, int | bytes) else list(values)
+    return [int.from_bytes(one, "big") if isinstance(one, bytes) else one for one in found]
+
+
+class MaskWriteRegisterResponse(KnownResponse):
+    """22: repeats ``address``, ``and_mask`` and ``or_mask``."""
+
+    function_code: int = 22
+    and_mask: int = 0xFFFF
+    or_mask: int = 0
+
+    def take(self, reply: Any) -> None:
+        self.fill(address=reply.address, and_mask=reply.and_mask, or_mask=reply.or_mask)
+
+
+class MaskWriteRegisterRequest(KnownRequest):
+    """22: (register AND ``and_mask``) OR (``or_mask`` AND NOT ``and_mask``)."""
+
+    function_code: int = 22
+    responds: ClassVar[type[KnownResponse]] = MaskWriteRegisterResponse
+
+    def __init__(
+        self,
+        address: int = 0,
+        and_mask: int = 0xFFFF,
+        or_mask: int = 0,
+        dev_id: int = 1,
+        transaction_id: int = 0,
+        **names: Any,
+    ) -> None:
+        super().__init__(dev_id, transaction_id, address, **names)
+        self.and_mask: int = and_mask
+        self.or_mask: int = or_mask
+
+    def to_request(self) -> Request:
+        return MaskWriteRegister(self.address, self.and_mask, self.or_mask)
+
+
+class ReadWriteMultipleRegistersRequest(KnownRequest):
+    """23: writes registers, then reads some."""
+
+    function_code: int = 23
+    responds: ClassVar[type[KnownResponse]] = ReadWriteMultipleRegistersResponse
+
+    def __init__(
+        self,
+        read_address: int = 0,
+        read_count: int = 0,
+        write_address: int = 0,
+        write_registers: Iterable[int] | int | None = None,
+        dev_id: int = 1,
+        transaction_id: int = 0,
+        **names: Any,
+    ) -> None:
+        super().__init__(dev_id, transaction_id, **names)
+        self.read_address: int = read_address
+        self.read_count: int = read_count
+        self.write_address: int = write_address
+        self.write_registers: list[int] = numbers(() if write_registers is None else write_registers)
+
+    def to_request(self) -> Request:
+        return ReadWriteMultipleRegisters.of(
+            self.read_address, self.read_count, self.write_address, self.write_registers
+        )
+
+
+class ReadFifoQueueResponse(KnownResponse):
+    """24: the queue in ``values``, the oldest first."""
+
+    function_code: int = 24
+
+    values: Sequence[int] = ()
+
+    def take(self, reply: Any) -> None:
+        self.fill(registers=reply.registers, values=reply.registers)
+
+
+class ReadFifoQueueRequest(KnownRequest):
+    """24: the queue at ``address``."""
+
+    function_code: int = 24
+    responds: ClassVar[type[KnownResponse]] = ReadFifoQueueResponse
+
+    def __init__(self, address: int = 0, dev_id: int = 1, transaction_id: int = 0, **names: Any) -> None:
+        super().__init__(dev_id, transaction_id, address, **names)
+
+    def to_request(self) -> Request:
+        return ReadFifoQueue(self.address)
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class FileRecord:
+    """A part of a file: its place, and its data or its length.
+
+    ``record_length`` is given in bytes and kept in registers, as pymodbus does it.
+    """
+
+    file_number: int = 0
+    record_number: int = 0
+    record_data: bytes = b""
+    record_length: int = 0
+
+    def __post_init__(self) -> None:
+        if self.record_data and self.record_length:
+            raise ModbusException("Use either record_data= or record_length=")
+        length = self.record_length or len(self.record_data)
+        if length % 2:
+            raise ModbusException("length of record_data must be a multiple of 2")
+        self.record_length = length // 2
+
+
+class ReadFileRecordResponse(KnownResponse):
+    """20: ``records`` with their data, in the order of the request."""
+
+    function_code: int = 20
+
+    records: Sequence[FileRecord] = ()
+
+    def take(self, reply: Any) -> None:
+        self.records = [FileRecord(record_data=content.data) for content in reply.contents]
+
+
+class ReadFileRecordRequest(KnownRequest):
+    """20: parts of files."""
+
+    function_code: int = 20
+    responds: ClassVar[type[KnownResponse]] = ReadFileRecordResponse
+
+    def __init__(
+        self, records: Iterable[FileRecord] | None = None, dev_id: int = 1, transaction_id: int = 0, **names: Any
+    ) -> None:
+        super().__init__(dev_id, transaction_id, **names)
+        self.records: list[FileRecord] = list(records or [])
+
+    def to_request(self) -> Request:
+        return ReadFileRecord.of(
+            [FileReference(one.file_number, one.record_number, one.record_length) for one in self.records]
+        )
+
+
+class WriteFileRecordResponse(KnownResponse):
+    """21: repeats the ``records``."""
+
+    function_code: int = 21
+
+    records: Sequence[FileRecord] = ()
+
+    def take(self, reply: Any) -> None:
+        self.records = [FileRecord(one.file, one.record, one.data) for one in reply.groups]
+
+
+class WriteFileRecordRequest(KnownRequest):
+    """21: data of parts of files."""
+
+    function_code: int = 21
+    responds: ClassVar[type[KnownResponse]] = WriteFileRecordResponse
+
+    def __init__(
+        self, records: Iterable[FileRecord] | None = None, dev_id: int = 1, transaction_id: int = 0, **names: Any
+    ) -> None:
+        super().__init__(dev_id, transaction_id, **names)
+        self.records: list[FileRecord] = list(records or [])
+
+    def to_request(self) -> Request:
+        return WriteFileRecord(
+            tuple(FileData(one.file_number, one.record_number, one.record_data) for one in self.records)
+        )
+
+
+# --- identification and diagnostics -----------------------------------------------------------------------------------
+
+
+class ReadDeviceInformationResponse(KnownResponse):
+    """43/14: ``information`` by object number, and where to continue if ``more_follows``."""
+
+    function_code: int = 43
+    sub_function_code: int = 14
+
+    read_code: int = DeviceInformation.BASIC
+    conformity: int = 0
+    more_follows: int = 0
+    next_object_id: int = 0
+    number_of_objects: int = 0
+
+    def take(self, reply: Any) -> None:
+        self.information: dict[int, Any] = {}
+        for one in reply.objects:
+            known = self.information.get(one.number)
+            if known is None:
+                self.information[one.number] = one.value
+            else:  # several values of one object are a list
+                self.information[one.number] = [*(known if isinstance(known, list) else [known]), one.value]
+        self.fill(
+            read_code=reply.level,
+            conformity=reply.conformity,
+            more_follows=reply.more_follows,
+            next_object_id=reply.next_object,
+            number_of_objects=reply.number_of_objects,
+        )
+
+
+class ReadDeviceInformationRequest(KnownRequest):
+    """43/14: identification objects of a level, from ``object_id`` on."""
+
+    function_code: int = 43
+    sub_function_code: int = 14
+    responds: ClassVar[type[KnownResponse]] = ReadDeviceInformationResponse
+
+    def __init__(
+        self, read_code: int | None = None, object_id: int = 0, dev_id: int = 1, transaction_id: int = 0, **names: Any
+    ) -> None:
+        super().__init__(dev_id, transaction_id, **names)
+        self.read_code: int = read_code or DeviceInformation.BASIC
+        self.object_id: int = object_id
+
+    def to_request(self) -> Request:
+        return ReadDeviceIdentification(int(self.read_code), self.object_id)
+
+
+class ReadExceptionStatusResponse(KnownResponse):
+    """07: ``status``, eight bits that the device defines."""
+
+    function_code: int = 7
+
+    def take(self, reply: Any) -> None:
+        self.fill(status=reply.status)
+
+
+class GetCommEventCounterResponse(KnownResponse):
+    """11: ``status``, whether the device is ready, and ``count``."""
+
+    function_code: int = 11
+
+    def take(self, reply: Any) -> None:
+        self.fill(status=reply.status == ModbusStatus.READY, count=reply.event_count)
+
+
+class GetCommEventLogResponse(KnownResponse):
+    """12: ``status``, ``event_count``, ``message_count``, and ``events``, the newest first."""
+
+    function_code: int = 12
+
+    event_count: int = 0
+    message_count: int = 0
+    events: Sequence[int] = ()
+
+    def take(self, reply: Any) -> None:
+        self.fill(
+            status=reply.status == ModbusStatus.READY,
+            event_count=reply.event_count,
+            message_count=reply.message_count,
+            events=list(reply.events),
+        )
+
+
+class ReportDeviceIdResponse(KnownResponse):
+    """17: ``identifier``, what the device says of itself, and ``status``, whether it runs."""
+
+    function_code: int = 17
+
+    identifier: bytes = b""
+    byte_count: int = 0
+
+    def take(self, reply: Any) -> None:
+        runs = reply.data[-1:] == bytes((RUNS,))
+        self.fill(identifier=reply.data[:-1], byte_count=len(reply.data), status=runs)
+
+
+class PlainRequest(KnownRequest):
+    """Base of the requests that have no fields."""
+
+    message: ClassVar[type[Request]]
+
+    def __init__(self, dev_id: int = 1, transaction_id: int = 0, **names: Any) -> None:
+        super().__init__(dev_id, transaction_id, **names)
+
+    def to_request(self) -> Request:
+        return self.message()
+
+
+class ReadExceptionStatusRequest(PlainRequest):
+    """07."""
+
+    function_code: int = 7
+    responds: ClassVar[type[KnownResponse]] = ReadExceptionStatusResponse
+    message: ClassVar[type[Request]] = ReadExceptionStatus
+
+
+class GetCommEventCounterRequest(PlainRequest):
+    """11."""
+
+    function_code: int = 11
+    responds: ClassVar[type[KnownResponse]] = GetCommEventCounterResponse
+    message: ClassVar[type[Request]] = GetCommEventCounter
+
+
+class GetCommEventLogRequest(PlainRequest):
+    """12."""
+
+    function_code: int = 12
+    responds: ClassVar[type[KnownResponse]] = GetCommEventLogResponse
+    message: ClassVar[type[Request]] = GetCommEventLog
+
+
+class ReportDeviceIdRequest(PlainRequest):
+    """17."""
+
+    function_code: int = 17
+    responds: ClassVar[type[KnownResponse]] = ReportDeviceIdResponse
+    message: ClassVar[type[Request]] = ReportServerId
+
+
+class DiagnosticResponse(KnownResponse):
+    """08: ``message``, the data as a number, or as bytes for sub-function 00."""
+
+    function_code: int = 8
+    message: Any = 0  # a number, or bytes
+
+    def take(self, reply: Any) -> None:
+        data = diagnostic_data(reply)
+        repeats = self.sub_function_code == DiagnosticCode.RETURN_QUERY_DATA
+        self.fill(message=data if repeats else int.from_bytes(data, "big"))
+
+
+class DiagnosticBase(KnownRequest):
+    """08 with a sub-function and its data: a number, bytes, or a sequence of numbers."""
+
+    function_code: int = 8
+    responds: ClassVar[type[KnownResponse]] = DiagnosticResponse
+
+    def __init__(
+        self,
+        message: bytes | int | Sequence[int] = 0,
+        dev_id: int = 1,
+        transaction_id: int = 0,
+        **names: Any,
+    ) -> None:
+        self.fill(sub_function_code=names.pop("sub_function", self.sub_function_code))
+        super().__init__(dev_id, transaction_id, **names)
+        self.message: bytes | int | Sequence[int] = message
+
+    def to_request(self) -> Request:
+        message = self.message
+        if not isinstance(message, bytes):
+            words = [message] if isinstance(message, int) else message
+            message = b"".join(word.to_bytes(2, "big") for word in words)
+        return diagnostic_request(self.sub_function_code, message)
+
+    def response(self, reply: Any, own: dict[int, type[ModbusPDU]]) -> ModbusPDU:
+        response = DiagnosticResponse(dev_id=self.dev_id)
+        response.sub_function_code = self.sub_function_code
+        response.take(reply)
+        return response
+
+
+SUB_FUNCTIONS = {
+    "query_data": DiagnosticCode.RETURN_QUERY_DATA,
+    "restart_communication": DiagnosticCode.RESTART_COMMUNICATIONS,
+    "read_diagnostic_register": DiagnosticCode.RETURN_DIAGNOSTIC_REGISTER,
+    "change_ascii_input_delimeter": DiagnosticCode.CHANGE_ASCII_DELIMITER,
+    "force_listen_only": DiagnosticCode.FORCE_LISTEN_ONLY,
+    "clear_counters": DiagnosticCode.CLEAR_COUNTERS,
+    "read_bus_message_count": DiagnosticCode.BUS_MESSAGE_COUNT,
+    "read_bus_comm_error_count": DiagnosticCode.BUS_COMMUNICATION_ERROR_COUNT,
+    "read_bus_exception_error_count": DiagnosticCode.BUS_EXCEPTION_ERROR_COUNT,
+    "read_device_message_count": DiagnosticCode.SERVER_MESSAGE_COUNT,
+    "read_device_no_response_count": DiagnosticCode.SERVER_NO_RESPONSE_COUNT,
+    "read_device_nak_count": DiagnosticCode.SERVER_NAK_COUNT,
+    "read_device_busy_count": DiagnosticCode.SERVER_BUSY_COUNT,
+    "read_bus_char_overrun_count": DiagnosticCode.BUS_CHARACTER_OVERRUN_COUNT,
+    "clear_overrun_counter": DiagnosticCode.CLEAR_OVERRUN,
+}
+"""The sub-functions of 08 by the names that pymodbus' clients have for them, after ``diag_``."""
+
+__path__: list[str] = []
+"""Names of modules below this one are served by `aliases`."""
