@@ -5,20 +5,24 @@
 `calls`       The calls that all clients share, and the conversion of registers
 `client`      The eight clients, each a link of busway
 `constants`   Constants that programs name
+`datastore`   The data blocks and contexts that programs fill, share, subclass and change while a server runs
+`device`      What a server says of itself: the identification objects by number and by name
 `exceptions`  The exceptions, and which of them stands for which error of busway
 `framer`      The framer types, each the name of a framing
 `payload`     The payload builder and decoder
 `pdu`         The request and response objects, and the messages of busway that they mean
+`server`      The servers, each a server of busway whose responder asks the contexts for values
 ============  ======================================================================================================
 
 ``from busway.compat.pymodbus.client import ModbusTcpClient``, or ``busway.compat.install("pymodbus")`` before a library
 that imports pymodbus is imported.
 
 Where it is decided: what an error of busway becomes: `exceptions` and `client`. Which message a request means: `pdu`.
-Which module a program gets for a name: `aliases`.
+Which module a program gets for a name: `aliases`. What a request reads and writes in a context: `server`.
 """
 
 from .aliases import HERE, serve_below
+from .device import ModbusDeviceIdentification
 from .exceptions import ModbusException
 from .framer import FramerType
 from .pdu import ExceptionResponse
@@ -26,7 +30,14 @@ from .pdu import ExceptionResponse
 __version__ = "3.16.1"
 """The release of pymodbus whose behaviour this is; names of older ones are there too."""
 
-__all__ = ["ExceptionResponse", "FramerType", "ModbusException", "__version__", "pymodbus_apply_logging_config"]
+__all__ = [
+    "ExceptionResponse",
+    "FramerType",
+    "ModbusDeviceIdentification",
+    "ModbusException",
+    "__version__",
+    "pymodbus_apply_logging_config",
+]
 
 
 def pymodbus_apply_logging_config(level: str | int = "DEBUG", log_file_name: str | None = None) -> None:

@@ -12,7 +12,9 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 HERE = __name__.rpartition(".")[0]
-OWN = frozenset({"calls", "client", "constants", "exceptions", "framer", "payload", "pdu"})
+OWN = frozenset(
+    {"calls", "client", "constants", "datastore", "device", "exceptions", "framer", "payload", "pdu", "server"}
+)
 """The modules of this package that have pymodbus' names, and `calls`."""
 MESSAGES = (
     "bit_message",
@@ -34,10 +36,15 @@ HOMES: dict[str, tuple[str, ...]] = {
     **{f"client.{name}": ("client",) for name in ("base", "tcp", "udp", "serial", "tls", "sync", "asynchronous")},
     **{f"framer.{name}": ("framer",) for name in ("base", "rtu", "ascii", "socket", "tls")},
     **{f"framer.{name}_framer": ("framer",) for name in ("rtu", "ascii", "socket", "tls")},
+    **{f"datastore.{name}": ("datastore",) for name in ("context", "sequential", "sparse", "store")},
+    **{f"server.{name}": ("server",) for name in ("async_io", "base", "server", "startstop", "sync", "asynchronous")},
+    "pdu.device": ("device",),
     "transaction": ("framer",),
     "utilities": ("calls",),
 }
 """Names of modules that are not here, and where their contents are."""
+PACKAGES = frozenset(name.partition(".")[0] for name in HOMES if "." in name)
+"""The modules that have others below them."""
 
 
 class AliasFinder(MetaPathFinder, Loader):
@@ -53,7 +60,7 @@ class AliasFinder(MetaPathFinder, Loader):
         root, _, name = fullname.partition(f"{self.root}.")
         if root or not name or name not in OWN | HOMES.keys() or (name in OWN and self.root == HERE):
             return None
-        return ModuleSpec(fullname, self, is_package=name in ("client", "framer", "pdu"))
+        return ModuleSpec(fullname, self, is_package=name in PACKAGES)
 
     def create_module(self, spec: ModuleSpec) -> None:
         """Let the import system make the module."""

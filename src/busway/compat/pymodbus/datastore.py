@@ -1,0 +1,276 @@
+"""The data blocks and contexts of pymodbus: what programs fill, share, subclass and change while a server runs.
+
+Knows values and addresses; knows no server.
+
+1. A context adds 1 to the address of a request before it asks its blocks, unless ``zero_mode`` is set.
+2. Nothing is copied: a block may belong to several contexts, and the server asks for values when a request comes.
+3. A subclass may override ``getValues`` and ``setValues`` of blocks and contexts. Both may return an exception code.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from .exceptions import NoSuchIdException, ParameterException
+
+ITEMS = 65_536
+LAST_UNIT = 255
+TABLE_OF = {**dict.fromkeys((1, 5, 15), "c"), 2: "d", 4: "i", **dict.fromkeys((3, 6, 16, 22, 23), "h")}
+"""The table that each function code reads or writes."""
+
+
+class BaseModbusDataBlock:
+    """Base of the data blocks.
+
+    Attributes:
+        values: a list, or a dict by address.
+        address: address of the first value of a list.
+    """
+
+    values: Any  # a list in one kind of block, a dict in the other; subclasses of programs bring others
+    address: int = 0
+    default_value: Any = 0
+
+    def validate(self, address: int, count: int = 1) -> bool:
+        """Whether the block has all of these addresses."""
+        raise NotImplementedError
+
+    def getValues(self, address: int, count: int = 1) -> Any:
+        """The values from an address on, or an exception code."""
+        raise NotImplementedError
+
+    def setValues(self, address: int, values: Any) -> Any:
+        """Replace values from an address on; returns None or an exception code."""
+        raise NotImplementedError
+
+    async def async_getValues(self, address: int, count: int = 1) -> Any:
+        """The same as `getValues`."""
+        return self.getValues(address, count)
+
+    async def async_setValues(self, address: int, values: Any) -> Any:
+        """The same as `setValues`."""
+        return self.setValues(address, values)
+
+    def __str__(self) -> str:
+        return f"DataStore({len(self.values)}, {self.default_value})"
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self.values.items()) if isinstance(self.values, dict) else enumerate(self.values, self.address)
+
+
+class ModbusSequentialDataBlock(BaseModbusDataBlock):
+    """Values without gaps, the first at ``address``."""
+
+    def __init__(self, address: int, values: Any) -> None:
+        self.address: int = address
+        self.values: Any = list(values) if isinstance(values, Iterable) else [values]
+        self.default_value: Any = type(self.values[0])() if self.values else 0
+
+    @classmethod
+    def create(cls) -> "ModbusSequentialDataBlock":
+        """A block of all addresses, filled with 0."""
+        return cls(0, [0] * ITEMS)
+
+    def default(self, count: int, value: Any = False) -> None:
+        """Fill the block with a value."""
+        self.default_value, self.values, self.address = value, [value] * count, 0
+
+    def reset(self) -> None:
+        """Fill the block with its default value."""
+        self.values = [self.default_value] * len(self.values)
+
+    def validate(self, address: int, count: int = 1) -> bool:
+        """Whether the block has all of these addresses."""
+        return self.address <= address and address + count <= self.address + len(self.values)
+
+    def getValues(self, address: int, count: int = 1) -> Any:
+        """The values from an address on, or an exception code."""
+        start = address - self.address
+        return self.values[start : start + count]
+
+    def setValues(self, address: int, values: Any) -> Any:
+        """Replace values from an address on."""
+        new = list(values) if isinstance(values, list | tuple) else [values]
+        start = address - self.address
+        self.values[start : start + len(new)] = new
+
+
+class ModbusSparseDataBlock(BaseModbusDataBlock):
+    """Values with gaps: a dict by address, whose lists begin there; or a list from 0 on."""
+
+    def __init__(self, values: Any = None, mutable: bool = True) -> None:
+        self.values: Any = {}
+        self.mutable: bool = mutable
+        self._process_values(values)
+        self.default_value: Any = dict(self.values)
+
+    @classmethod
+    def create(cls, values: Any = None) -> "ModbusSparseDataBlock":
+        """A block of these values."""
+        return cls(values)
+
+    def _process_values(self, values: Any) -> None:
+        if not isinstance(values, Mapping):
+            if values is not None and not isinstance(values, Iterable):
+                raise ParameterException("Values for datastore must be a list or dictionary")
+            values = dict(enumerate(values or ()))
+        for address, value in values.items():
+            several = value if isinstance(value, list | tuple) else [value]
+            self.values.update(enumerate(several, address))
+
+    def reset(self) -> None:
+        """Give the block its first values again."""
+        self.values = dict(self.default_value)
+
+    def validate(self, address: int, count: int = 1) -> bool:
+        """Whether the block has all of these addresses."""
+        return count > 0 and all(one in self.values for one in range(address, address + count))
+
+    def getValues(self, address: int, count: int = 1) -> Any:
+        """The values from an address on, or an exception code."""
+        return [self.values[one] for one in range(address, address + count)]
+
+    def setValues(self, address: int, values: Any, use_as_default: bool = False) -> Any:
+        """Replace values from an address on, or those of a dict; new addresses only where the block is mutable."""
+        if not isinstance(values, Mapping):
+            several = values if isinstance(values, list | tuple) else [values]
+            values = dict(enumerate(several, address))
+        new = values.keys() - self.values.keys()
+        if new and not self.mutable:
+            raise ParameterException(f"Offsets {sorted(new)} not in range")
+        self._process_values(values)
+        if use_as_default:
+            self.default_value = dict(self.values)
+
+
+class ModbusBaseDeviceContext:
+    """Base of the contexts: values of one unit, by function code and address."""
+
+    _fx_mapper: Mapping[int, str] = TABLE_OF
+
+    def decode(self, fx: int) -> str:
+        """The table of a function code: ``c``, ``d``, ``i`` or ``h``."""
+        return self._fx_mapper[fx]
+
+    def validate(self, fc_as_hex: int, address: int, count: int = 1) -> bool:
+        """Whether all of these addresses exist."""
+        return True
+
+    def getValues(self, fc_as_hex: int, address: int, count: int = 1) -> Any:
+        """The values that a request reads, or an exception code."""
+        raise NotImplementedError
+
+    def setValues(self, fc_as_hex: int, address: int, values: Any) -> Any:
+        """Replace the values that a request writes; returns None or an exception code."""
+        raise NotImplementedError
+
+    async def async_getValues(self, fc_as_hex: int, address: int, count: int = 1) -> Any:
+        """The same as `getValues`."""
+        return self.getValues(fc_as_hex, address, count)
+
+    async def async_setValues(self, fc_as_hex: int, address: int, values: Any) -> Any:
+        """The same as `setValues`."""
+        return self.setValues(fc_as_hex, address, values)
+
+
+class ModbusDeviceContext(ModbusBaseDeviceContext):
+    """The four tables of one unit as blocks; a table that is left out has all addresses, filled with 0.
+
+    Args:
+        di, co, ir, hr: discrete inputs, coils, input registers and holding registers.
+        zero_mode: whether address 0 of a request is address 0 of a block; otherwise it is address 1.
+    """
+
+    def __init__(
+        self,
+        *_arguments: Any,  # some programs pass the context of an older release's base class
+        di: BaseModbusDataBlock | None = None,
+        co: BaseModbusDataBlock | None = None,
+        ir: BaseModbusDataBlock | None = None,
+        hr: BaseModbusDataBlock | None = None,
+        zero_mode: bool = False,
+    ) -> None:
+        blocks = {"d": di, "c": co, "i": ir, "h": hr}
+        self.store: dict[str, Any] = {
+            name: ModbusSequentialDataBlock.create() if block is None else block for name, block in blocks.items()
+        }
+        self.zero_mode: bool = zero_mode
+
+    def __str__(self) -> str:
+        return "Modbus Device Context"
+
+    def _placed(self, fc_as_hex: int, address: int) -> tuple[Any, int]:
+        return self.store[self.decode(fc_as_hex)], address + (not self.zero_mode)
+
+    def reset(self) -> None:
+        """Give all blocks their default values."""
+        for block in self.store.values():
+            block.reset()
+
+    def validate(self, fc_as_hex: int, address: int, count: int = 1) -> bool:
+        """Whether the block of the function has all of these addresses."""
+        block, at = self._placed(fc_as_hex, address)
+        return bool(block.validate(at, count))
+
+    def getValues(self, fc_as_hex: int, address: int, count: int = 1) -> Any:
+        """The values of the function's block, or an exception code."""
+        block, at = self._placed(fc_as_hex, address)
+        return block.getValues(at, count)
+
+    def setValues(self, fc_as_hex: int, address: int, values: Any) -> Any:
+        """Replace values of the function's block; returns None or an exception code."""
+        block, at = self._placed(fc_as_hex, address)
+        return block.setValues(at, values)
+
+    def register(self, function_code: int, fc_as_hex: str, datablock: BaseModbusDataBlock | None = None) -> None:
+        """Let a function code use a block of its own."""
+        self.store[fc_as_hex] = datablock or ModbusSequentialDataBlock.create()
+        self._fx_mapper = {**self._fx_mapper, function_code: fc_as_hex}
+
+
+# Names in releases before 3.10.
+ModbusBaseSlaveContext = ModbusBaseDeviceContext
+ModbusSlaveContext = ModbusDeviceContext
+
+
+class ModbusServerContext:
+    """The units of a server: one context for all of them (``single``), or a dict of contexts by unit.
+
+    A dict makes it several, whatever ``single`` is; unit 0 in it answers for all that are not listed.
+    """
+
+    def __init__(self, devices: Any = None, single: bool = True, *, slaves: Any = None) -> None:
+        units = slaves if devices is None else devices
+        self.single: bool = single and not isinstance(units, dict)
+        self._units: dict[int, Any] = {0: units} if self.single else dict(units or {})
+
+    def __iter__(self) -> Iterator[tuple[int, Any]]:
+        return iter(self._units.items())
+
+    def __contains__(self, unit: int) -> bool:
+        return unit in self._units or 0 in self._units
+
+    def __getitem__(self, unit: int) -> Any:
+        found = self._units.get(unit, self._units.get(0))
+        if found is None:
+            raise NoSuchIdException(f"device_id - {unit} does not exist, or is out of range")
+        return found
+
+    def __setitem__(self, unit: int, context: Any) -> None:
+        if not 0 <= unit <= LAST_UNIT:
+            raise NoSuchIdException(f"device_id - {unit} is out of range")
+        self._units[0 if self.single else unit] = context
+
+    def __delitem__(self, unit: int) -> None:
+        if self.single or unit not in self._units:
+            raise NoSuchIdException(f"device_id - {unit} does not exist, or is out of range")
+        del self._units[unit]
+
+    def device_ids(self) -> list[int]:
+        """The units that are listed."""
+        return list(self._units)
+
+    slaves = device_ids
+
+
+__path__: list[str] = []
+"""Names of modules below this one are served by `aliases`."""

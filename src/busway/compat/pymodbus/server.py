@@ -1,0 +1,352 @@
+"""The servers of pymodbus: each is a server of `busway.serve` whose responder asks the program's contexts for values.
+
+Knows contexts and how requests read and write them; knows no bytes and no socket.
+
+1. A request reads and writes through ``getValues`` and ``setValues`` of the unit's context when it comes, in the event
+   loop of the server, so what a program changes meanwhile is seen, and what it overrides is called.
+2. What a context does not have is exception 02, what it raises 04, a code that it returns that code.
+3. Requests that no context answers (files, queues) are exception 01; 43/14 and 17 are answered from the identification.
+"""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from ...codes import ExceptionCode, Table
+from ...options.endpoints import Endpoint
+from ...options.tls import TlsParameters
+from ...pdu.bits import pack_bits, unpack_bits
+from ...pdu.functions import STANDARD, AnyRequest, FunctionTable
+from ...pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
+from ...pdu.message import Message
+from ...pdu.model import Context, Refusal
+from ...server.server import Server
+from ...server.serving import serve
+from ...session.responder import SILENCE, Outcome, RequestContext, ServedUnit
+from .client import PREFIX, SERIAL_SCHEMES, TlsFiles
+from .datastore import ModbusServerContext
+from .device import ModbusDeviceIdentification
+from .exceptions import NoSuchIdException, ParameterException
+from .framer import FramerType, framer_type_of
+
+_LOG = logging.getLogger(__name__)
+
+READING_CODE = {Table.COILS: 1, Table.DISCRETE_INPUTS: 2, Table.HOLDING_REGISTERS: 3, Table.INPUT_REGISTERS: 4}
+BIT_TABLES = (Table.COILS, Table.DISCRETE_INPUTS)
+RUNS = b"\xff"
+IGNORED = frozenset(
+    {
+        "allow_reuse_address",
+        "allow_reuse_port",
+        "auto_reconnect",
+        "backlog",
+        "console",
+        "custom_functions",
+        "defer_start",
+        "handler",
+        "handle_local_echo",
+        "name",
+        "reqclicert",
+        "timeout",
+        "trace_connect",
+        "trace_packet",
+        "trace_pdu",
+    }
+)
+"""Arguments of some release of pymodbus that change nothing here."""
+
+
+class ContextModel:
+    """One unit's context as what a request reads and writes (`busway.pdu.model`)."""
+
+    def __init__(self, store: Any, function: int, identity: Mapping[int, bytes]) -> None:
+        self._store = store
+        self._function = function
+        self._identity = identity
+
+    def _code(self, table: Table) -> int:
+        """The function code that names the table to the context: the request's own where it means this table."""
+        decode = getattr(self._store, "decode", None)
+        reading = READING_CODE[table]
+        if decode is None:
+            return self._function
+        with contextlib.suppress(KeyError):
+            if decode(self._function) == decode(reading):
+                return self._function
+        return reading
+
+    def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
+        """Refuse a range that the context does not have."""
+        validate = getattr(self._store, "validate", None)
+        if address + count > 0x10000 or (validate is not None and not validate(self._code(table), address, count)):
+            raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
+
+    def read(self, table: Table, address: int, count: int, context: Context) -> bytes:
+        """The values of a range in wire order."""
+        self.check(table, address, count, False)
+        values = self._store.getValues(self._code(table), address, count)
+        if isinstance(values, int):
+            raise Refusal(values)
+        found = list(values)
+        if len(found) != count:
+            raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
+        if table in BIT_TABLES:
+            return pack_bits([bool(value) for value in found])
+        return b"".join((int(value) & 0xFFFF).to_bytes(2, "big") for value in found)
+
+    def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
+        """Give the values of a write to the context."""
+        values: list[int] | list[bool] = (
+            unpack_bits(data, count)
+            if table in BIT_TABLES
+            else [int.from_bytes(data[at : at + 2], "big") for at in range(0, len(data), 2)]
+        )
+        code = self._store.setValues(self._code(table), address, values)
+        if isinstance(code, int) and code:
+            raise Refusal(code)
+
+    def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
+        """Refuse: contexts have no files."""
+        raise Refusal(ExceptionCode.ILLEGAL_FUNCTION)
+
+    def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
+        """Refuse: contexts have no files."""
+        raise Refusal(ExceptionCode.ILLEGAL_FUNCTION)
+
+    def read_fifo(self, address: int, context: Context) -> bytes:
+        """Refuse: contexts have no queues."""
+        raise Refusal(ExceptionCode.ILLEGAL_FUNCTION)
+
+    def exception_status(self) -> int:
+        """Status bits of function 07: none is set."""
+        return 0
+
+    def server_id(self) -> bytes:
+        """The texts of the identification, joined, and the run indicator."""
+        return (b"-".join(self._identity.values()) or b"busway")[:250] + RUNS
+
+    def identification(self) -> Mapping[int, bytes]:
+        """The identification objects."""
+        return self._identity
+
+    def canopen(self, data: bytes) -> bytes:
+        """Refuse: there is no CANopen behind contexts."""
+        raise Refusal(ExceptionCode.ILLEGAL_FUNCTION)
+
+
+class ContextResponder:
+    """Responder that executes requests on the contexts of a program."""
+
+    def __init__(self, context: ModbusServerContext, identity: ModbusDeviceIdentification | None, silent: bool) -> None:
+        self.functions: FunctionTable = STANDARD
+        self.generation: int = 0
+        self._context = context
+        self._identity = ModbusDeviceIdentification() if identity is None else identity
+        self._silent = silent
+
+    def serves(self, unit: int) -> ServedUnit | None:
+        """The unit, if a context answers for it."""
+        return ServedUnit(unit) if unit in self._context else None
+
+    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        """Execute a request on the context of its unit."""
+        try:
+            store = self._context[context.unit]
+        except (NoSuchIdException, KeyError):
+            absent = ExceptionResponse(context.function, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
+            return SILENCE if self._silent else absent
+        if context.executed is not None:  # a broadcast of a serial line, once for each context
+            if id(store) in context.executed:
+                return SILENCE
+            context.executed.add(id(store))
+        if isinstance(request, OpaqueRequest):
+            return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_FUNCTION)
+        if isinstance(request, MalformedRequest):
+            return ExceptionResponse(context.function, request.code)
+        model = ContextModel(store, context.function, self._identity.encoded())
+        try:
+            reply: Message = request.apply(model, context)
+        except Refusal:
+            raise
+        except Exception:  # whatever the program's own code raises is a failure of the device
+            _LOG.exception("the context of unit %s failed", context.unit)
+            return ExceptionResponse(context.function, ExceptionCode.SERVER_DEVICE_FAILURE)
+        return reply
+
+
+class ModbusBaseServer:
+    """Base of the servers: made from a context, started by ``serve_forever``, ended by ``shutdown``."""
+
+    carrier: ClassVar[str]
+    default_framer: ClassVar[FramerType] = FramerType.SOCKET
+    default_port: ClassVar[int] = 502
+    active_server: "ClassVar[ModbusBaseServer | None]" = None
+
+    def __init__(
+        self,
+        context: ModbusServerContext | None = None,
+        framer: object = None,
+        identity: ModbusDeviceIdentification | None = None,
+        address: tuple[str, int] | None = None,
+        ignore_missing_devices: bool = False,
+        broadcast_enable: bool = False,
+        *,
+        ignore_missing_slaves: bool = False,
+        custom_pdu: object = None,
+        **older: Any,  # arguments of other releases, and the settings of a serial line or of TLS
+    ) -> None:
+        if custom_pdu:
+            raise ParameterException("custom_pdu is not served; busway.serve(functions=…) takes functions of your own")
+        self.context: ModbusServerContext = ModbusServerContext() if context is None else context
+        framing = framer_type_of(self.default_framer if framer is None else framer)
+        host, port = address or ("", self.default_port)
+        names: dict[str, Any] = {"tls": self._tls(older)}
+        endpoint = self._endpoint(framing, host, port, older)
+        for name in older:
+            if name not in IGNORED:
+                raise TypeError(f"{type(self).__name__}() got an unexpected keyword argument {name!r}")
+        silent = ignore_missing_devices or ignore_missing_slaves
+        self._server: Server = serve(endpoint, responder=ContextResponder(self.context, identity, silent), **names)
+        self._ended: asyncio.Event = asyncio.Event()
+        self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
+        ModbusBaseServer.active_server = self
+
+    def _tls(self, older: dict[str, Any]) -> TlsParameters | None:
+        return None
+
+    def _endpoint(self, framing: FramerType, host: str, port: int, older: dict[str, Any]) -> Endpoint:
+        return Endpoint(f"{PREFIX.get(framing, '')}{self.carrier}", host=host.strip("[]"), port=port)
+
+    @property
+    def endpoints(self) -> list[str]:
+        """The URLs that the server listens on, with the port that is really bound."""
+        return self._server.endpoints
+
+    async def serve_forever(self, *, background: bool = False) -> None:
+        """Serve until ``shutdown``; with ``background`` return as soon as the server listens."""
+        if self._server.is_running:
+            raise RuntimeError("Can't call serve_forever on an already running server object")
+        await self._server.start()
+        if background:
+            return
+        try:
+            await self._ended.wait()
+        finally:
+            await self._server.stop()
+
+    async def shutdown(self) -> None:
+        """Stop serving; ``serve_forever`` returns."""
+        self._ended.set()
+        await self._server.stop()
+
+
+class ModbusTcpServer(ModbusBaseServer):
+    """Server over TCP."""
+
+    carrier: ClassVar[str] = "tcp"
+
+
+class ModbusUdpServer(ModbusBaseServer):
+    """Server over UDP."""
+
+    carrier: ClassVar[str] = "udp"
+
+
+class ModbusTlsServer(ModbusBaseServer):
+    """Server over TLS; ``sslctx`` is what ``generate_ssl`` of a TLS client made, or ``certfile`` and ``keyfile``.
+
+    ``authority`` names the file with the authorities of clients' certificates, which are always verified.
+    """
+
+    carrier: ClassVar[str] = "tls"
+    default_framer: ClassVar[FramerType] = FramerType.TLS
+    default_port: ClassVar[int] = 802
+
+    def _tls(self, older: dict[str, Any]) -> TlsParameters | None:
+        files = older.pop("sslctx", None) or TlsFiles(older.pop("certfile", None), older.pop("keyfile", None))
+        if not isinstance(files, TlsFiles):
+            raise ParameterException("sslctx must come from generate_ssl of a TLS client, which names files")
+        return TlsParameters(certificate=files.certfile, key=files.keyfile, authority=older.pop("authority", None))
+
+
+class ModbusSerialServer(ModbusBaseServer):
+    """Server on a serial port."""
+
+    default_framer: ClassVar[FramerType] = FramerType.RTU
+
+    def _endpoint(self, framing: FramerType, host: str, port: int, older: dict[str, Any]) -> Endpoint:
+        if framing not in SERIAL_SCHEMES:
+            raise TypeError("Only RTU/ASCII allowed.")
+        settings = {
+            "baud": older.pop("baudrate", 19200),
+            "parity": older.pop("parity", "N") or "N",
+            "data_bits": older.pop("bytesize", 8),
+            "stop_bits": older.pop("stopbits", 1),
+        }
+        options = {name: str(value) for name, value in settings.items()}
+        return Endpoint(SERIAL_SCHEMES[framing], path=older.pop("port"), options=options)
+
+
+# --- starting and stopping --------------------------------------------------------------------------------------------
+
+
+async def StartAsyncTcpServer(context: ModbusServerContext | None = None, **names: Any) -> None:
+    """Serve over TCP until the task is cancelled or `ServerAsyncStop` is called."""
+    await ModbusTcpServer(context, **names).serve_forever()
+
+
+async def StartAsyncUdpServer(context: ModbusServerContext | None = None, **names: Any) -> None:
+    """Serve over UDP until the task is cancelled or `ServerAsyncStop` is called."""
+    await ModbusUdpServer(context, **names).serve_forever()
+
+
+async def StartAsyncTlsServer(context: ModbusServerContext | None = None, **names: Any) -> None:
+    """Serve over TLS until the task is cancelled or `ServerAsyncStop` is called."""
+    await ModbusTlsServer(context, **names).serve_forever()
+
+
+async def StartAsyncSerialServer(context: ModbusServerContext | None = None, **names: Any) -> None:
+    """Serve on a serial port until the task is cancelled or `ServerAsyncStop` is called."""
+    await ModbusSerialServer(context, **names).serve_forever()
+
+
+def StartTcpServer(context: ModbusServerContext | None = None, **names: Any) -> None:
+    """Serve over TCP until `ServerStop` is called from another thread."""
+    asyncio.run(StartAsyncTcpServer(context, **names))
+
+
+def StartUdpServer(context: ModbusServerContext | None = None, **names: Any) -> None:
+    """Serve over UDP until `ServerStop` is called from another thread."""
+    asyncio.run(StartAsyncUdpServer(context, **names))
+
+
+def StartTlsServer(context: ModbusServerContext | None = None, **names: Any) -> None:
+    """Serve over TLS until `ServerStop` is called from another thread."""
+    asyncio.run(StartAsyncTlsServer(context, **names))
+
+
+def StartSerialServer(context: ModbusServerContext | None = None, **names: Any) -> None:
+    """Serve on a serial port until `ServerStop` is called from another thread."""
+    asyncio.run(StartAsyncSerialServer(context, **names))
+
+
+async def ServerAsyncStop() -> None:
+    """Stop the server that was made last. Raises ``RuntimeError`` if there is none."""
+    server, ModbusBaseServer.active_server = ModbusBaseServer.active_server, None
+    if server is None:
+        raise RuntimeError("Modbus server not running.")
+    await server.shutdown()
+
+
+def ServerStop() -> None:
+    """Stop the server that was made last, from another thread, and wait until it has stopped."""
+    server = ModbusBaseServer.active_server
+    if server is None:
+        raise RuntimeError("Modbus server not running.")
+    asyncio.run_coroutine_threadsafe(ServerAsyncStop(), server.loop).result()
+
+
+__path__: list[str] = []
+"""Names of modules below this one are served by `aliases`."""
