@@ -19,10 +19,12 @@
 `outbox`           what a collector has stored, sent until the sinks of the fleet have it
 `streams`          the stream of a zone: samples go in from collectors, and out to sinks
 `fleet_collector`  a collector that polls what it owns
+`fleet_commands`   commands by request and reply on a subject of the link; the keys that are never sent again
+`live_subjects`    last values on plain subjects, for displays
 =================  =========================================================================
 
 Where it is decided: which links make a shard, and which hosts may own it: `shards`. Whether this collector owns a shard
 now, and when it stops: `member`; for how long a lease holds: `lease_times`. Which collector takes a free shard, and
 which shards move: `balance`. Who wins when two write at once: `coordinator` (compare-and-set). To which epoch a sample
-belongs: `ownership`. What is sent again: `outbox`.
+belongs: `ownership`. What is sent again: `outbox`. Whether a command was sent before: `fleet_commands`.
 """

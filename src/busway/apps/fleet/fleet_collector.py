@@ -115,6 +115,7 @@ class FleetCollector:
         self.member.set_revision(revision)
         self._driver = MemberDriver(self.member, coordinator, self._told, now=now, behind=lambda: self.behind)
         self._active: dict[str, Epoch] = {}
+        self._link_followers: list[Callable[[], None]] = []
         self._unowned_since: dict[str, int] = {}
         self._permitted: dict[str, int] = {}
         self._waiting: list[ShardEvent] = []
@@ -153,6 +154,15 @@ class FleetCollector:
             steps.push_async_callback(self._end_tasks)
             if not any(task.done() for task in self._tasks) and not await self._driver.end(END_LIMIT):
                 _log.warning("not all shards were handed back in %g s: others take them later", END_LIMIT)
+
+    @property
+    def links(self) -> frozenset[str]:
+        """The links that this collector polls now."""
+        return frozenset(self._active)
+
+    def follow_links(self, told: Callable[[], None]) -> None:
+        """Register a function that is called in the event loop after `links` have changed; it must be quick."""
+        self._link_followers.append(told)
 
     @property
     def problem(self) -> str:
@@ -369,3 +379,5 @@ class FleetCollector:
 
     async def _poll_active(self) -> None:
         await self.collector.reload(restricted(self._configuration, self._active), by=self.member.name, origin="fleet")
+        for told in self._link_followers:
+            told()

@@ -70,37 +70,50 @@ async def make_stream(client: Any, zone: str, options: StreamOptions | None = No
 
 
 async def _made_stream(client: Any, zone: str, options: StreamOptions) -> str:
-    nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
-    name = f"busway-samples-{zone}"
+    api = import_module("nats.js.api")
+    config = api.StreamConfig(
+        name=f"busway-samples-{zone}",
+        subjects=[f"busway.{zone}.samples.>"],
+        storage=api.StorageType.FILE,
+        num_replicas=options.replicas,
+        max_bytes=options.max_bytes,
+        max_age=options.max_age,
+        discard=api.DiscardPolicy.OLD,
+        duplicate_window=min(options.duplicate_window, options.max_age),
+    )
+    found = await found_or_made(client, config)
+    if (found.num_replicas or 1) < options.replicas:
+        raise ConfigError(
+            f"the stream {config.name} has {found.num_replicas} replicas, and {options.replicas} are asked for",
+            key="replicas",
+        )
+    return str(config.name)
+
+
+async def found_or_made(client: Any, config: Any) -> Any:
+    """Return the configuration of a message stream of NATS, which is created if missing.
+
+    Args:
+        client: of nats-py, connected.
+        config: of a stream that is created; its name finds an existing one.
+
+    Raises:
+        ConfigError: it cannot be created or used.
+        StreamDown: the server does not answer, or not yet.
+    """
+    nats, errors = import_module("nats"), import_module("nats.js.errors")
     jetstream = client.jetstream(timeout=10.0)
     try:
         try:
-            info = await jetstream.stream_info(name)
+            return (await jetstream.stream_info(config.name)).config
         except errors.NotFoundError:
-            info = await jetstream.add_stream(
-                api.StreamConfig(
-                    name=name,
-                    subjects=[f"busway.{zone}.samples.>"],
-                    storage=api.StorageType.FILE,
-                    num_replicas=options.replicas,
-                    max_bytes=options.max_bytes,
-                    max_age=options.max_age,
-                    discard=api.DiscardPolicy.OLD,
-                    duplicate_window=min(options.duplicate_window, options.max_age),
-                )
-            )
+            return (await jetstream.add_stream(config)).config
     except errors.APIError as error:
         if error.err_code in NOT_YET:
-            raise StreamDown(f"the stream {name} cannot be used yet: {error.description}") from error
-        raise ConfigError(f"the stream {name} cannot be used: {error.description}", key="coordinator") from error
+            raise StreamDown(f"the stream {config.name} cannot be used yet: {error.description}") from error
+        raise ConfigError(f"the stream {config.name} cannot be used: {error.description}", key="coordinator") from error
     except (nats.errors.Error, OSError, TimeoutError) as error:
-        raise StreamDown(f"the stream {name} does not answer: {error or type(error).__name__}") from error
-    if (info.config.num_replicas or 1) < options.replicas:
-        raise ConfigError(
-            f"the stream {name} has {info.config.num_replicas} replicas, and {options.replicas} are asked for",
-            key="replicas",
-        )
-    return name
+        raise StreamDown(f"the stream {config.name} does not answer: {error or type(error).__name__}") from error
 
 
 class NatsStream:

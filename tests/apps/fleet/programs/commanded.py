@@ -1,0 +1,41 @@
+"""A collector of a fleet that takes commands until it is killed, by itself at a step.
+
+usage: commanded.py FILE URL NAME STEP. Says ``ready`` when it owns all links.
+"""
+
+import asyncio
+import os
+import signal
+import sys
+
+from fleet_devices import TIMES
+from waiting import until
+
+from busway.apps.collector.configuration import load_collector
+from busway.apps.fleet.coordinators.nats import open_nats
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.fleet_collector import FleetCollector
+from busway.apps.fleet.fleet_commands import FleetCommands
+
+
+def kill_at(step: str, name: str) -> None:
+    if step == name:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+async def main() -> None:
+    file, url, name, step = sys.argv[1:]
+    coordinator = await open_nats(url, "hall", CoordinatorOptions(answer=TIMES.answer))
+    results = await open_nats(url, "hall-commands", CoordinatorOptions(answer=TIMES.answer))
+    made = load_collector(file)
+    async with (
+        FleetCollector(made, coordinator, name, host=name, shards=8, times=TIMES) as fleet,
+        FleetCommands(fleet, coordinator.client, results, "hall", step=lambda each: kill_at(step, each)) as commands,
+    ):
+        await until(lambda: len(commands._subscribed) == len(made.links), 60)
+        await coordinator.client.flush()
+        print("ready", flush=True)
+        await asyncio.to_thread(sys.stdin.readline)
+
+
+asyncio.run(main())

@@ -1,0 +1,204 @@
+"""Commands over a fleet with a real NATS server: a key is sent at most once, whoever owns the link and dies."""
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fleet_devices import METER, TIMES, FleetDevice, devices_of, plant
+from foreign_servers import ForeignServer, nats_server
+from told_program import Program
+from waiting import until
+
+from busway.apps.collector.configuration import load_collector
+from busway.apps.fleet.coordinator import CoordinatorDown, OutcomeUnknown
+from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.fleet_collector import FleetCollector
+from busway.apps.fleet.fleet_commands import FleetCommands, command_subject, result_key
+from busway.apps.fleet.live_subjects import LiveSubjects
+
+pytest.importorskip("nats")
+pytestmark = pytest.mark.real_time
+
+WORKER = Path(__file__).parent / "programs" / "commanded.py"
+SUPPORT = Path(__file__).parents[2] / "support"
+SETPOINT = (
+    METER
+    + """
+[[unit.point]]
+name = "setpoint"
+address = "4x11"
+type = "uint16"
+maximum = 1000
+write = {}
+"""
+)
+
+
+class Fleet:
+    """One served zone: its server, its devices, and collectors that take commands."""
+
+    def __init__(self, folder: Path, server: ForeignServer, devices: list[FleetDevice]) -> None:
+        self.folder, self.devices = folder, devices
+        self.url = f"nats://127.0.0.1:{server.port}"
+        self.client: Any = None
+
+    def file(self, name: str) -> str:
+        text = plant(self.folder / name, self.devices)
+        (self.folder / "meter.toml").write_text(SETPOINT)
+        path = self.folder / f"{name}.toml"
+        path.write_text(text)
+        return str(path)
+
+    @contextlib.asynccontextmanager
+    async def table(self, zone: str) -> AsyncIterator[NatsCoordinator]:
+        opened = await open_nats(self.url, zone, CoordinatorOptions(answer=TIMES.answer))
+        try:
+            yield opened
+        finally:
+            await opened.close()
+
+    @contextlib.asynccontextmanager
+    async def collector(self, name: str) -> AsyncIterator[tuple[FleetCollector, FleetCommands]]:
+        async with self.table("hall") as coordinator, self.table("hall-commands") as results:
+            made = load_collector(self.file(name))
+            fleet = FleetCollector(made, coordinator, name, host=name, shards=8, times=TIMES)
+            async with fleet, FleetCommands(fleet, coordinator.client, results, "hall") as commands:
+                yield fleet, commands
+
+    async def ask(self, link: str, **command: Any) -> dict[str, Any]:
+        """The answer to a command; asked again while the link has no owner, or one that dies."""
+        from nats.errors import NoRespondersError
+
+        data = json.dumps({"device": link, "point": "setpoint", **command}).encode()
+        async with asyncio.timeout(60):
+            while True:
+                try:
+                    reply = await self.client.request(command_subject("hall", link), data, timeout=60)
+                    answer: dict[str, Any] = json.loads(reply.data)
+                    return answer
+                except NoRespondersError:
+                    await asyncio.sleep(0.1)
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> Callable[[], contextlib.AbstractAsyncContextManager[Fleet]]:
+    @contextlib.asynccontextmanager
+    async def made() -> AsyncIterator[Fleet]:
+        with nats_server(tmp_path) as server:
+            async with devices_of(1) as devices:
+                found = Fleet(tmp_path, server, devices)
+                async with found.table("other") as table:
+                    found.client = table.client
+                    yield found
+
+    return made
+
+
+Made = Callable[[], contextlib.AbstractAsyncContextManager[Fleet]]
+
+
+async def test_a_command_is_done_once_answered_the_same_again_and_kept_as_a_line_of_the_audit(fleet: Made) -> None:
+    async with fleet() as zone, zone.collector("one") as (_, _):
+        (device,) = zone.devices
+        first = await zone.ask("link-0", key="a.b:1", value=7, by="operator")
+        again = await zone.ask("link-0", key="a.b:1", value=7)
+        assert (first["state"], first["by"], first["collector"]) == ("done", "operator", "one")
+        assert again == first
+        assert device.written == [(10, 7)]
+        other = await zone.ask("link-0", key="a.b:1", value=8)
+        assert (other["state"], other["reason"].startswith("this key was used for another")) == ("refused", True)
+        both = await asyncio.gather(*(zone.ask("link-0", key="twice", value=9) for _ in range(2)))
+        assert [each["state"] for each in both] == ["done", "done"]
+        assert (await zone.ask("link-0", key="high", value=5000))["state"] == "refused"
+        assert device.written == [(10, 7), (10, 9)]
+        for data in (b"{", b"[]", b'{"key": "x"}', b"[" * 100_000):
+            reply = await zone.client.request(command_subject("hall", "link-0"), data, timeout=60)
+            assert json.loads(reply.data)["state"] == "refused"
+        audit = await zone.client.jetstream().stream_info("busway-audit-hall")
+        assert audit.state.messages == 3
+
+
+async def test_a_table_of_results_that_does_not_answer_refuses_and_nothing_is_sent(
+    fleet: Made, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with fleet() as zone, zone.collector("one") as (_, commands):
+        for error in (CoordinatorDown("it is away"), OutcomeUnknown("no answer")):
+
+            async def fails(*_: object, error: Exception = error) -> int:
+                raise error
+
+            monkeypatch.setattr(commands._results, "create", fails)
+            answer = await zone.ask("link-0", key="k1", value=7)
+            assert (answer["state"], "nothing was sent" in answer["reason"]) == ("refused", True)
+        assert zone.devices[0].written == []
+
+
+@pytest.mark.parametrize(("step", "writes", "state"), [("created", 0, "unknown"), ("answered", 1, "unknown")])
+async def test_a_key_whose_collector_is_killed_is_unknown_to_the_next_owner_and_never_sent_again(
+    fleet: Made, step: str, writes: int, state: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", f"{SUPPORT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    async with fleet() as zone:
+        (device,) = zone.devices
+        worker = Program([sys.executable, str(WORKER), zone.file("dies"), zone.url, "dies", step])
+        try:
+            await asyncio.to_thread(worker.ready, 60.0)
+            asked = asyncio.create_task(zone.ask("link-0", key="k1", value=7))
+            await until(lambda: worker._process.poll() is not None, 60)
+            asked.cancel()
+            await asyncio.wait([asked])
+        finally:
+            worker.kill()
+        assert len(device.written) == writes
+        async with zone.collector("next"):
+            answer = await zone.ask("link-0", key="k1", value=7)
+            assert (answer["state"], answer["collector"]) == (state, "dies")
+            assert "it is not sent again" in answer["reason"]
+            assert (await zone.ask("link-0", key="k2", value=8))["state"] == "done"
+        assert device.written == [(10, 7)] * writes + [(10, 8)]
+
+
+async def test_two_collectors_that_get_one_command_write_it_once(fleet: Made) -> None:
+    async with fleet() as zone, zone.collector("one") as (_, one):
+        await zone.ask("link-0", key="begin", value=1)
+        async with zone.table("hall-commands") as other:
+            await other.create(
+                result_key("k1"), b'{"device":"link-0","point":"setpoint","value":7,"state":"open","collector":"two"}'
+            )
+            answer = await zone.ask("link-0", key="k1", value=7)
+        assert (answer["state"], answer["collector"]) == ("unknown", "two")
+        assert zone.devices[0].written == [(10, 1)]
+        assert not one._running
+
+
+def test_names_of_entries_are_as_different_as_keys() -> None:
+    keys = ["a_b", "a:b", "a@b", "a.b", "a__b", "a_cb", "a..b", "a-b"]
+    assert len({result_key(key) for key in keys}) == len(keys)
+    assert result_key("a..b") == "command.a_d_db"
+
+
+async def test_last_values_are_on_a_subject_of_the_device(fleet: Made) -> None:
+    async with fleet() as zone:
+        came: asyncio.Queue[Any] = asyncio.Queue()
+        await zone.client.subscribe("busway.hall.live.*", cb=came.put)
+        async with (
+            zone.collector("one") as (one, _),
+            zone.table("hall") as table,
+            LiveSubjects(one.collector, table.client, "hall"),
+            asyncio.timeout(60),
+        ):
+            found: list[dict[str, Any]] = []
+            while len(found) < 2:
+                message = await came.get()
+                assert message.subject == "busway.hall.live.link-0"
+                content = json.loads(message.data)
+                found += [content] if "count" in content["points"] else []
+        assert found[0]["time"] < found[1]["time"]
+        assert found[0]["points"]["count"]["value"] < found[1]["points"]["count"]["value"]
