@@ -24,7 +24,7 @@ def run(bench: Bench) -> Table:
     sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
     from fleet_scale import scale
 
-    from busway.apps.fleet import member
+    from busway.apps.fleet import lease_holder as member
 
     # All members here read the same bytes; each of a real fleet reads them once.
     member.decode_lease = functools.lru_cache(65_536)(member.decode_lease)  # type: ignore[assignment]

@@ -35,7 +35,7 @@ from told_program import Program
 
 from busway.apps.collector.store.reading import Store
 from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.fleet.ownership import OwnershipLog
+from busway.apps.fleet.ownership_log import OwnershipLog
 from busway.apps.fleet.shards import shard_of
 
 PROGRAMS = Path(__file__).parents[1] / "apps" / "fleet" / "programs"

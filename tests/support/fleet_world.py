@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from itertools import count
 
 from busway.apps.fleet.coordinator import Entry
+from busway.apps.fleet.lease_holder import FleetMember, NotConfirmed, Proposal, Step
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
-from busway.apps.fleet.member import FleetMember, NotConfirmed, Proposal, Step
 
 
 @dataclass(slots=True)

@@ -17,7 +17,7 @@ from busway.apps.fleet.coordinator import CoordinatorDown
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.ownership import OwnershipLog
+from busway.apps.fleet.ownership_log import OwnershipLog
 from busway.apps.fleet.records import LeaseRecord
 from busway.errors import ConfigError
 

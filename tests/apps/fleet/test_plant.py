@@ -6,7 +6,7 @@ import pytest
 from fleet_devices import FleetDevice, plant
 
 from busway.apps.collector.configuration import parse_collector
-from busway.apps.fleet.plant import fenced, longest_transaction
+from busway.apps.fleet.plant import longest_transaction, with_short_user_timeout
 
 
 @pytest.mark.parametrize(
@@ -24,5 +24,5 @@ def test_the_system_repeats_no_request_for_longer_than_the_transaction_may_take(
     tmp_path: Path, url: str, more: str, longest: float
 ) -> None:
     text = plant(tmp_path / "store", [FleetDevice("hall", 502)], more).replace("tcp://127.0.0.1:502", url)
-    configuration = fenced(parse_collector(text, "x.toml"))
+    configuration = with_short_user_timeout(parse_collector(text, "x.toml"))
     assert longest_transaction(configuration, "hall") == longest

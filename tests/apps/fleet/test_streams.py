@@ -16,7 +16,7 @@ from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
 from busway.apps.fleet.fleet_collector import FleetCollector
-from busway.apps.fleet.member_driver import end_tasks
+from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.streams import NatsStream, StreamSink, make_stream
 
 pytest.importorskip("nats")

@@ -1,30 +1,33 @@
 """The fleet: several collectors that share the links of a plant, each link polled by one of them.
 
-=================  =========================================================================
+=================  ==================================================================================================
 `shards`           the groups of links that are owned together, and which hosts may own them
 `coordinator`      the interface of the table that collectors change by compare-and-set
 `coordinators`     its backends: one file, NATS JetStream, PostgreSQL
 `lease_times`      how long a lease holds, and the epoch of an ownership
 `records`          what collectors share: leases, members, the generation
 `balance`          which collector takes a free shard, and which shards move
-`member`           one collector in its zone: what it owns, takes, renews and hands on
-`member_driver`    runs a member by asyncio on a coordinator
+`lease_holder`     one collector in its zone: what it owns, takes, renews and hands on, and when it must stop polling
+`lease_driver`     runs a lease holder by asyncio on a coordinator
 `plant`            the part of a plant's configuration that one collector works on
 `control_entries`  what operators tell: the plant's configuration, and who is drained
 `fleet_status`     the status of a zone: collectors, owners of shards, configuration
 `zone_watch`       follows a zone for its page: the status at any moment, holes of ownership
 `fleet_metrics`    the metrics of one collector in its fleet, for Prometheus
-`ownership`        what a collector owned, and in which epoch its samples were taken
+`ownership_log`    the record of what this collector owned when, and of the epoch of its samples; it decides nothing
 `messages`         samples of one link as a message
 `outbox`           what a collector has stored, sent until the sinks of the fleet have it
 `streams`          the stream of a zone: samples go in from collectors, and out to sinks
 `fleet_collector`  a collector that polls what it owns
 `fleet_commands`   commands by request and reply on a subject of the link; the keys that are never sent again
 `live_subjects`    last values on plain subjects, for displays
-=================  =========================================================================
+=================  ==================================================================================================
 
 Where it is decided: which links make a shard, and which hosts may own it: `shards`. Whether this collector owns a shard
-now, and when it stops: `member`; for how long a lease holds: `lease_times`. Which collector takes a free shard, and
-which shards move: `balance`. Who wins when two write at once: `coordinator` (compare-and-set). To which epoch a sample
-belongs: `ownership`. What is sent again: `outbox`. Whether a command was sent before: `fleet_commands`.
+now, and whether one more transaction may begin before its lease ends (fencing): `lease_holder`
+(`FleetMember.may_begin`); for how long a lease holds: `lease_times`. Whether a request of an old owner may still reach
+the device: `plant`. Which collector takes a free shard, and which shards move: `balance`. Who
+wins when two write at once: `coordinator` (compare-and-set). To which epoch a sample belongs: `ownership_log`. What
+becomes of samples that an old owner still sends: they are kept, under the epoch in which they were taken (`messages`).
+What is sent again: `outbox`. Whether a command was sent before: `fleet_commands`.
 """

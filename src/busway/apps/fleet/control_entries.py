@@ -22,7 +22,7 @@ from ...errors import ConfigError
 from ..collector.configuration import CollectorConfiguration, parse_collector
 from .coordinator import LONGEST_VALUE, SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
 from .lease_times import LeaseTimes
-from .plant import fenced, refuse_slow_links
+from .plant import refuse_slow_links, with_short_user_timeout
 from .shards import checked_name
 
 CONTROL: Final = "control."
@@ -47,7 +47,7 @@ class SharedConfiguration:
 
     def parsed(self, times: LeaseTimes) -> CollectorConfiguration:
         """Check the text. Raises `ConfigError` with all its problems."""
-        configuration = fenced(parse_collector(self.text, self.name))
+        configuration = with_short_user_timeout(parse_collector(self.text, self.name))
         refuse_slow_links(configuration, times)
         return configuration
 

@@ -1,6 +1,6 @@
 """A collector of a fleet: polls only the links of the shards that it owns, as the coordinator says.
 
-Knows the collector, the member and the log of ownership; what is owned is decided by `member`.
+Knows the collector, the member and the log of ownership; what is owned is decided by `lease_holder`.
 
 1. A link begins after its epoch is on disk. It stops before its shard is handed on: what runs ends, what was taken is
    committed, and only then is the lease released.
@@ -34,12 +34,12 @@ from ..collector.reloading import refuse_what_cannot_change
 from ..collector.samples import NANOSECONDS, Reason, StateInterval
 from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration
 from .coordinator import Coordinator, Entry
+from .lease_driver import MemberDriver, boot_time, end_tasks
+from .lease_holder import FleetMember, ShardEvent, Step
 from .lease_times import Epoch, LeaseTimes
-from .member import FleetMember, ShardEvent, Step
-from .member_driver import MemberDriver, boot_time, end_tasks
 from .outbox import Outbox, SampleStream
-from .ownership import OwnershipLog
-from .plant import costs_by_link, fenced, longest_transaction, refuse_slow_links, restricted
+from .ownership_log import OwnershipLog
+from .plant import costs_by_link, longest_transaction, refuse_slow_links, restricted, with_short_user_timeout
 from .shards import checked_name, links_by_shard
 
 END_LIMIT: Final = 10.0
@@ -94,7 +94,7 @@ class FleetCollector:
         now: Callable[[], float] = boot_time,
     ) -> None:
         times = times or LeaseTimes()
-        configuration = fenced(configuration)
+        configuration = with_short_user_timeout(configuration)
         refuse_slow_links(configuration, times)
         self._now = now
         self._stream = stream

@@ -33,7 +33,7 @@ from .control_entries import read_entries
 from .coordinator import Coordinator, CoordinatorDown, OutcomeUnknown, RevisionConflict
 from .coordinators.opening import until_up
 from .fleet_collector import FleetCollector
-from .member_driver import end_tasks
+from .lease_driver import end_tasks
 from .outbox import StreamDown
 from .streams import found_or_made
 

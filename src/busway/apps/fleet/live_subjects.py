@@ -17,7 +17,7 @@ from ..collector.collector import Collector
 from ..collector.samples import PointGroup, SampleBatch, reason_text
 from ..collector.sinks.nats import subject_token
 from ..collector.store.writer import Commit
-from .member_driver import end_tasks
+from .lease_driver import end_tasks
 
 SEND_EVERY: Final = 0.2
 _MILLION: Final = 1_000_000

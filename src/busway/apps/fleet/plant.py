@@ -26,17 +26,17 @@ def restricted(configuration: CollectorConfiguration, links: Container[str]) -> 
     return replace(configuration, common=common, devices=devices)
 
 
-def fenced(configuration: CollectorConfiguration) -> CollectorConfiguration:
+def with_short_user_timeout(configuration: CollectorConfiguration) -> CollectorConfiguration:
     """Return a configuration whose connections forget a request that is not acknowledged when its time is over.
 
     The system would repeat it for `SocketParameters.user_timeout`, 30 s, also after this process has ended or given the
     connection up: a cable that is mended meanwhile brings it to a device that another collector owns by then.
     """
-    links = {name: _fenced_link(link) for name, link in configuration.links.items()}
+    links = {name: _link_with_short_user_timeout(link) for name, link in configuration.links.items()}
     return replace(configuration, common=replace(configuration.common, links=links))
 
 
-def _fenced_link(link: NamedLink) -> NamedLink:
+def _link_with_short_user_timeout(link: NamedLink) -> NamedLink:
     settings = link.settings
     longest = max(settings.parameters.timeout, 0.1)
     now = settings.sockets.effective_user_timeout

@@ -24,7 +24,7 @@ from ..collector.store.committed_samples import CommittedSample
 from .coordinator import SNAPSHOT_ENDS, Coordinator, CoordinatorDown, Entry, OutcomeUnknown, RevisionConflict
 from .coordinators.nats import NOT_YET
 from .coordinators.opening import until_up
-from .member_driver import end_tasks
+from .lease_driver import end_tasks
 from .messages import SampleMessage, UnreadableMessage, decode_message
 from .outbox import StreamDown
 

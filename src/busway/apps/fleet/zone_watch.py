@@ -18,8 +18,8 @@ from typing import Final, Self
 
 from .coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
 from .fleet_status import ZoneStatus, status_of
+from .lease_driver import boot_time, end_tasks
 from .lease_times import Epoch, LeaseTimes
-from .member_driver import boot_time, end_tasks
 from .records import LEASES, MEMBERS, LeaseRecord, decode_lease
 
 CURSORS: Final = "cursor."

@@ -9,8 +9,8 @@ from fleet_world import Network, World, random_walk
 
 from busway.apps.fleet.balance import BEGIN
 from busway.apps.fleet.coordinator import Entry
+from busway.apps.fleet.lease_holder import FleetMember, NotConfirmed, Proposal, _SeenLease
 from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.fleet.member import FleetMember, NotConfirmed, Proposal, _SeenLease
 from busway.apps.fleet.records import LEASES, MemberRecord
 
 COSTS = {f"{number:04d}": 0.02 + 0.001 * (number % 7) for number in range(32)}

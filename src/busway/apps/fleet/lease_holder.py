@@ -1,7 +1,8 @@
-"""One collector as a member of its zone: decides, without IO, which shards it takes, renews and gives away.
+"""One collector as a holder of leases (`FleetMember`): decides which shards it takes, renews, gives away and may poll.
 
-Pure: entries, outcomes and the time go in; proposals and events come out. Knows no engine, socket or clock. The driver
-(`running`) makes each proposal once, and tells `FleetMember.outcome`; links stop before `FleetMember.left` is called.
+Pure, without IO: entries, outcomes and the time go in; proposals and events come out. Knows no engine, socket or clock.
+The driver (`lease_driver`) makes each proposal once, and tells `FleetMember.outcome`; links stop before
+`FleetMember.left` is called. `FleetMember.may_begin` is the fence: it is asked before each transaction on a link.
 
 1. A shard is owned from a confirmed compare-and-set on until its deadline: the moment *before* the last confirmed
    renewal was sent, plus the time to live, less the guard. A renewal without an answer is none.

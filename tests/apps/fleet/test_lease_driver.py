@@ -11,9 +11,9 @@ from foreign_servers import nats_server
 
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.lease_driver import MemberDriver, boot_time
+from busway.apps.fleet.lease_holder import FleetMember, ShardEvent, Step
 from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.fleet.member import FleetMember, ShardEvent, Step
-from busway.apps.fleet.member_driver import MemberDriver, boot_time
 
 COSTS = {f"{number:04d}": 0.05 for number in range(8)}
 TIMES = LeaseTimes(ttl=3.0, renew=0.6, guard=0.3, answer=0.5)

@@ -1,6 +1,6 @@
 """The asyncio driver of a fleet member: sends its proposals to the coordinator, and passes on what comes back.
 
-Knows tasks and the clock; what is proposed, and what follows from an answer, is decided by `member`.
+Knows tasks and the clock; what is proposed, and what follows from an answer, is decided by `lease_holder`.
 
 1. The fence of a transaction is `FleetMember.may_begin`, asked with `boot_time` right before bytes are sent. No task
    has to run first: a process that was frozen finds its leases lapsed, whatever runs first when it goes on.
@@ -21,7 +21,7 @@ from .coordinator import (
     OutcomeUnknown,
     RevisionConflict,
 )
-from .member import FleetMember, NotConfirmed, Proposal, ShardEvent
+from .lease_holder import FleetMember, NotConfirmed, Proposal, ShardEvent
 
 _log = logging.getLogger("busway.fleet")
 
