@@ -126,7 +126,9 @@ async def _drain(table: "Coordinator", name: str, *, undo: bool) -> None:
 
     await drain_collector(table, name, draining=not undo)
     print(
-        f"{name} takes part again" if undo else f"{name} is told to hand on its shards; `busway fleet status` shows it"
+        f"{name} takes part again"
+        if undo
+        else f"{name} is told to hand on its shards; those that no other collector takes stay; see busway fleet status"
     )
 
 

@@ -1,6 +1,7 @@
 """What operators tell a running collector: another configuration, a broken one, and that it hands everything on."""
 
 import contextlib
+import sqlite3
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from busway.apps.fleet.control_entries import (
 from busway.apps.fleet.coordinator import Coordinator
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
+from busway.apps.fleet.records import ZoneRecord
+from busway.errors import ConfigError
 
 pytestmark = pytest.mark.real_time
 
@@ -74,8 +77,53 @@ async def test_what_is_refused_changes_nothing_and_is_told(tmp_path: Path) -> No
 
 async def test_a_drained_collector_takes_nothing_until_it_may_take_part_again(tmp_path: Path) -> None:
     async with devices_of(1) as devices, running(tmp_path, devices) as (table, one):
+        await until(lambda: bool(one.collector.loads()), 60)
         await drain_collector(table, "one")
         await until(lambda: one.member.members(0.0)[0].draining, 60)
         await drain_collector(table, "one", draining=False)
+        await until(lambda: not one.member.members(0.0)[0].draining, 60)
         await until(lambda: bool(one.collector.loads()), 60)
-        assert not one.member.members(0.0)[0].draining
+
+
+async def test_a_name_that_no_collector_has_had_is_not_drained(tmp_path: Path) -> None:
+    async with devices_of(1) as devices, running(tmp_path, devices) as (table, one):
+        await until(lambda: bool(one.collector.loads()), 60)
+        with pytest.raises(ConfigError, match="no collector has the name west; there are one"):
+            await drain_collector(table, "west")
+
+
+async def test_a_configuration_waits_while_what_is_owned_cannot_be_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with devices_of(3) as devices, running(tmp_path, devices[:2]) as (table, one):
+        await until(lambda: all(device.reads > 1 for device in devices[:2]), 60)
+        monkeypatch.setattr("busway.apps.fleet.fleet_collector.RECORD_AGAIN", 0.05)
+        honest = one.ownership.end
+        fails = True
+
+        def end(*wanted: object) -> None:
+            if fails:
+                raise sqlite3.OperationalError("disk I/O error")
+            honest(*wanted)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(one.ownership, "end", end)
+        revision = await applied(table, tmp_path, [devices[0], devices[2]])
+        await until(lambda: one.refused is not None, 60)
+        assert one.refused == f"revision {revision} waits: what is owned cannot be recorded: disk I/O error"
+        fails = False
+        await until(lambda: one.revision == revision and devices[2].reads > 1, 60)
+        assert one.refused is None
+        gone = [each for each in one.ownership.all() if each.link == devices[1].name]
+        assert gone[-1].end is not None, "the end of its ownership was recorded in the end"
+
+
+async def test_a_collector_with_another_number_of_shards_than_its_zone_is_refused_at_its_start(tmp_path: Path) -> None:
+    async with devices_of(1) as devices, running(tmp_path, devices) as (table, one):
+        await until(lambda: bool(one.collector.loads()), 60)
+        shared = await read_configuration(table)
+        assert shared is not None
+        other = FleetCollector(shared.parsed(TIMES), table, "two", host="box", shards=4, times=TIMES)
+        with pytest.raises(ConfigError, match="the zone has 2 shards and not 4"):
+            async with other:
+                raise AssertionError("it must not start")
+        assert ZoneRecord(2, TIMES.ttl, TIMES.guard).encode() == (await read_entries(table, "zone"))["zone"].value

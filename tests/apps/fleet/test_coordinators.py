@@ -17,6 +17,7 @@ from busway.apps.fleet.control_entries import (
     drain_collector,
     read_configuration,
     read_entries,
+    refuse_other_figures,
 )
 from busway.apps.fleet.coordinator import (
     LONGEST_VALUE,
@@ -31,8 +32,8 @@ from busway.apps.fleet.coordinator import (
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
 from busway.apps.fleet.fleet_status import zone_status
-from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.records import LeaseRecord, MemberRecord
+from busway.apps.fleet.lease_times import Epoch, LeaseTimes
+from busway.apps.fleet.records import LeaseRecord, MemberRecord, ZoneRecord
 from busway.errors import ConfigError
 
 SERVED = ["nats", "postgresql"]
@@ -227,6 +228,8 @@ async def test_a_zone_shows_who_lives_who_is_silent_and_who_owns_what(backend: B
         await one.create("member.old", MemberRecord("old", "r3", "box", 1, gone=True).encode())
         await one.create("lease.0001", LeaseRecord("west", "r1", True, 1, 0.25, Epoch(1, 4)).encode())
         await drain_collector(one, "west")
+        with pytest.raises(ConfigError, match="there are east, old, west"):
+            await drain_collector(one, "wset")
         for seconds in (0.5, 5, 60):  # a busy machine renews late
             looking = asyncio.create_task(zone_status(one, seconds))
             while not looking.done():
@@ -242,6 +245,17 @@ async def test_a_zone_shows_who_lives_who_is_silent_and_who_owns_what(backend: B
         }
         assert (found.members["west"].shards, found.members["west"].load) == (("0001",), 0.25)
         assert found.members["east"].record.revision == 7
+
+
+async def test_who_joins_a_zone_with_other_figures_is_refused_by_name(backend: Backend) -> None:
+    async with backend.opened("figures") as one:
+        await refuse_other_figures(one, 16, LeaseTimes())  # nobody has joined
+        await one.create("zone", ZoneRecord(8, 15.0, 1.0).encode())
+        await refuse_other_figures(one, 8, LeaseTimes())
+        with pytest.raises(ConfigError, match="the zone has 8 shards and not 16; all its collectors"):
+            await refuse_other_figures(one, 16, LeaseTimes())
+        with pytest.raises(ConfigError, match="leases of 15 s and not 30"):
+            await refuse_other_figures(one, 8, LeaseTimes(ttl=30.0))
 
 
 async def test_what_was_confirmed_survives_a_restart_and_the_watch_goes_on(served: Backend) -> None:

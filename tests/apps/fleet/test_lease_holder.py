@@ -11,7 +11,7 @@ from busway.apps.fleet.balance import BEGIN
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.lease_holder import FleetMember, NotConfirmed, Proposal, _SeenLease
 from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.fleet.records import LEASES, MemberRecord
+from busway.apps.fleet.records import LEASES, MemberRecord, ZoneRecord
 
 COSTS = {f"{number:04d}": 0.02 + 0.001 * (number % 7) for number in range(32)}
 
@@ -258,6 +258,7 @@ def clocks(ahead: float, *others: float) -> FleetMember:
     for number, each in enumerate(others):
         record = MemberRecord(f"c{number}", "run", "box", 1, at=CLOCK + each)
         member.entry(Entry(f"member.c{number}", record.encode(), number + 1, CLOCK + 0.1), 0.0)
+    member.entry(Entry("zone", ZoneRecord(256, 15.0, 1.0).encode(), 49), 0.0)
     member.end_snapshot(0.0)
     (proposal,) = member.turn(0.0)
     member.entry(Entry(proposal.key, proposal.value, 50, CLOCK + 3.0), 4.0)
@@ -290,3 +291,61 @@ def test_an_answer_that_takes_long_makes_no_clock_wrong() -> None:
     proposal = member._open["member.west"]
     member.entry(Entry(proposal.key, proposal.value, 51, CLOCK + 9.0), 900.0)
     assert member.clock_error == 0.0
+
+
+def alone(times: LeaseTimes | None = None, *, shards: int = 4) -> FleetMember:
+    """A member that has seen a table without entries, and whose own record is confirmed."""
+    member = FleetMember("west", "run", "west", times or LeaseTimes(), random.Random(1), shards=shards)
+    member.set_shards({"0001": 0.1})
+    member.end_snapshot(0.0)
+    return member
+
+
+def proposed(member: FleetMember, now: float) -> dict[str, Proposal]:
+    return {each.key: each for each in member.turn(now)}
+
+
+def test_the_first_collector_records_the_figures_of_the_zone_and_owns_nothing_before_that_is_confirmed() -> None:
+    member = alone()
+    first = proposed(member, 0.0)
+    member.entry(Entry("member.west", first["member.west"].value, 1), 0.0)
+    member.outcome(first["member.west"], 1, 0.0)
+    assert "lease.0001" not in proposed(member, 10.0)
+    member.outcome(first["zone"], NotConfirmed.UNKNOWN, 10.0)
+    again = proposed(member, 11.0)
+    assert "lease.0001" not in again
+    member.outcome(again["zone"], 2, 11.0)
+    assert "lease.0001" in proposed(member, 12.0)
+
+
+@pytest.mark.parametrize(
+    ("zone", "problem"),
+    [
+        (ZoneRecord(8, 15.0, 1.0), "the zone has 8 shards and not 4; all its collectors must have the same"),
+        (ZoneRecord(4, 30.0, 1.0), "the zone has leases of 30 s and not 15; all its collectors must have the same"),
+        (ZoneRecord(8, 15.0, 2.0),
+         "the zone has 8 shards and not 4, a guard of 2 s and not 1; all its collectors must have the same"),
+    ],
+)  # fmt: skip
+def test_a_collector_with_other_figures_than_its_zone_says_so_and_owns_nothing(zone: ZoneRecord, problem: str) -> None:
+    member = alone()
+    first = proposed(member, 0.0)
+    member.entry(Entry("member.west", first["member.west"].value, 2), 0.0)
+    member.outcome(first["member.west"], 2, 0.0)
+    member.entry(Entry("zone", zone.encode(), 1), 0.0)
+    member.outcome(first["zone"], NotConfirmed.CONFLICT, 0.0)
+    for now in (1.0, 10.0, 60.0):
+        assert not [key for key in proposed(member, now) if key.startswith((LEASES, "zone"))]
+    assert member.problem == problem
+    member.entry(Entry("zone", ZoneRecord(4, 15.0, 1.0).encode(), 3), 61.0)
+    member.turn(62.0)
+    assert not member.problem
+
+
+def test_what_is_owned_is_given_back_where_the_figures_of_the_zone_change() -> None:
+    world = settled(1)
+    member = world.drivers["c0"].member
+    member.entry(Entry("zone", ZoneRecord(8, 15.0, 1.0).encode(), 10**6), world.now)
+    world.run(5)
+    assert not member.owned
+    assert "8 shards" in member.problem

@@ -10,6 +10,7 @@ Knows entries and the checks of a collector file; knows no collector.
 """
 
 import asyncio
+import contextlib
 import json
 import os
 import zlib
@@ -23,6 +24,7 @@ from ..collector.configuration import CollectorConfiguration, parse_collector
 from .coordinator import LONGEST_VALUE, SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
 from .lease_times import LeaseTimes
 from .plant import refuse_slow_links, with_short_user_timeout
+from .records import MEMBERS, ZONE, ZoneRecord, decode_zone
 from .shards import checked_name
 
 CONTROL: Final = "control."
@@ -108,12 +110,34 @@ def _checked(path: str, times: LeaseTimes) -> SharedConfiguration:
     return SharedConfiguration(os.path.abspath(path), text, 0)
 
 
+async def refuse_other_figures(coordinator: Coordinator, shards: int, times: LeaseTimes) -> None:
+    """Raise `ConfigError` if the zone has another number of shards, or other leases, than a collector that joins it.
+
+    Nothing is refused where the coordinator does not answer, or no collector has joined yet: then the collector finds
+    out later, and owns nothing.
+    """
+    entry = None
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(times.answer):
+            entry = (await read_entries(coordinator, ZONE)).get(ZONE)
+    zone = None if entry is None else decode_zone(entry.value)
+    difference = "" if zone is None else ZoneRecord(shards, times.ttl, times.guard).difference(zone)
+    if difference:
+        raise ConfigError(f"the zone has {difference}; all its collectors must have the same", key="shards")
+
+
 async def drain_collector(coordinator: Coordinator, name: str, *, draining: bool = True) -> None:
     """Tell a collector to hand on all its shards and take none, or to take part again; it holds after a restart too.
 
-    Raises as `apply_configuration`.
+    Shards that no other collector takes stay with it.
+
+    Raises as `apply_configuration`, and `ConfigError` for a name that no collector has ever had.
     """
-    key = DRAINED + checked_name(name, "collector")
+    members = await read_entries(coordinator, MEMBERS)
+    if MEMBERS + checked_name(name, "collector") not in members:
+        there = ", ".join(sorted(key.removeprefix(MEMBERS) for key in members)) or "none yet"
+        raise ConfigError(f"no collector has the name {name}; there are {there}", key="NAME")
+    key = DRAINED + name
     seen = (await read_entries(coordinator, key)).get(key)
     if seen is None:
         await coordinator.create(key, b"drain" if draining else b"")

@@ -11,7 +11,8 @@ Knows the collector, the member and the log of ownership; what is owned is decid
    Who takes a link from an owner that fell silent records the time since that one's last renewal: samples that the
    other still sends shrink this gap.
 5. Where it was started with a revision, another configuration of the zone is taken when it comes, as a whole: one that
-   is refused, by its check or because the store or a sink is another, changes nothing and is told.
+   is refused, by its check or because a sink is another, changes nothing and is told. The store stays the one with
+   which the collector was started, whatever the new configuration names.
 """
 
 import asyncio
@@ -32,7 +33,7 @@ from ..collector.collector import Collector
 from ..collector.configuration import CollectorConfiguration
 from ..collector.reloading import refuse_what_cannot_change
 from ..collector.samples import NANOSECONDS, Reason, StateInterval
-from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration
+from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration, refuse_other_figures
 from .coordinator import Coordinator, Entry
 from .lease_driver import MemberDriver, boot_time, end_tasks
 from .lease_holder import FleetMember, ShardEvent, Step
@@ -42,6 +43,8 @@ from .ownership_log import OwnershipLog
 from .plant import costs_by_link, longest_transaction, refuse_slow_links, restricted, with_short_user_timeout
 from .shards import checked_name, links_by_shard
 
+RECORD_AGAIN: Final = 1.0
+"""Seconds after which it is tried again to record what is owned."""
 END_LIMIT: Final = 10.0
 """Seconds in which shards are handed back when the collector ends in order."""
 
@@ -111,6 +114,7 @@ class FleetCollector:
             times,
             random.Random(),
             capacity=capacity,
+            shards=shards,
         )
         self.member.set_revision(revision)
         self._driver = MemberDriver(self.member, coordinator, self._told, now=now, behind=lambda: self.behind)
@@ -120,11 +124,16 @@ class FleetCollector:
         self._permitted: dict[str, int] = {}
         self._waiting: list[ShardEvent] = []
         self._newer: tuple[CollectorConfiguration, int] | None = None
+        self._gone: dict[str, Epoch] = {}
         self._wake = asyncio.Event()
         self._tasks: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
-        """Open the store, and join the collectors that share the plant. Raises as `Collector.__aenter__`."""
+        """Open the store, and join the collectors that share the plant.
+
+        Raises as `Collector.__aenter__`, and `ConfigError` if the zone has another number of shards, or other leases.
+        """
+        await refuse_other_figures(self._coordinator, self._shards, self.member.times)
         async with AsyncExitStack() as unless_started:
             collector = Collector(restricted(self._configuration, ()), permit=self._permit)
             self.collector = await unless_started.enter_async_context(collector)
@@ -241,16 +250,16 @@ class FleetCollector:
         """Use the newer configuration: links that left it stop, new ones of owned shards begin."""
         if self._newer is None:
             return
-        (newer, revision), self._newer = self._newer, None
-        gone = {link: epoch for link, epoch in self._active.items() if link not in newer.links}
-        for link in gone:
-            del self._active[link]
+        newer, revision = taken = self._newer
+        gone = [link for link in self._active if link not in newer.links]
+        self._gone.update((link, self._active.pop(link)) for link in gone)
         if gone:
             await self._poll_active()
         await self.collector.flush()
         commit = self.collector.newest_commit
-        for link, epoch in gone.items():
+        for link, epoch in list(self._gone.items()):
             await asyncio.to_thread(self.ownership.end, [link], epoch, commit, time.time_ns())
+            del self._gone[link]
         self._set_configuration(newer)
         self.revision = revision
         await asyncio.to_thread(self.ownership.set_configuration, revision, commit)
@@ -264,6 +273,8 @@ class FleetCollector:
         self.member.set_revision(revision)
         self._tell_costs()
         self._driver.wake()
+        if self._newer is taken:
+            self._newer = None
         _log.info("the configuration of revision %d holds", revision)
 
     async def _end_tasks(self) -> None:
@@ -289,7 +300,16 @@ class FleetCollector:
             self._wake.clear()
             events, self._waiting = self._waiting, []
             await self._apply(events)
-            await self._take_newer()
+            try:
+                await self._take_newer()
+            except sqlite3.Error as error:
+                assert self._newer is not None
+                self.refused = f"revision {self._newer[1]} waits: what is owned cannot be recorded: {error}"
+                _log.error("%s", self.refused)
+                asyncio.get_running_loop().call_later(RECORD_AGAIN, self._wake.set)
+            else:
+                if self._newer is None and self.refused is not None and " waits: " in self.refused:
+                    self.refused = None
 
     async def _apply(self, events: Sequence[ShardEvent]) -> None:
         """Stop polling links that this collector no longer owns, start newly owned ones, and release stopped ones."""
@@ -302,13 +322,7 @@ class FleetCollector:
             self._note_ends(ended)
             await self.collector.flush()
             for event in ended:
-                await asyncio.to_thread(
-                    self.ownership.end,
-                    self._links_of.get(event.shard, ()),
-                    event.epoch,
-                    self.collector.newest_commit,
-                    time.time_ns(),
-                )
+                await self._record_end(event)
                 if event.step is Step.LEAVE:
                     self.member.left(event.shard)
             self._driver.wake()
@@ -324,6 +338,14 @@ class FleetCollector:
         owned = self.member.owned.get(event.shard)
         is_kept = owned is not None and owned.epoch == event.epoch and owned.leaving is None
         return event.step is Step.GAINED and is_kept
+
+    async def _record_end(self, event: ShardEvent) -> None:
+        """Record that links are not owned any more; where that fails their epoch ends with the next one."""
+        links, commit = self._links_of.get(event.shard, ()), self.collector.newest_commit
+        try:
+            await asyncio.to_thread(self.ownership.end, links, event.epoch, commit, time.time_ns())
+        except sqlite3.Error as error:
+            _log.error("the end of shard %s cannot be recorded: %s", event.shard, error)
 
     async def _begin(self, event: ShardEvent) -> None:
         links = self._links_of.get(event.shard, [])

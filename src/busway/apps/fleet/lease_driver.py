@@ -43,6 +43,13 @@ async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:
         _, left = await asyncio.wait(left, timeout=1.0)
 
 
+def end_if_cancelled() -> None:
+    """Raise `CancelledError` where this task was cancelled and what it awaited has swallowed that (`end_tasks`)."""
+    task = asyncio.current_task()
+    if task is not None and task.cancelling():
+        raise asyncio.CancelledError
+
+
 class MemberDriver:
     """Runs one collector's part in the fleet: connects a `FleetMember`, without IO, to the shared table, in a task.
 

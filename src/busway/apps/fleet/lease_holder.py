@@ -14,6 +14,8 @@ The driver (`lease_driver`) makes each proposal once, and tells `FleetMember.out
 5. Two processes with one name: the second owns nothing until the first has been silent as in rule 2, and says so.
 6. A collector whose wall clock is wrong would date samples wrongly: it gives back what it owns, takes nothing, and says
    so. Its clock is compared with the coordinator's; where most collectors agree against that one, that one is wrong.
+7. The first collector of a zone records how many shards there are and how long leases hold; a collector
+   with other figures owns nothing and says so. With two numbers of shards a link could be in two, with two owners.
 """
 
 import random
@@ -29,11 +31,14 @@ from .records import (
     GENERATION,
     LEASES,
     MEMBERS,
+    ZONE,
     LeaseRecord,
     MemberRecord,
+    ZoneRecord,
     decode_generation,
     decode_lease,
     decode_member,
+    decode_zone,
 )
 from .shards import hosts_of
 
@@ -163,6 +168,7 @@ class FleetMember:
         times: the lengths of the leases; the same for all members.
         chance: spreads renewals and looks in time.
         capacity: its share of the work, relative to the others.
+        shards: how many shards the zone has, 1…1024; the same for all members.
 
     Attributes:
         owned: the shards that it owns, by name.
@@ -183,8 +189,13 @@ class FleetMember:
         chance: random.Random,
         *,
         capacity: float = 1.0,
+        shards: int = 256,
     ) -> None:
         self.times: LeaseTimes = times
+        self._zone = ZoneRecord(shards, times.ttl, times.guard)
+        self._zone_revision = 0
+        self._agrees = False
+        self._disagreement = ""
         self.owned: dict[str, OwnedShard] = {}
         self.counts: MemberCounts = MemberCounts()
         self.generation: int = 1
@@ -297,6 +308,20 @@ class FleetMember:
             self._member(entry, now)
         elif entry.key == GENERATION:
             self.generation = max(self.generation, decode_generation(entry.value))
+        elif entry.key == ZONE and entry.revision > self._zone_revision:
+            self._compare_zone(entry)
+
+    def _compare_zone(self, entry: Entry) -> None:
+        """Compare the figures of this collector with those of the zone (rule 7)."""
+        self._zone_revision = entry.revision
+        zone = decode_zone(entry.value)
+        if zone is None:
+            self._disagreement = "the entry of the zone cannot be read" if entry.value else ""
+        elif difference := self._zone.difference(zone):
+            self._disagreement = f"the zone has {difference}; all its collectors must have the same"
+        else:
+            self._disagreement = ""
+        self._agrees = zone == self._zone
 
     def _lease(self, shard: str, entry: Entry, now: float) -> None:
         seen = self._leases.get(shard)
@@ -365,8 +390,8 @@ class FleetMember:
         side = "ahead of" if self.clock_error > 0 else "behind"
         return f"its clock is {abs(self.clock_error):.0f} s {side} the coordinator's"
 
-    def _look_at_clock(self, now: float) -> None:
-        problem = self._clock_problem(now)
+    def _look_for_problems(self, now: float) -> None:
+        problem = self._disagreement or self._clock_problem(now)
         if problem != self._me.problem:
             self._me = replace(self._me, problem=problem, draining=self._drains or bool(problem))
             self._my_renewal = min(self._my_renewal, now)
@@ -379,7 +404,10 @@ class FleetMember:
             self.counts.conflicts += 1
         elif result is NotConfirmed.UNKNOWN:
             self.counts.unknown += 1
-        if proposal.key.startswith(MEMBERS):
+        if proposal.key == ZONE:
+            if isinstance(result, int):
+                self._compare_zone(Entry(ZONE, proposal.value, result))
+        elif proposal.key.startswith(MEMBERS):
             self._member_outcome(proposal, result, now)
         else:
             self._lease_outcome(proposal.key[len(LEASES) :], proposal, result, now)
@@ -449,12 +477,14 @@ class FleetMember:
         for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
             self.counts.lapsed += 1
             self._lose(shard, "it could not be renewed in time", self.owned[shard].asked + self.wall_ahead)
-        self._look_at_clock(now)
+        self._look_for_problems(now)
         found: list[Proposal] = []
         self._propose_member(now, found)
         self._propose_renewals(now, found)
         if self._complete_at is not None and now >= self._look_at:
             self._look_at = now + self._spread(LOOK_EVERY)
+            if not self._agrees and not self._disagreement and ZONE not in self._open:
+                self._propose(ZONE, self._zone.encode(), self._zone_revision, now, found)
             self._take_free(now, found)
             self._hand_on(now)
         return found
@@ -512,7 +542,9 @@ class FleetMember:
         mapped = takers(free, self._shares(now)) if free else {}
         self._free_since = {shard: self._free_since.get(shard, now) for shard in mapped}
         assert self._complete_at is not None
-        if self._me.draining or self._my_asked is None or not self._is_known or now < self._complete_at + SETTLE:
+        if self._me.draining or self._my_asked is None or not self._is_known or not self._agrees:
+            return
+        if now < self._complete_at + SETTLE:
             return
         for shard, taker in mapped.items():
             if len(self._open) >= MOST_OPEN:

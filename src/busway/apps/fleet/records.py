@@ -13,6 +13,7 @@ from .lease_times import Epoch
 LEASES: Final = "lease."
 MEMBERS: Final = "member."
 GENERATION: Final = "generation"
+ZONE: Final = "zone"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +104,44 @@ class MemberRecord:
             ],
             separators=(",", ":"),
         ).encode()
+
+
+@dataclass(frozen=True, slots=True)
+class ZoneRecord:
+    """What all collectors of a zone must have alike, or one link could have two owners.
+
+    Attributes:
+        shards: how many shards (groups of links) the zone has.
+        ttl, guard: as in `LeaseTimes`.
+    """
+
+    shards: int
+    ttl: float
+    guard: float
+
+    def encode(self) -> bytes:
+        """Return the record as bytes for the shared table."""
+        return json.dumps([self.shards, self.ttl, self.guard], separators=(",", ":")).encode()
+
+    def difference(self, zone: "ZoneRecord") -> str:
+        """Return in words what the zone has and this does not; empty where they are alike."""
+        found = []
+        if self.shards != zone.shards:
+            found.append(f"{zone.shards} shards and not {self.shards}")
+        if self.ttl != zone.ttl:
+            found.append(f"leases of {zone.ttl:g} s and not {self.ttl:g}")
+        if self.guard != zone.guard:
+            found.append(f"a guard of {zone.guard:g} s and not {self.guard:g}")
+        return ", ".join(found)
+
+
+def decode_zone(value: bytes) -> ZoneRecord | None:
+    """Return what all collectors of a zone have alike, from the bytes of a table entry; None if they are not that."""
+    try:
+        shards, ttl, guard = _list(value)[:3]
+        return ZoneRecord(int(shards), float(ttl), float(guard))
+    except (ValueError, TypeError):
+        return None
 
 
 def decode_lease(value: bytes) -> LeaseRecord | None:

@@ -24,7 +24,7 @@ from ..collector.store.committed_samples import CommittedSample
 from .coordinator import SNAPSHOT_ENDS, Coordinator, CoordinatorDown, Entry, OutcomeUnknown, RevisionConflict
 from .coordinators.nats import NOT_YET
 from .coordinators.opening import until_up
-from .lease_driver import end_tasks
+from .lease_driver import end_if_cancelled, end_tasks
 from .messages import SampleMessage, UnreadableMessage, decode_message
 from .outbox import StreamDown
 
@@ -311,6 +311,7 @@ class StreamSink:
                 await self._sink.close()
                 self._is_open = False
                 await asyncio.sleep(0.5)
+                end_if_cancelled()
         finally:
             await end_tasks([watch])
             await self._sink.close()
@@ -334,6 +335,7 @@ class StreamSink:
         )
         try:
             while True:
+                end_if_cancelled()
                 try:
                     found = await subscription.fetch(FETCH, timeout=1.0)
                 except (TimeoutError, errors.TimeoutError):
