@@ -28,7 +28,7 @@ PEER_PACKAGES := pymodbus==3.16.1 pyModbusTCP==0.3.1 minimalmodbus==2.1.1 pyspar
 # where that is not the one above. In folders of their own: none of them meets the others' versions.
 PROGRAM_PACKAGES := modpoll==1.6.0 sdm_modbus==0.7.0 solaredge_modbus==0.8.0 alfen_eve_modbus_tcp==0.0.17 \
 	prettytable==3.18.0 wcwidth==0.9.4 paho-mqtt==2.2.0 requests==2.34.2 urllib3==2.8.0 certifi==2026.10.18 \
-	idna==3.20 charset-normalizer==3.5.2 epevermodbus==0.0.18
+	idna==3.20 charset-normalizer==3.5.2 epevermodbus==0.0.18 retrying==1.4.2 pyserial==3.5
 PYMODBUS_RELEASES := 3.6.9 3.9.2
 PEERS_WANTED = $(PEER_PACKAGES) $(PROGRAM_PACKAGES) $(PYMODBUS_RELEASES)
 

@@ -46,6 +46,21 @@ def alfen_eve_modbus_tcp(port: str) -> None:
     print(station.connected())
 
 
+def epevermodbus(path: str) -> None:
+    """All that a charge controller says of itself, and two writes; words that it lacks are errors."""
+    from epevermodbus.driver import EpeverChargeController
+
+    controller = EpeverChargeController(path, 1)
+    for name in sorted(one for one in dir(controller) if one.startswith(("get_", "is_"))):
+        try:
+            print(name, getattr(controller, name)())
+        except (KeyError, ValueError) as error:
+            print(name, type(error).__name__, error)
+    controller.set_battery_capacity(120)
+    controller.set_temperature_compensation_coefficient(3)
+    print(controller.get_battery_capacity(), controller.get_temperature_compensation_coefficient())
+
+
 def show(values: dict[str, object]) -> None:
     """One line for each value."""
     for name, value in sorted(values.items()):
