@@ -138,6 +138,8 @@ def test_files_queues_and_identification(pump: ModbusTcpClient) -> None:
 def test_diagnostics(pump: ModbusTcpClient) -> None:
     assert pump.diag_query_data(b"ping").message == b"ping"
     assert pump.diag_read_bus_message_count().message >= 1
+    assert pump.diag_read_slave_message_count(slave=1).message >= 1
+    assert pump.diag_read_iop_overrun_count().exception_code in (1, 3)
     assert pump.read_exception_status().status == 0
     assert pump.diag_get_comm_event_counter().status is True
     assert pump.diag_get_comm_event_log().event_count >= 0
@@ -390,6 +392,26 @@ def test_clients_of_every_carrier_have_the_endpoint_that_their_arguments_name() 
         client.AsyncModbusSerialClient("/dev/ttyS1", framer=FramerType.SOCKET)
     with pytest.raises(ParameterException, match="framer must be"):
         ModbusTcpClient("10.0.0.5", framer="binary")
+
+
+@pytest.mark.parametrize(
+    ("made", "connects"),
+    [
+        (lambda port: ModbusTcpClient("127.0.0.1", port=port, framer="rtu", timeout=1), False),
+        (lambda port: ModbusTcpClient("127.0.0.1", port=port, source_address=("127.0.0.1", 0), timeout=1), False),
+        (lambda port: client.ModbusUdpClient("127.0.0.1", port=port, timeout=1), True),
+        (lambda port: client.ModbusTlsClient("127.0.0.1", port=port, timeout=1), False),
+        (lambda port: ModbusSerialClient("/dev/busway-none", timeout=1), False),
+        (lambda port: ModbusSerialClient("/dev/busway-none", framer="ascii", handle_local_echo=True), False),
+        (lambda port: ModbusSerialClient(f"socket://127.0.0.1:{port}", timeout=1), False),
+    ],
+)
+def test_link_of_every_carrier_takes_the_options_of_its_client(
+    made: Callable[[int], ModbusTcpClient], connects: bool, closed_port: int
+) -> None:
+    one = made(closed_port)
+    assert one.connect() is connects
+    one.close()
 
 
 def test_tls_client_takes_files_and_refuses_what_it_cannot_use() -> None:

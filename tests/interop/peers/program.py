@@ -24,6 +24,18 @@ def sdm_modbus(port: str) -> None:
     print(meter.connected())
 
 
+def sdm_modbus_rtu(path: str) -> None:
+    """All registers of an energy meter on a serial line."""
+    import sdm_modbus
+
+    meter = sdm_modbus.SDM630(device=path, stopbits=1, parity="N", baud=115_200, timeout=2, unit=1)
+    print(meter.connected())
+    show(meter.read_all(sdm_modbus.registerType.INPUT))
+    show(meter.read_all(sdm_modbus.registerType.HOLDING))
+    meter.disconnect()
+    print(meter.connected())
+
+
 def solaredge_modbus(port: str) -> None:
     """All values of an inverter, and a write."""
     import solaredge_modbus

@@ -173,7 +173,8 @@ class ModbusClientMixin:
 
     def __getattr__(self, name: str) -> Any:
         """The calls ``diag_…`` of function 08: with data, if they take some, and the unit."""
-        code = SUB_FUNCTIONS.get(name.removeprefix("diag_")) if name.startswith("diag_") else None
+        wanted = name.removeprefix("diag_").replace("_slave_", "_device_")  # as before 3.10
+        code = SUB_FUNCTIONS.get(wanted) if name.startswith("diag_") else None
         if code is None:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return partial(self._diagnose, code)

@@ -107,16 +107,16 @@ class _Client(ModbusClientMixin):
             "timeout": float(timeout),
             "retries": int(retries),
             "write_retries": int(write_retries),
-            "max_connections": MOST_CONNECTIONS,
-            "reconnect_first": max(float(reconnect_delay), SHORTEST_PAUSE),
-            "open_after": 0,
             **self._carrier_options(older),
         }
         self._endpoint = self._endpoint_of(host, port, framing)
-        if self._endpoint.carrier == "tcp" or self._endpoint.carrier == "tls":
+        if self._endpoint.framing != "mbap":
+            self._options["open_after"] = 0
+        if self._endpoint.carrier != "serial":
+            self._options["max_connections"] = MOST_CONNECTIONS
+            self._options["reconnect_first"] = max(float(reconnect_delay), SHORTEST_PAUSE)
+        if self._endpoint.carrier in ("tcp", "tls"):
             self._options["connect_timeout"] = float(timeout)
-        if self._endpoint.framing == "mbap":
-            del self._options["open_after"]
         if source_address is not None and source_address[0]:
             self._options["local_address"] = source_address[0]
         if older.get("trace_packet") is not None:

@@ -779,7 +779,7 @@ class DiagnosticBase(KnownRequest):
         return response
 
 
-SUB_FUNCTIONS = {
+SUB_FUNCTIONS: dict[str, int] = {
     "query_data": DiagnosticCode.RETURN_QUERY_DATA,
     "restart_communication": DiagnosticCode.RESTART_COMMUNICATIONS,
     "read_diagnostic_register": DiagnosticCode.RETURN_DIAGNOSTIC_REGISTER,
@@ -794,6 +794,7 @@ SUB_FUNCTIONS = {
     "read_device_nak_count": DiagnosticCode.SERVER_NAK_COUNT,
     "read_device_busy_count": DiagnosticCode.SERVER_BUSY_COUNT,
     "read_bus_char_overrun_count": DiagnosticCode.BUS_CHARACTER_OVERRUN_COUNT,
+    "read_iop_overrun_count": 0x13,  # the specification keeps it reserved
     "clear_overrun_counter": DiagnosticCode.CLEAR_OVERRUN,
 }
 """The sub-functions of 08 by the names that pymodbus' clients have for them, after ``diag_``."""
