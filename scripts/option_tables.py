@@ -8,7 +8,7 @@ from typing import Any
 
 from marked import ROOT, replaced, update
 
-from busway.config.files import behaviours, collector, device, faults, points, policy, simulation, sinks, system
+from busway.config.files import behaviours, collector, device, fault_sections, points, policy, simulation, sinks, system
 from busway.config.files.listeners import ListenerSection
 from busway.config.files.options import OptionSection
 from busway.config.files.schema import Section, keys_of
@@ -98,8 +98,8 @@ PAGES: Mapping[str, Mapping[str, tuple[Kind, ...]]] = {
         "simulation": (simulation.SimulationSection,),
         "include": (simulation.IncludeSection,),
         "profile": (simulation.ParameterKeys,),
-        "fault": (faults.FaultSection,),
-        "schedule": (faults.ScheduleSection,),
+        "fault": (fault_sections.FaultSection,),
+        "schedule": (fault_sections.ScheduleSection,),
         "behaviour": (behaviours.BehaviourSection,),
     },
 }

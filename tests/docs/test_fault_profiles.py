@@ -6,8 +6,8 @@ from pathlib import Path
 from field_faults import OF_SERVERS, PLAYED_ELSEWHERE
 from generated import assert_up_to_date
 
-from busway.apps.simulator.fault_sections import fault_problems
-from busway.config.files.faults import FaultSection
+from busway.apps.simulator.added_faults import fault_problems
+from busway.config.files.fault_sections import FaultSection
 from busway.config.files.schema import Section, read_source
 from busway.faults.profiles.elsewhere import ELSEWHERE
 from busway.testing import CLIENT_FAULT_PROFILES, FAULT_PROFILES

@@ -5,8 +5,8 @@ import threading
 import pytest
 
 from busway import ConfigError
-from busway.apps.simulator.fault_sections import fault_profile_lines, put_on, put_on_by_words
-from busway.config.files.faults import FaultSection
+from busway.apps.simulator.added_faults import fault_profile_lines, put_on, put_on_by_words
+from busway.config.files.fault_sections import FaultSection
 from busway.faults.switchboard import FaultSwitchboard
 from busway.testing import FAULT_PROFILES, Schedule
 

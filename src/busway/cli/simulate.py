@@ -87,7 +87,7 @@ _FASTEST = 100_000.0
 
 def _list_faults(wanted: bool) -> None:
     if wanted:
-        from ..apps.simulator.fault_sections import fault_profile_lines
+        from ..apps.simulator.added_faults import fault_profile_lines
 
         print("\n".join(fault_profile_lines()))
         raise typer.Exit(ExitCode.DONE)
@@ -193,7 +193,7 @@ def _loaded(source: Chosen, faults: Iterable[str], *, keeps_state: bool, **optio
 
     A check of a file needs no state of an earlier run, and must not put one aside.
     """
-    from ..apps.simulator.fault_sections import put_on_by_words
+    from ..apps.simulator.added_faults import put_on_by_words
     from ..apps.simulator.simulation import Simulation
 
     declaration = source.load()

@@ -6,13 +6,14 @@
 `connections`          Carries faults out on a server's connections: sends delayed and changed replies
 `fault`                Faults: what they change in the requests and replies of a connection, when they are active
 `faulty_conversation`  One connection of a faulty device, without IO: which bytes answer its requests, and when
-`profile`              Fault profiles: named ways in which real devices misbehave, and the options that each has
+`profile`              The class of fault profiles, and the check of their parameters: refuses unknown ones
 `responder`            A responder that wraps another one and applies faults to its replies
 `switchboard`          The faults of a server by name: added, switched and removed while it runs
 `profiles`             The table of all fault profiles of devices; the profiles are defined in the files beside this one
 =====================  =================================================================================================
 
 Where it is decided: whether a fault applies to a request: `fault` (`Faults.strike`). Which bytes are sent in place of
-the device's, and when: `faulty_conversation`. Which fault profiles there are: `profiles`; their options: `profile`.
-Which faults are on: `switchboard`.
+the device's, and when: `faulty_conversation`. Which fault profiles there are, and which parameters each has (a new one
+is an argument of its function): `profiles`; which parameters are refused: `profile`. Which faults are on:
+`switchboard`.
 """

@@ -1,11 +1,11 @@
-"""Fault profiles: named ways in which real devices misbehave, and the options that each has.
+"""The class of fault profiles (named ways in which real devices misbehave), and the check of their parameters.
 
 Knows the description of a profile and how to make its fault; knows no connection.
 
 1. A name means the same in tests, in the simulator, in the options of the client and in the documentation; the
    documentation's table is generated from these objects.
 2. A table is immutable; `FaultProfileTable.with_fault_profiles` makes a larger one.
-3. An option is declared once, in the signature of the function that makes the fault, with the marks of
+3. A parameter is declared once, in the signature of the function that makes the fault (`profiles`), with the marks of
    `busway.options.declaration`. Checks, documentation and the HTTP API are derived from it.
 """
 
@@ -21,19 +21,19 @@ from .fault import EVERYWHERE, Carrier, Fault
 
 _TYPE_WORDS: Final = {float: "a number", int: "a whole number", bool: "true or false"}
 SECONDS: Final = Range(0, 86_400)
-"""What an option that is a time may be: up to a day."""
+"""What a parameter that is a time may be: up to a day."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultProfile:
-    """A named way in which devices misbehave; called with its options it creates the fault.
+    """A named way in which devices misbehave; called with its parameters it creates the fault.
 
     Attributes:
         name: as in the documentation.
         happens: what the device does, in words.
         seen_in: where it was reported, repository and issue.
         answer: the right reaction of a client.
-        make: makes the fault; its keyword arguments are the options, each with a default.
+        make: makes the fault; its keyword arguments are the parameters, each with a default.
         carriers: the kinds of transport on which it can occur.
     """
 
@@ -45,13 +45,13 @@ class FaultProfile:
     carriers: frozenset[Carrier] = EVERYWHERE
 
     @property
-    def options(self) -> Mapping[str, Any]:  # Any: an option has the type of its default
-        """Return the options of the profile with their defaults."""
+    def options(self) -> Mapping[str, Any]:  # Any: a parameter has the type of its default
+        """Return the defaults of the profile's parameters, by name."""
         return {name: one.default for name, one in self.parameters.items()}
 
     @property
     def parameters(self) -> Mapping[str, Option]:
-        """The declarations of the profile's options, by name."""
+        """The declarations of the profile's parameters, by name."""
         declared = signature(self.make).parameters.values()
         return {
             one.name: option_of(one.name, Any if one.annotation is one.empty else one.annotation, one.default)
@@ -59,7 +59,7 @@ class FaultProfile:
         }
 
     def __call__(self, **options: Any) -> Fault:  # Any: as `options` says
-        """Create the fault with these options. Raises `ConfigError` for an unknown option or an invalid value."""
+        """Create the fault with these parameters. Raises `ConfigError` for an unknown one or an invalid value."""
         parameters = self.parameters
         for name, value in options.items():
             if name not in parameters:

@@ -7,12 +7,14 @@
 `expression`   Formulas over points and time: parsed from text, evaluated without executing Python code
 `point`        A point: one named value of a device, which others call a tag
 `point_rules`  Rules that device files give for points: limits of reads, and what may be written
-`quality`      Quality of a point's value (good, uncertain, bad), and the reason if it is not good
+`quality`      The words for quality (good, uncertain, bad) and its reasons; which reason a value gets is set elsewhere
 =============  =========================================================================================================
 
-Where it is decided: whether a value is good, uncertain or bad, and why: `quality`. What raw number and unit mean:
-`conversion`. Whether a value may be written: `point_rules`. What a formula may contain: `expression`. When a counter
-has rolled over: `derived`.
+Where it is decided: the reason why a value is not good: `decoder` for a reply (not a number, out of range, no value),
+`derived` for computed points, `busway.apps.collector.poller` for a read without reply and a clock that is not set;
+`busway.cli.read_points` where points are read once. Good, uncertain or bad follows from the reason alone: `quality`.
+What raw number and unit mean: `conversion`. Whether a value may be written: `point_rules`. What a formula may contain:
+`expression`. When a counter has rolled over: `derived`.
 """
 
 from .conversion import Conversion, Linear

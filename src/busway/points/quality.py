@@ -1,4 +1,8 @@
-"""Quality of a point's value (good, uncertain, bad), and the reason if it is not good."""
+"""The quality of a point's value (good, uncertain, bad), and the codes of the reasons if it is not good.
+
+Knows the codes only. A reason is set where it is found: by `decoder` for a reply, by `derived` for computed points, by
+`busway.apps.collector.poller` for a read without reply, by the store's `recovery` for the time of a stop.
+"""
 
 from dataclasses import dataclass
 from enum import IntEnum

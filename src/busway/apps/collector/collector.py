@@ -51,8 +51,9 @@ from .schedule import LinkSchedule
 from .sinks.delivery import SinkStatus
 from .sinks.prometheus import LastValues, PrometheusPage
 from .sinks.running import SinkThread
+from .store.accumulator_states import counters_by_device
+from .store.alarm_events import alarm_events, alarm_rows
 from .store.commit_thread import Committer, StoreStatus
-from .store.journal import alarm_events, alarm_rows, counters_by_device
 from .store.manifest import MaintenanceRow, Manifest
 from .store.retention import Retention
 from .store.writer import Commit, StoreOptions, StoreWriter

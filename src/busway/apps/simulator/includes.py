@@ -38,7 +38,7 @@ from ...config.profiles import PREFIX, read_included, read_profile
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ..server.configuration import Configuration, put_together
-from .fault_sections import fault_problems
+from .added_faults import fault_problems
 
 Reader = Callable[[str], str]
 """The text of a file by its name."""

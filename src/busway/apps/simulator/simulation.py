@@ -31,9 +31,9 @@ from ...pdu.functions import STANDARD, FunctionTable
 from ...server.listener import Listener
 from ...session.pipeline import RequestObserver
 from ...values.refusal import shown
+from .added_faults import put_on
 from .builder import build_simulation
 from .engine import Engine
-from .fault_sections import put_on
 from .includes import SimulationDeclaration, load_declaration
 from .simulated import SIMULATION, PointChanged, SimulatedPoint, SimulatedUnit
 from .state import KeptPoint, KeptState, check_state, load_state, save_state

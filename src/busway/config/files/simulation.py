@@ -30,7 +30,7 @@ from ...points.expression import parse_expression
 from ...values.refusal import shown
 from .behaviours import ConstantSection, DeclaredBehaviour
 from .device import OF_GROUP, GroupSection, UnitSection, Whole
-from .faults import FaultSection
+from .fault_sections import FaultSection
 from .lines import Path
 from .points import PointSection, checked, resolved
 from .schema import NO_LIST, NO_TABLE, Section, json_schema, keys_of

@@ -10,8 +10,9 @@
 `timing`       Fault profiles of devices that reply too late, out of order, or not for a while
 =============  ==============================================================================================
 
-Where it is decided: what a profile does to a request or a reply: its file, such as `refusals` or `timing`. Which
-requests it applies to: `busway.faults.fault`.
+Where it is decided: what a profile does to a request or a reply, and which parameters it has (the arguments of its
+function, with type, range, default and help): its file, such as `refusals` or `timing`. Which requests it applies to:
+`busway.faults.fault`.
 """
 
 from typing import Final

@@ -12,9 +12,9 @@ from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.sample_clock import EARLIEST, SampleClock
 from busway.apps.collector.samples import Gap, Reason, SampleBatch, StateInterval
 from busway.apps.collector.sinks.delivery import CLOCK_WAIT
+from busway.apps.collector.store.alarm_events import forget_old_alarms
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.commit_thread import Committer
-from busway.apps.collector.store.journal import forget_old_alarms
 from busway.apps.collector.store.manifest import MaintenanceRow, Manifest
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.retention import Retention

@@ -17,7 +17,7 @@
 ===============  =======================================================================================================
 
 Where it is decided: which points the commands of one server may write, and whether a message came too late: `inputs`.
-Whether a command was given before, and what it gets then: `journal`. The order of check, record, write and report:
-`runner`. Which values a point takes, and whether the device shows them afterwards: `point_write`. How many messages
-wait at once: `message_tasks`. What the audit log says: `audit`.
+Whether a command was given before (also before a crash), and what it gets then: `journal`. The order of check, record,
+write and report: `runner`. Which values a point takes, and whether the device shows them afterwards: `point_write`. How
+many messages wait at once: `message_tasks`. What the audit log says: `audit`.
 """

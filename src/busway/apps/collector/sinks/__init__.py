@@ -17,8 +17,9 @@
 `sparkplug_payload`  Payloads of Sparkplug B 3.0: metrics with type, time and quality, as protobuf bytes
 ===================  ===================================================================================================
 
-Where it is decided: what is sent to a sink, in what order, again or never: `delivery`. When a delivery that failed
-begins again: `running`. Whether an error means "later" or "refused for good": the file of the sink, by the errors of
+Where it is decided: what is sent to a sink, in what order, again or never: `delivery`. When a sink that is down is
+tried again, and how long samples wait for it: `delivery` (`Delivery.run`); `running` begins a delivery again only after
+an unexpected error. Whether an error means "later" or "refused for good": the file of the sink, by the errors of
 `interface`. By which key a receiver knows a sample that comes twice: `documents`. Secrets, TLS and options: `options`.
 Topics and subjects: `mqtt`, `nats`, `sparkplug`.
 """

@@ -1,28 +1,32 @@
 """The store of the collector: the folder in which it keeps samples.
 
-===================  ========================================================================================
-`folder`             names of the store's files, the lock of its writer, making changes durable (fsync)
-`manifest`           the list of a store's files, points and sinks, with the cursor of each sink
-`segment`           The SQLite file that samples are written to, and when it ends and the next begins
-`writer`             commits samples one after the other; survives a full disk
-`commit_thread`      the thread that commits for an event loop, every quarter of a second
-`sealing`            turns a segment that has ended into Parquet files
-`sealed_part`        writes the Parquet files of a segment; runs as a program of its own
-`kept_samples`       which samples are kept, where a rule says that not all of them are
-`retention`          which files are deleted because they are too old or too many
-`journal`            the journal of alarms, and the totals of accumulators
-`clock_correction`   corrects the times of samples stored before the wall clock was set
-`parts`              reads rows and sums of one file, whether segment or Parquet
-`selection`          which points and times a query means
-`reading`            `Store`: reads rows and buckets of all files as one
-`query_results`      what a query gives: columns of samples or buckets; as Arrow, pandas or polars tables too
-`committed_samples`  reads samples in the order of their commits, for sinks
-`check`              tells what is wrong with a store, while it is written
-`backup`             backs up a store, while it is written, and restores it
-`database`           connections to the SQLite files of a store, and transactions on them
-===================  ========================================================================================
+====================  ==========================================================================================
+`folder`              names of the store's files, the lock of its writer, making changes durable (fsync)
+`manifest`            the list of a store's files, points and sinks, with the cursor of each sink
+`segment`             The SQLite file that samples are written to, and when it ends and the next begins
+`writer`              commits samples one after the other; survives a full disk
+`recovery`            what the start of the writer puts right after a crash: open segments, gaps, open silences
+`commit_thread`       the thread that commits for an event loop, every quarter of a second
+`sealing`             turns a segment that has ended into Parquet files
+`sealed_part`         writes the Parquet files of a segment; runs as a program of its own
+`kept_samples`        which samples are kept, where a rule says that not all of them are
+`retention`           which files are deleted because they are too old or too many
+`alarm_events`        the events of alarms: read with those in the open segment, and forgotten when they are old
+`accumulator_states`  the totals of accumulators, from which a collector goes on after a restart
+`clock_correction`    corrects the times of samples stored before the wall clock was set
+`parts`               reads rows and sums of one file, whether segment or Parquet
+`selection`           which points and times a query means
+`reading`             `Store`: reads rows and buckets of all files as one
+`query_results`       what a query gives: columns of samples or buckets; as Arrow, pandas or polars tables too
+`committed_samples`   reads samples in the order of their commits, for sinks
+`check`               tells what is wrong with a store, while it is written
+`backup`              backs up a store, while it is written, and restores it
+`database`            connections to the SQLite files of a store, and transactions on them
+====================  ==========================================================================================
 
 Where it is decided: when a segment ends: `segment` (`Segment.has_ended`). Which samples are kept: `kept_samples`. What
-is deleted: `retention`. When a commit is made, and what is dropped when the disk is full: `commit_thread`. What a crash
-leaves is put right by `writer`.
+is deleted: `retention`. When a commit is made, and what is dropped when the disk is full: `commit_thread`. Which
+samples get another time when the clock is set: `clock_correction`. What a crash leaves is put right at the next start
+by `recovery`; a half-written commit is undone by SQLite itself. Whether a command was sent before the crash is not in a
+store: `busway.apps.collector.commands.journal`.
 """

@@ -17,8 +17,8 @@ from typing import Any, Final, TypeVar
 from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST
 from ..samples import Quality, Value, quality_of
+from .alarm_events import alarm_events, alarm_rows
 from .folder import SEGMENTS
-from .journal import alarm_events, alarm_rows
 from .manifest import AlarmRow, IntervalRow, Manifest, StoredPoint, StorePart
 from .parts import Row, open_part_facts, part_intervals, rows_of_table
 from .sealing import arrow

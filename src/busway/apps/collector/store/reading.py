@@ -21,8 +21,8 @@ from typing import Any, Final, TypeVar, overload
 from ....errors import InvalidRequest
 from ..alarms.events import AlarmEvent
 from ..samples import Gap, StateInterval
+from .alarm_events import alarm_events, alarm_rows
 from .folder import check_store
-from .journal import alarm_events, alarm_rows
 from .manifest import IntervalRow, Manifest, StoredPoint, StorePart
 from .parts import (
     Row,

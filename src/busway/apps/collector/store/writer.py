@@ -8,7 +8,8 @@ Knows the order of steps that keeps a store whole; knows no thread and no clock.
    be dropped meanwhile becomes a `Gap` with the number of samples lost.
 4. A segment ends by `Segment.has_ended`: after ten minutes, at 256 MB, or when a reader holds its log. Another thread
    can seal it then.
-5. A start that finds commits of an earlier run records the time between as a `Gap`, and ends intervals left open.
+5. A start that finds commits of an earlier run records the time between as a `Gap`, and ends intervals left open
+   (`recovery`).
 """
 
 import logging
@@ -24,15 +25,16 @@ from typing import Final, Literal, Self
 from ....errors import ConfigError
 from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST
-from ..samples import CounterState, Gap, PointDescription, PointGroup, Reason, SampleBatch, StateInterval
+from ..samples import CounterState, Gap, PointDescription, PointGroup, SampleBatch, StateInterval
+from .alarm_events import forget_old_alarms
 from .clock_correction import mend_segment
 from .database import open_database
 from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
-from .journal import forget_old_alarms
-from .manifest import AlarmRow, CounterRow, Manifest, StorePart
+from .manifest import Manifest, StorePart
+from .recovery import close_open_segments, close_segment, intervals_since_end
 from .retention import Retention, parts_to_drop
 from .sealing import Step, can_seal, remove_unfinished, remove_unlisted, seal
-from .segment import Segment, alarms_of, counters_of, facts_of, intervals_of, is_unmade, open_for_reading
+from .segment import Segment, alarms_of, facts_of
 
 EVER: Final = 2**63 - 1
 SEGMENT_SIZE: Final = 256 * 1024 * 1024
@@ -130,7 +132,7 @@ class StoreWriter:
                 self._next, self._behind = self.manifest.reserve_numbers()
                 self._first = self._next
                 self._awaits_clock = now < EARLIEST
-                self._begin_again(now)
+                self._recover(now)
                 unless_open.pop_all()
         except (sqlite3.Error, OSError) as error:
             raise ConfigError(f"the store cannot be written: {error}", file=str(self.folder)) from error
@@ -153,69 +155,14 @@ class StoreWriter:
 
     # Start
 
-    def _begin_again(self, now: int) -> None:
+    def _recover(self, now: int) -> None:
         """Finish what an earlier process left unfinished, and record the time since its end as a gap."""
-        meant = self.manifest.fact("ended") is not None
-        left: list[StateInterval | Gap] = []
-        for part in self.manifest.parts():
-            if part.kind == "open":
-                self._finish_listing(part)
-        remove_unlisted(self.folder, self.manifest)
+        close_open_segments(self.folder, self.manifest)
         while self.manifest.fact("mend_from") is not None:
             self.mend_next()
         self.manifest.begin_maintenance_again(EARLIEST, now)
-        alive = self.manifest.fact("alive")
-        if alive is not None:
-            left = [replace(each, end=_end_of(each, alive)) for each in self._open_intervals()]
-            begin = self._begin_of_gap(alive, now)
-            left.append(Gap(begin, max(begin, now), Reason.STOPPED if meant else Reason.KILLED))
-        self.commit([], left, now)
+        self.commit([], intervals_since_end(self.folder, self.manifest, now), now)
         self.manifest.set_fact("ended", None)
-
-    def _begin_of_gap(self, alive: int, now: int) -> int:
-        """Return when the gap before this start began, by the present clock as far as that is known."""
-        if alive >= EARLIEST or alive <= now < EARLIEST:
-            return alive
-        if now < EARLIEST:  # the machine was started again, and counts from 1970 anew
-            return now
-        right = (part.alive for part in self.manifest.parts() if (part.alive or 0) >= EARLIEST)
-        return max((at for at in right if at is not None and at <= now), default=now)
-
-    def _finish_listing(self, part: StorePart) -> None:
-        """Record in the manifest what a segment file contains; an empty segment is removed from the list."""
-        path = self.folder / SEGMENTS / part.file
-        found = part
-        alarms: list[AlarmRow] = []
-        counters: list[CounterRow] = []
-        try:
-            with closing(open_for_reading(path)) as database:
-                found = facts_of(database, part, path.stat().st_size)
-                alarms, counters = alarms_of(database), counters_of(database)
-        except FileNotFoundError:
-            pass
-        except sqlite3.OperationalError as error:
-            if not is_unmade(error):
-                raise
-        if found.last_commit is not None:
-            self.manifest.close_segment(found, alarms, counters)
-            self._journal_grew = True
-            return
-        self.manifest.drop_parts([part], before=0)
-
-    def _open_intervals(self) -> list[StateInterval]:
-        """Return the stored silences of devices that have no end yet."""
-        rows = list(self.manifest.intervals())
-        for part in self.manifest.parts():
-            if part.kind == "closed":
-                with closing(open_for_reading(self.folder / SEGMENTS / part.file)) as database:
-                    rows += intervals_of(database)
-        ended = {(row.device, row.begin, row.reason) for row in rows if row.end is not None}
-        ended |= {(row.device, row.begin, int(Reason.MAINTENANCE)) for row in self.manifest.maintenance()}  # it goes on
-        return [
-            StateInterval(row.device, row.begin, None, row.reason)
-            for row in rows
-            if row.end is None and row.device is not None and (row.device, row.begin, row.reason) not in ended
-        ]
 
     # Commits
 
@@ -374,7 +321,8 @@ class StoreWriter:
         if self._part is None:
             return
         self._close_segment()
-        self._finish_listing(self._part)
+        if close_segment(self.folder, self.manifest, self._part):
+            self._journal_grew = True
         self._part = None
         remove_unlisted(self.folder, self.manifest)
         self._step("segment-closed")
@@ -438,9 +386,3 @@ def _aged(parts: Sequence[StorePart], may_be_mended: Callable[[StorePart], bool]
         else:
             next_high = next_high if high is None else high
             yield part
-
-
-def _end_of(interval: StateInterval, alive: int) -> int:
-    """Return when a silence ended that a crashed process left open; ``alive``: when that process last wrote."""
-    is_known = (interval.begin < EARLIEST) is (alive < EARLIEST)  # else the clock was set in between, and not mended
-    return max(alive, interval.begin) if is_known else interval.begin

@@ -1,4 +1,4 @@
-"""Alarm events and states of accumulators in a store, from the open segment and the manifest together.
+"""Alarm events in a store: read from the open segment and the manifest together, and forgotten when they are old.
 
 Knows where both stand. A segment has its own events; when it ends they move into the manifest, in the transaction that
 lists it as finished, so that they outlive its samples.
@@ -12,7 +12,6 @@ from typing import Final
 
 from ..alarms.events import AlarmEvent, AlarmEventKind, AlarmKey, RaisedAlarm, fold_event
 from ..sample_clock import EARLIEST
-from ..samples import CounterState
 from .folder import SEGMENTS
 from .manifest import AlarmRow, Manifest
 from .segment import alarms_of, is_unmade, open_for_reading, sample_value
@@ -100,16 +99,3 @@ def _known_times(rows: Sequence[AlarmRow]) -> Iterator[tuple[int, int]]:
     for place in range(len(rows) - 1, -1, -1):
         known = rows[place].at if rows[place].at >= EARLIEST else known
         yield place, known
-
-
-def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:
-    """Return by device the states of running totals that are stored in files before the present one."""
-    points = {point.id: point for point in manifest.points()}
-    found: dict[str, list[CounterState]] = {}
-    for row in manifest.counters():
-        point = points.get(row.point)
-        if point is not None:
-            total, last = (sample_value(each, 0, False) for each in (row.total, row.last))
-            if isinstance(total, int | float) and isinstance(last, int | float):
-                found.setdefault(point.device, []).append(CounterState(point.point, total, last))
-    return found

@@ -7,7 +7,7 @@ Knows the schema and the fault profiles; reads no file.
 
 from collections.abc import Iterable, Iterator
 
-from ...config.files.faults import FaultSection, parse_fault_words
+from ...config.files.fault_sections import FaultSection, parse_fault_words
 from ...config.files.lines import Path
 from ...config.files.schema import Source
 from ...errors import ConfigError

@@ -7,9 +7,9 @@ from damaged_texts import after_accidents
 from pydantic import Field
 
 from busway import ConfigError
-from busway.apps.simulator.fault_sections import fault_problems
+from busway.apps.simulator.added_faults import fault_problems
 from busway.codes import Table
-from busway.config.files.faults import FaultSection, parse_fault_words
+from busway.config.files.fault_sections import FaultSection, parse_fault_words
 from busway.config.files.problems import FileError
 from busway.config.files.schema import Section, json_schema, read_source
 

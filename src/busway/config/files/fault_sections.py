@@ -1,7 +1,7 @@
-"""Keys of simulation files for faults that a simulated device has: ``[[fault]]``.
+"""Keys of sections ``[[fault]]`` in simulation files: which requests a fault strikes, and when it is active.
 
-Knows the keys, and which requests a section chooses; what goes wrong is in the fault profiles, which
-`busway.apps.simulator.fault_sections` looks up with their parameters.
+Knows the keys that all faults have. The parameters of one fault profile are declared where it is, in
+`busway.faults.profiles`; a section passes them on unread, and `busway.apps.simulator.added_faults` has them checked.
 
 An example is in `docs/simulator.md`.
 """

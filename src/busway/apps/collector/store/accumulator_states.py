@@ -1,0 +1,21 @@
+"""States of accumulators (running totals) in a store, from which a collector goes on counting after a restart.
+
+Knows the manifest, to which they move when a segment ends; knows no segment.
+"""
+
+from ..samples import CounterState
+from .manifest import Manifest
+from .segment import sample_value
+
+
+def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:
+    """Return by device the states of running totals that are stored in files before the present one."""
+    points = {point.id: point for point in manifest.points()}
+    found: dict[str, list[CounterState]] = {}
+    for row in manifest.counters():
+        point = points.get(row.point)
+        if point is not None:
+            total, last = (sample_value(each, 0, False) for each in (row.total, row.last))
+            if isinstance(total, int | float) and isinstance(last, int | float):
+                found.setdefault(point.device, []).append(CounterState(point.point, total, last))
+    return found

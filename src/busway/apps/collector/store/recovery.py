@@ -1,0 +1,105 @@
+"""Recovery of a store at the start of its writer: what an earlier process left unfinished, after a crash or a stop.
+
+Knows the files of a store and their manifest; knows no commits to come. `writer` calls it before its first commit.
+
+1. A commit that was half written when the process ended is undone by SQLite when the segment is opened: no row of it is
+   seen. Everything here is about whole commits.
+2. A segment that was left open is listed in the manifest with what it contains, and is not written any more.
+3. The time since the last sign of life is a `Gap`; its reason says whether the process ended on purpose. Silences of
+   devices that were left open end there.
+"""
+
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+from ..sample_clock import EARLIEST
+from ..samples import Gap, Reason, StateInterval
+from .folder import SEGMENTS
+from .manifest import AlarmRow, CounterRow, Manifest, StorePart
+from .sealing import remove_unlisted
+from .segment import alarms_of, counters_of, facts_of, intervals_of, is_unmade, open_for_reading
+
+
+def close_open_segments(folder: Path, manifest: Manifest) -> None:
+    """Record segments that an earlier process left open as finished, and delete files that are not listed."""
+    for part in manifest.parts():
+        if part.kind == "open":
+            close_segment(folder, manifest, part)
+    remove_unlisted(folder, manifest)
+
+
+def close_segment(folder: Path, manifest: Manifest, part: StorePart) -> bool:
+    """Record in the manifest what a segment file contains; an empty segment is removed from the list.
+
+    Returns:
+        Whether it contains commits.
+    """
+    path = folder / SEGMENTS / part.file
+    found = part
+    alarms: list[AlarmRow] = []
+    counters: list[CounterRow] = []
+    try:
+        with closing(open_for_reading(path)) as database:
+            found = facts_of(database, part, path.stat().st_size)
+            alarms, counters = alarms_of(database), counters_of(database)
+    except FileNotFoundError:
+        pass
+    except sqlite3.OperationalError as error:
+        if not is_unmade(error):
+            raise
+    if found.last_commit is not None:
+        manifest.close_segment(found, alarms, counters)
+        return True
+    manifest.drop_parts([part], before=0)
+    return False
+
+
+def intervals_since_end(folder: Path, manifest: Manifest, now: int) -> list[StateInterval | Gap]:
+    """Return what to record of the time since an earlier process ended: the ends of open silences, and the gap.
+
+    Args:
+        folder: the folder of the store.
+        manifest: its manifest.
+        now: nanoseconds since 1970 UTC.
+    """
+    alive = manifest.fact("alive")
+    if alive is None:  # nothing was ever committed
+        return []
+    reason = Reason.KILLED if manifest.fact("ended") is None else Reason.STOPPED
+    ended = [replace(each, end=_end_of(each, alive)) for each in _open_intervals(folder, manifest)]
+    begin = _begin_of_gap(manifest, alive, now)
+    return [*ended, Gap(begin, max(begin, now), reason)]
+
+
+def _begin_of_gap(manifest: Manifest, alive: int, now: int) -> int:
+    """Return when the gap before this start began, by the present clock as far as that is known."""
+    if alive >= EARLIEST or alive <= now < EARLIEST:
+        return alive
+    if now < EARLIEST:  # the machine was started again, and counts from 1970 anew
+        return now
+    right = (part.alive for part in manifest.parts() if (part.alive or 0) >= EARLIEST)
+    return max((at for at in right if at is not None and at <= now), default=now)
+
+
+def _open_intervals(folder: Path, manifest: Manifest) -> list[StateInterval]:
+    """Return the stored silences of devices that have no end yet."""
+    rows = list(manifest.intervals())
+    for part in manifest.parts():
+        if part.kind == "closed":
+            with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
+                rows += intervals_of(database)
+    ended = {(row.device, row.begin, row.reason) for row in rows if row.end is not None}
+    ended |= {(row.device, row.begin, int(Reason.MAINTENANCE)) for row in manifest.maintenance()}  # it goes on
+    return [
+        StateInterval(row.device, row.begin, None, row.reason)
+        for row in rows
+        if row.end is None and row.device is not None and (row.device, row.begin, row.reason) not in ended
+    ]
+
+
+def _end_of(interval: StateInterval, alive: int) -> int:
+    """Return when a silence ended that a crashed process left open; ``alive``: when that process last wrote."""
+    is_known = (interval.begin < EARLIEST) is (alive < EARLIEST)  # else the clock was set in between, and not mended
+    return max(alive, interval.begin) if is_known else interval.begin
