@@ -50,11 +50,19 @@ def test_a_collector_runs_by_what_was_applied_and_is_shown(run: Callable[..., An
             assert west.process.poll() is None
             status = json.loads(run("fleet", "status", "--json", *at).out)
             shown = [(each["name"], each["state"], each["revision"]) for each in status["collectors"]]
+        refused = run("fleet", "restore", *at)
+        assert (refused.code, "stop all collectors first: west" in refused.err) == (2, True)
         assert "told to hand on" in run("fleet", "drain", "west", *at).out
         west.stop()
     status = json.loads(run("fleet", "status", "--json", *at).out)
     assert status["collectors"][0]["state"] in ("ended", "silent"), "silent where a busy machine took too long to end"
     assert "west" in run("fleet", "status", *at).out
+
+
+def test_restore_raises_the_generation_and_each_time_further(run: Callable[..., Any], tmp_path: Path) -> None:
+    at = ("--coordinator", f"local:{tmp_path}/zone")
+    first, second = (int(run("fleet", "restore", *at).out.split()[-1]) for _ in range(2))
+    assert 1_700_000_000 < first < second
 
 
 def test_a_broken_file_is_refused_with_its_line(run: Callable[..., Any], tmp_path: Path) -> None:

@@ -213,3 +213,8 @@ def test_a_port_that_is_taken_is_named() -> None:
         name = bound_name(taken)
         with pytest.raises(LinkDown, match=name):
             bind_tcp("127.0.0.1", int(name.rpartition(":")[2]))
+
+
+def test_of_two_that_bind_one_port_at_once_the_second_is_refused() -> None:
+    with bind_tcp("127.0.0.1", 0) as first, pytest.raises(LinkDown, match="cannot listen on"):
+        bind_tcp("127.0.0.1", first.getsockname()[1])

@@ -10,15 +10,18 @@ from .output import print_json, say, warn
 
 if TYPE_CHECKING:
     from ..apps.collector.collector import Collector
+    from ..apps.fleet.zone_watch import ZoneWatch
 
 
-async def open_page(stack: AsyncExitStack, collector: "Collector") -> None:
-    """Serve the collector's web page and print its address; if that fails, print why and continue polling."""
+async def open_page(stack: AsyncExitStack, collector: "Collector", zone: "ZoneWatch | None" = None) -> None:
+    """Serve the collector's web page, with its zone if it is one of a fleet, and print its address; if that fails,
+    print why and continue polling.
+    """
     at = collector.configuration.file.collector.page
     if at == "off":
         return
     try:
-        await _open_page_at(at, stack, collector)
+        await _open_page_at(at, stack, collector, zone)
     except ModbusError as error:
         warn(f'no page: {error}; [collector] page = "off", or another address, in {collector.configuration.name}')
 
@@ -37,13 +40,21 @@ async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
         warn(f"no page: {error}")
 
 
-async def _open_page_at(at: str, stack: AsyncExitStack, collector: "Collector") -> None:
+async def _open_page_at(
+    at: str, stack: AsyncExitStack, collector: "Collector", zone: "ZoneWatch | None" = None
+) -> None:
     """Serve the collector's web page at host and port until ``stack`` ends. Raises `LinkDown`, `ConfigError`."""
     try:
         from ..apps.web.collector_page import CollectorPage
+
+        fleet = None
+        if zone is not None:
+            from ..apps.web.fleet_page import FleetApi
+
+            fleet = FleetApi(zone)
     except ImportError as error:
         raise missing_extra(error) or error from error
-    page = await stack.enter_async_context(CollectorPage(collector, at))
+    page = await stack.enter_async_context(CollectorPage(collector, at, fleet))
     say(f"page on {page.url} (tokens that permit more than to view: {page.token_path})")
 
 

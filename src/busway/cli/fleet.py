@@ -3,19 +3,22 @@
 1. ``apply`` checks a collector file as ``collect`` does, and writes it to the coordinator only if nothing is wrong.
 2. ``run`` is one collector of the zone; its configuration is the coordinator's, and followed while it runs.
 3. ``status`` asks the coordinator alone: it also shows a zone none of whose collectors lives.
+4. ``restore`` is for a coordinator that has lost its entries, or has older ones; not while a collector lives.
 """
 
 import asyncio
 import os
 import socket
-from collections.abc import Coroutine
+import time
+from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import AsyncExitStack
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..errors import ConfigError
+from ..errors import ConfigError, ModbusError
 from .arguments import JSON, VERBOSE, seconds, show_traffic, whole_number
 from .collect_status import open_page, print_status
 from .exits import ExitCode
@@ -25,6 +28,7 @@ from .signals import stop_event
 if TYPE_CHECKING:
     from ..apps.fleet.coordinator import Coordinator
     from ..apps.fleet.coordinators.opening import CoordinatorOptions
+    from ..apps.fleet.fleet_collector import FleetCollector
     from ..apps.fleet.fleet_status import ZoneStatus
 
 EXAMPLES = """\b
@@ -34,18 +38,19 @@ Examples:
   busway fleet status --coordinator nats://10.0.0.7 --zone hall
   busway fleet drain west --coordinator nats://10.0.0.7 --zone hall
   busway fleet drain west --undo --coordinator nats://10.0.0.7 --zone hall
+  busway fleet restore --coordinator nats://10.0.0.7 --zone hall
 
 The coordinator may also be local:FOLDER (one machine) or postgresql://user@host/database; BUSWAY_FLEET_PASSWORD holds
 the password of --user, BUSWAY_FLEET the coordinator.
 """
-ACTIONS = ("apply", "run", "status", "drain")
+ACTIONS = ("apply", "run", "status", "drain", "restore")
 LOOK = 4.0
 """Seconds after which a collector that has not renewed its entry is shown as silent: it renews every three."""
 
 
 def fleet(
     words: list[str] = typer.Argument(
-        ..., metavar="apply FILE|run|status|drain NAME", help="A collector file, or the name of a collector."
+        ..., metavar="apply FILE|run|status|drain NAME|restore", help="A collector file, or the name of a collector."
     ),
     coordinator: str | None = typer.Option(
         None, "--coordinator", metavar="URL", help="nats://host:4222, local:FOLDER."
@@ -86,9 +91,12 @@ def fleet(
     show_traffic(verbose)
     works: dict[str, Any] = {
         "apply": lambda table: _apply(table, about),
-        "run": lambda table: _run(table, name, folder, count, every, as_json=as_json),
+        "run": lambda table: _run(
+            table, name, folder, count, every, partial(_take_commands, url, zone, options, table), as_json=as_json
+        ),
         "status": lambda table: _show_status(table, as_json=as_json),
         "drain": lambda table: _drain(table, about, undo=undo),
+        "restore": _restore,
     }
     from ..server.loops import run
 
@@ -100,7 +108,9 @@ def _action(words: list[str]) -> tuple[str, str]:
     """Return what to do, and the file or collector that it is about."""
     needs = 2 if words[0] in ("apply", "drain") else 1
     if words[0] not in ACTIONS or len(words) != needs:
-        raise ConfigError(f"must be apply FILE, run, status or drain NAME, not {' '.join(words)}", key="ACTION")
+        raise ConfigError(
+            f"must be apply FILE, run, status, drain NAME or restore, not {' '.join(words)}", key="ACTION"
+        )
     return words[0], words[-1]
 
 
@@ -132,12 +142,59 @@ async def _drain(table: "Coordinator", name: str, *, undo: bool) -> None:
     )
 
 
+async def _take_commands(
+    url: str,
+    zone: str,
+    options: "CoordinatorOptions",
+    table: "Coordinator",
+    stack: AsyncExitStack,
+    member: "FleetCollector",
+) -> None:
+    """Take commands over the fleet and publish last values, where the coordinator is NATS; if that fails, print why
+    and continue polling.
+    """
+    client = getattr(table, "client", None)
+    if client is None:
+        return
+    from ..apps.fleet.coordinators import open_coordinator
+    from ..apps.fleet.fleet_commands import FleetCommands
+    from ..apps.fleet.live_subjects import LiveSubjects
+
+    try:
+        results = await open_coordinator(url, f"{zone}-commands", options)
+        stack.push_async_callback(results.close)
+        await stack.enter_async_context(FleetCommands(member, client, results, zone, replicas=options.replicas))
+        await stack.enter_async_context(LiveSubjects(member.collector, client, zone))
+    except ModbusError as error:
+        warn(f"no commands over the fleet: {error}")
+
+
+async def _restore(table: "Coordinator") -> None:
+    from ..apps.fleet.control_entries import raise_generation
+    from ..apps.fleet.fleet_status import zone_status
+
+    status = await zone_status(table, LOOK)
+    living = [name for name, each in status.members.items() if each.lives and not each.record.gone]
+    if living:
+        raise ConfigError(f"stop all collectors first: {', '.join(living)} still run", key="restore")
+    print(f"epochs of the zone go on in generation {await raise_generation(table, time.time())}")
+
+
 async def _run(
-    table: "Coordinator", name: str | None, folder: str | None, shards: int, every: float, *, as_json: bool
+    table: "Coordinator",
+    name: str | None,
+    folder: str | None,
+    shards: int,
+    every: float,
+    take_commands: Callable[[AsyncExitStack, "FleetCollector"], Awaitable[None]],
+    *,
+    as_json: bool,
 ) -> None:
     from ..apps.fleet.control_entries import read_configuration
     from ..apps.fleet.fleet_collector import FleetCollector
+    from ..apps.fleet.fleet_metrics import fleet_families
     from ..apps.fleet.lease_times import LeaseTimes
+    from ..apps.fleet.zone_watch import ZoneWatch
 
     shared = await read_configuration(table)
     if shared is None:
@@ -150,7 +207,9 @@ async def _run(
             member = await stack.enter_async_context(
                 FleetCollector(configuration, table, name or host, host=host, shards=shards, revision=shared.revision)
             )
-            await open_page(stack, member.collector)
+            member.collector.more_metrics.append(lambda: fleet_families(member))
+            await take_commands(stack, member)
+            await open_page(stack, member.collector, await stack.enter_async_context(ZoneWatch(table)))
             say(f"{name or host} collects into {configuration.store} by revision {shared.revision}")
             while not stop.is_set():
                 try:

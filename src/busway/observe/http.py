@@ -303,7 +303,7 @@ class _Head:
 
 
 def bind_tcp(host: str, port: int) -> socket.socket:
-    """Return a bound TCP socket for an HTTP service. Raises `LinkDown` if the address cannot be used."""
+    """Return a TCP socket for an HTTP service that listens already. Raises `LinkDown` if the address cannot be used."""
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         bound = socket.socket(family, socket.SOCK_STREAM)
@@ -311,6 +311,7 @@ def bind_tcp(host: str, port: int) -> socket.socket:
             if os.name == "posix":  # elsewhere it would let two programs share one port
                 bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             bound.bind(address)
+            bound.listen()  # with SO_REUSEADDR two programs that begin at once both bind, and one fails here
         except BaseException:
             bound.close()
             raise

@@ -24,7 +24,7 @@ from ..collector.configuration import CollectorConfiguration, parse_collector
 from .coordinator import LONGEST_VALUE, SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
 from .lease_times import LeaseTimes
 from .plant import refuse_slow_links, with_short_user_timeout
-from .records import MEMBERS, ZONE, ZoneRecord, decode_zone
+from .records import GENERATION, MEMBERS, ZONE, ZoneRecord, decode_generation, decode_zone
 from .shards import checked_name
 
 CONTROL: Final = "control."
@@ -143,3 +143,18 @@ async def drain_collector(coordinator: Coordinator, name: str, *, draining: bool
         await coordinator.create(key, b"drain" if draining else b"")
     else:
         await coordinator.replace(key, b"drain" if draining else b"", seen.revision)
+
+
+async def raise_generation(coordinator: Coordinator, now: float) -> int:
+    """Let the epochs of a zone go on above all that were before, and return its new generation.
+
+    For a coordinator that has lost its entries, or has older ones: the generation is the time, in seconds since 1970
+    UTC, so nothing of the one before has to be known. Raises as `apply_configuration`.
+    """
+    seen = (await read_entries(coordinator, GENERATION)).get(GENERATION)
+    generation = max(int(now), 1 + (0 if seen is None else decode_generation(seen.value)))
+    if seen is None:
+        await coordinator.create(GENERATION, b"%d" % generation)
+    else:
+        await coordinator.replace(GENERATION, b"%d" % generation, seen.revision)
+    return generation
