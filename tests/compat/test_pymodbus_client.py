@@ -59,9 +59,11 @@ def port(device: busway.Device) -> Iterator[int]:
 
 
 @pytest.fixture
-def closed_port() -> int:
-    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: busway.Device()}) as server:
-        return int(server.endpoints[0].rpartition(":")[2])
+def closed_port() -> Iterator[int]:
+    """A port on which nothing listens, held so that no other test gets it."""
+    with socket.socket() as held:
+        held.bind(("127.0.0.1", 0))
+        yield int(held.getsockname()[1])
 
 
 @pytest.fixture
@@ -204,6 +206,13 @@ class SilentServer:
         return found
 
 
+def impatient(port: int, **options: int) -> ModbusTcpClient:
+    """A client that waits for answers for a short time, but to connect as long as it takes."""
+    one = ModbusTcpClient("127.0.0.1", port=port, timeout=0.05, **options)
+    one._options["connect_timeout"] = 60.0
+    return one
+
+
 @pytest.mark.parametrize(
     ("call", "options", "asked"),
     [
@@ -217,7 +226,7 @@ def test_silence_is_an_io_exception_and_only_reads_are_repeated_unless_asked(
     call: Callable[[ModbusTcpClient], Any], options: dict[str, int], asked: list[int]
 ) -> None:
     server = SilentServer()
-    one = ModbusTcpClient("127.0.0.1", port=server.port, timeout=0.05, **options)
+    one = impatient(server.port, **options)
     with pytest.raises(ModbusIOException) as caught:
         call(one)
     one.close()
@@ -227,7 +236,7 @@ def test_silence_is_an_io_exception_and_only_reads_are_repeated_unless_asked(
 
 def test_silence_that_is_expected_is_none() -> None:
     server = SilentServer()
-    with ModbusTcpClient("127.0.0.1", port=server.port, timeout=0.05, retries=0) as one:
+    with impatient(server.port, retries=0) as one:
         assert one.write_register(0, 1, no_response_expected=True) is None
     assert server.functions() == [6]
 
