@@ -17,7 +17,7 @@ from collected import at, meter_read
 
 from busway.apps.collector.sinks.delivery import DeliveryOptions
 from busway.apps.collector.sinks.files import FileSink
-from busway.apps.collector.sinks.running import SinkThread
+from busway.apps.collector.sinks.sink_thread import SinkThread
 from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 

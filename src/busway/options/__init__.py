@@ -15,7 +15,7 @@
 `sinks`        Options of sinks: which samples a sink gets, in what batches, and the options of each kind of sink
 `sockets`      Options of network connections, of clients and servers
 `text`         Converts options given as text (URLs, command line) or keywords into fields of parameter classes
-`tls`          Options of Modbus/TCP Security: certificates, TLS versions, cipher suites and deadlines (port 802
+`tls`          Options of Modbus/TCP Security: certificates, TLS versions, cipher suites and deadlines (port 802)
 =============  =====================================================================================================
 
 Where it is decided: range, unit and default of an option: its field in the parameter class (`client`, `server`,

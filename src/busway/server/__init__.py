@@ -35,7 +35,7 @@
 `single_block`           A device with one block of memory: bit functions and word functions reach the same registers
 `standard_port`          Adds a listener on the standard port 502 beside those on other ports
 `status`                 The status of a server: data classes for the server, its listeners and connections
-`status_indicators`      The three status indicators of a listener (communication, error
+`status_indicators`      The three status indicators of a listener (communication, error, device)
 `stores`                 Stores: the memory of one table of a device by address, and the ranges that Modbus cannot write
 `tcp`                    A TCP or TLS listener: its listening sockets and the connections they accept
 `tls_acceptor`           Admits clients of a TLS listener: runs the handshakes and checks host, certificate and role

@@ -50,7 +50,7 @@ from .samples import CounterState, PointDescription, SampleBatch, StateInterval
 from .schedule import LinkSchedule
 from .sinks.delivery import SinkStatus
 from .sinks.prometheus import LastValues, PrometheusPage
-from .sinks.running import SinkThread
+from .sinks.sink_thread import SinkThread
 from .store.accumulator_states import counters_by_device
 from .store.alarm_events import alarm_events, alarm_rows
 from .store.commit_thread import Committer, StoreStatus

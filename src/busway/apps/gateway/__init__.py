@@ -1,18 +1,20 @@
 """The gateway: forwards requests from any listener to any upstream (Messaging on TCP/IP V1.0b §4.4.2, "MODBUS/TCP to
 serial line gateways").
 
-==========================  =========================================================================================
+==========================  ===========================================================================================
 `address_index`             An index of many address ranges: finds the first one that a request touches
+`batch`                     Requests of one client that go upstream together, and all clients that wait for them
 `configuration`             Reads the configuration of a gateway from one file, or from a few URLs
 `decoded_reads`             A table of functions that caches decoded reads, because clients repeat theirs
 `upstream_exception_codes`  Exception code (0A or 0B) for the client when an upstream is down, silent or dies
 `file_routes`               The routes and listeners of a gateway file, each with its path in the file
-`forwarding`                Forwarding to an upstream: batches, shared reads, deadlines, the reply to each client
+`forwarding`                Sends batches upstream, and gives each client its reply or exception code
 `gateway`                   The gateway: starts, drains, reloads and stops listeners and upstreams
 `overview`                  The contents of a gateway file as rows of text: listeners, upstreams, routes
 `own_unit`                  The gateway's own unit: its identification, diagnostics and status registers
 `policy_gaps`               Finds routes that reach a rule's device by units or addresses that the rule does not name
-`read_cache`                What may answer a read without a new request: recent values, and reads in flight
+`read_cache`                Values read recently, until they are too old or a write comes; when reads may not be shared
+`shared_reads`              Two clients that ask for the same at once: the second waits for the read of the first
 `route_checks`              Checks the routes of a gateway file before the gateway runs
 `router`                    Which upstream or own unit answers a request of one listener; broadcasts
 `routes`                    Routes: which upstream and which unit a request is forwarded to
@@ -22,13 +24,13 @@ serial line gateways").
 `upstream`                  One upstream: its connections, their loss and recovery, counters and status
 `upstream_log`              Log lines about an upstream: when it cannot be reached, how many requests got 0A
 `waiter_deadlines`          Deadlines of clients that wait for the same read: each has its own
-==========================  =========================================================================================
+==========================  ===========================================================================================
 
 A gateway is a server whose responder hands each request to a link.
 
 Where it is decided: which upstream gets a request: `routes`. 0A or 0B when an upstream is down, silent or dies:
-`upstream_exception_codes`. Which values are still fresh enough to answer from memory, and which reads in flight may be
-shared: `read_cache`. Whether the read of this client takes them or goes upstream itself (a priority host does not wait
-behind others): `forwarding`. How long each client waits: `waiter_deadlines`. Broadcasts: `router`. Connecting again:
-`upstream` and `busway.session.reconnect`.
+`upstream_exception_codes`. Which values are still fresh enough to answer from memory, and whether a write forbids to
+share reads: `read_cache`. Whether the read of a client joins an equal one in flight or goes upstream itself (a priority
+host does not wait behind others): `shared_reads`. How long each client waits: `waiter_deadlines`. Broadcasts: `router`.
+Connecting again: `upstream` and `busway.session.reconnect`.
 """

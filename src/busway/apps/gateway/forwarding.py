@@ -5,18 +5,16 @@ Knows upstreams, calls and who asked; knows no route and no listener.
 1. What one client asks of one unit at once is one call, a batch of one or more: it waits for its turn as one, and
    leaves together as far as the turn allows. Where the upstream takes one request at a time, each is its own batch.
 2. Each request is answered as soon as its own reply is there. None waits for the others of its batch.
-3. A read that is identical to one in flight shares its reply, if no write came between (`read_cache`). A priority host
-   does not share what still waits in the queue for others: its own read goes before.
+3. A read that is identical to one in flight shares its reply, if no write came between (`shared_reads`, `read_cache`).
+   A priority host does not share what still waits in the queue for others: its own read goes before.
 4. A client that disconnects takes those of its requests with it that no other client waits for. A write that was sent
    goes on, and until it ends nothing of its unit is shared.
 5. Clients that share a read have a deadline each; the read goes on for the others.
 """
 
 import asyncio
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence, Set
-from functools import partial
+from collections.abc import Sequence
 from itertools import chain
-from types import MappingProxyType
 from typing import Any, Final
 
 from ...client.link import AsyncLinkDriver
@@ -24,110 +22,16 @@ from ...codes import BROADCAST_UNIT
 from ...errors import ModbusError, NoReply, Overloaded
 from ...pdu.message import Message
 from ...pdu.read_items import ReadBits, ReadRegisters
-from ...session.call import Call, Outcome
+from ...session.call import Outcome
 from ...session.client import TcpClientSession
-from ...session.forwarded_reads import ForwardedReads
-from ...session.responder import Forwarding
+from .batch import Batch, ForwardedRequest, ForwardingClient, Waiter
 from .read_cache import Key, Place, ReadCache
+from .shared_reads import share
 from .upstream import Upstream
 from .upstream_exception_codes import NO_PATH
-from .waiter_deadlines import WaiterDeadlines
 
-FOR_EVER: Final = 86_400.0
-"""Seconds that a client without a deadline waits for a read that it shares with one that has a deadline."""
 _GOOD: Final = {bytes}
 _REPLIES: Final = (ReadRegisters.Reply, ReadBits.Reply)
-
-
-ForwardingClient = ForwardedReads | Forwarding
-"""Who gets the answers to forwarded requests: a connection with its reads, or a single request."""
-ForwardedRequest = Any
-"""A `ForwardPlan` of `ForwardedReads`, or a `Translated` of a `Forwarding`; each client gets its own back."""
-Waiter = tuple[ForwardingClient, Any, ForwardedRequest]
-"""An asker, and which of its requests waits."""
-_NO_POSITIONS: frozenset[int] = frozenset()
-_NONE_JOINED: Mapping[int, list[Waiter]] = MappingProxyType({})
-
-
-class Batch(Call):
-    """Requests of one client that go upstream together, and the other clients that share replies to some of them.
-
-    Attributes:
-        asker: the client; None when it has disconnected.
-        tags, asked: its requests. Their positions are those of ``requests``, unless a single one was split.
-        told: positions that were answered one by one; empty if all are answered together.
-        joined: other clients that wait for a read, by its position.
-        deadlines: of all that wait, where several do: of one that joined, or of the first with all its requests.
-        keys, shared: the keys of its reads, and where they are found, if they may be shared.
-        place, since, read_at: what is remembered of a read, and which moment its value is of.
-    """
-
-    # What most batches never set is a class attribute until it is set, as in `Call`.
-    told: Set[int] = _NO_POSITIONS
-    joined: Mapping[int, list[Waiter]] = _NONE_JOINED
-    deadlines: WaiterDeadlines[Waiter | None] | None = None
-    keys: Sequence[Key] = ()
-    shared: MutableMapping[Key, "Batch"] | None = None
-    place: Place | None = None
-    since: int = 0
-    read_at: float = 0.0
-
-    def __init__(
-        self,
-        target: "ForwardTarget",
-        link: AsyncLinkDriver,
-        asker: ForwardingClient,
-        tags: Sequence[Any],
-        asked: Sequence[ForwardedRequest],
-    ) -> None:
-        requests = asked[0].requests if len(asked) == 1 else [one.requests[0] for one in asked]
-        deadline = None if target.deadline is None else link.now() + target.deadline
-        super().__init__(
-            target.unit, requests, requests[0].is_write, target.timeout, target.retries, False, asker.peer, deadline
-        )
-        self.owner = self
-        self.places: int = len(tags)
-        if asker.is_priority:
-            self.is_priority = True
-        self.forwarder: Forwarder = target.forwarder
-        self.link = link
-        self.asker: ForwardingClient | None = asker
-        self.tags = tags
-        self.asked = asked
-
-    def done(self) -> bool:
-        """Return False always: a link asks futures this before it calls `set_result`, and treats a
-        batch as a future.
-        """
-        return False
-
-    def set_result(self, result: None) -> None:
-        """Answer the clients: the link calls this, as on a future, when all requests of the batch have an outcome."""
-        self.forwarder.answer(self)
-
-    def owed(self, asker: ForwardingClient) -> Iterator[ForwardedRequest]:
-        """Yield the requests of a client in this batch that have no answer yet."""
-        for position in range(len(self.tags)):
-            if position not in self.told:
-                yield from (asked for waiter, _, asked in self.waiters(position) if waiter is asker)
-
-    def asker_gone(self, asker: ForwardingClient) -> None:
-        """Withdraw the requests of the client that sent the batch, because it has disconnected."""
-        self.forwarder.withdraw(self, asker)
-
-    def is_sent(self, position: int) -> bool:
-        """Whether the request at a position of the batch was sent upstream."""
-        return position < self.next or position in self.attempts
-
-    @property
-    def left(self) -> int:
-        """Number of requests of the batch that have no answer yet."""
-        return len(self.tags) - len(self.told)
-
-    def waiters(self, position: int) -> list[Waiter]:
-        """Return the clients that wait for the request at a position of the batch."""
-        own = [] if self.asker is None else [(self.asker, self.tags[position], self.asked[position])]
-        return own + self.joined.get(position, [])
 
 
 class ForwardTarget:
@@ -166,7 +70,7 @@ class ForwardTarget:
         if shared is not None:
             keys = [one.key for one in asked]
             if not shared.keys().isdisjoint(keys) or len(set(keys)) != len(keys):
-                tags, asked, twice = self._share(asker, tags, asked, shared)
+                tags, asked, twice = share(asker, tags, asked, shared, self.deadline)
                 keys = [one.key for one in asked]
         if tags:
             batch = Batch(self, link, asker, tags, asked)
@@ -221,51 +125,6 @@ class ForwardTarget:
             return
         for tag, one in zip(batch.tags, batch.asked, strict=True):
             forwarder.refuse((asker, tag, one), forwarder.upstream.refused(error))
-
-    def _share(
-        self,
-        asker: ForwardingClient,
-        tags: Sequence[Any],
-        asked: Sequence[ForwardedRequest],
-        shared: Mapping[Key, Batch],
-    ) -> tuple[Sequence[Any], Sequence[ForwardedRequest], list[tuple[Any, ForwardedRequest]]]:
-        """Let reads wait for equal reads in flight. Returns which requests to send, and which wait already."""
-        left: dict[Key, tuple[Any, ForwardedRequest]] = {}
-        twice: list[tuple[Any, ForwardedRequest]] = []
-        for tag, one in zip(tags, asked, strict=True):
-            batch = shared.get(one.key)
-            if batch is not None and (
-                not asker.is_priority or batch.is_priority or batch.is_sent(_position(batch, one))
-            ):
-                self._join(batch, (asker, tag, one))
-            elif one.key in left:
-                twice.append((tag, one))
-            else:
-                left[one.key] = tag, one
-        return [tag for tag, _ in left.values()], [one for _, one in left.values()], twice
-
-    def _join(self, batch: Batch, waiter: Waiter) -> None:
-        """Let a client wait for an equal read that another client has in flight."""
-        asker, _, asked = waiter
-        self.forwarder.upstream.counters.shared += 1
-        position = _position(batch, asked)
-        batch.joined = {**batch.joined, position: [*batch.joined.get(position, ()), waiter]}
-        asker.batches[batch] = None
-        now, within = batch.link.now(), self.deadline
-        if batch.deadlines is None:
-            give_up = partial(self.forwarder.give_up_one, batch)
-            batch.deadlines = WaiterDeadlines(batch.link.now, batch.link.call_at, give_up)
-            if batch.deadline is not None and batch.asker is not None:
-                batch.deadlines.add(None, batch.deadline)
-        if within is not None:
-            batch.deadlines.add(waiter, now + within)
-        if batch.deadline is not None:  # the first client may have less time than this one
-            batch.deadline = max(batch.deadline, now + (FOR_EVER if within is None else within))
-
-
-def _position(batch: Batch, asked: ForwardedRequest) -> int:
-    """Return the position of a read in a batch."""
-    return batch.keys.index(asked.key)
 
 
 class Forwarder:
@@ -460,4 +319,4 @@ class Forwarder:
             self._all_answered.set()
 
 
-__all__ = ["Batch", "ForwardTarget", "ForwardedRequest", "Forwarder", "ForwardingClient"]
+__all__ = ["ForwardTarget", "Forwarder"]

@@ -1,6 +1,6 @@
 """What may answer a read of a gateway without a new request: values read recently, and reads in flight to share.
 
-`forwarding` asks here before it sends a read, and decides for the single client.
+`forwarding` asks here before it sends a read; `shared_reads` lets a client wait for a read in flight.
 
 Knows reads and writes by unit and range; knows no link, and the time only as ``now``.
 

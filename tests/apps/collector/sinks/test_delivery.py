@@ -14,7 +14,7 @@ from waiting import wait_until
 from busway.apps.collector.samples import Reason, StateInterval
 from busway.apps.collector.sinks.delivery import ASIDE, DeliveryOptions
 from busway.apps.collector.sinks.interface import SinkDown
-from busway.apps.collector.sinks.running import SinkThread
+from busway.apps.collector.sinks.sink_thread import SinkThread
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 from busway.errors import ConfigError

@@ -3,7 +3,7 @@
 ===================  ===================================================================================================
 `interface`          The interface of sinks, which send samples to other systems, and their errors
 `delivery`           Delivery of a store's samples to one sink: reads after the sink's cursor, sends
-`running`            Runs all sinks of a store in a thread with an event loop of its own, so that no sink delays polling
+`sink_thread`        Runs all sinks of a store in a thread with an event loop of its own, so that no sink delays polling
 `options`            Makes a sink, and the options of its delivery, from a table `[[sink]]` of the collector file
 `documents`          Converts samples to JSON: one document for each device and commit, or one for each sample
 `files`              Sink that writes files: CSV, JSON lines, Parquet
@@ -18,8 +18,8 @@
 ===================  ===================================================================================================
 
 Where it is decided: what is sent to a sink, in what order, again or never: `delivery`. When a sink that is down is
-tried again, and how long samples wait for it: `delivery` (`Delivery.run`); `running` begins a delivery again only after
-an unexpected error. Whether an error means "later" or "refused for good": the file of the sink, by the errors of
+tried again, and how long samples wait for it: `delivery` (`Delivery.run`); `sink_thread` begins a delivery again only
+after an unexpected error. Whether an error means "later" or "refused for good": the file of the sink, by the errors of
 `interface`. By which key a receiver knows a sample that comes twice: `documents`. Secrets, TLS and options: `options`.
 Topics and subjects: `mqtt`, `nats`, `sparkplug`.
 """
