@@ -55,7 +55,7 @@ ONE_PYTHON := $(addprefix tests/, \
 	apps/collector/alarms/test_alarm_walk.py apps/collector/alarms/test_collected.py \
 	apps/collector/commands/test_crashes.py apps/collector/sinks/test_kills.py \
 	apps/collector/sinks/test_sparkplug_walk.py apps/collector/store/test_crashes.py \
-	apps/collector/store/test_power_failure.py apps/fleet/test_member.py \
+	apps/collector/store/test_power_failure.py apps/fleet/test_lease_holder.py \
 	$(addprefix cli/test_, demo.py gateway.py serve_access.py simulate.py simulate_api.py simulate_faults.py \
 	simulate_sources.py status.py))
 PYTEST_FLAGS ?=
