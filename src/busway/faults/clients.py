@@ -21,7 +21,7 @@ class ClientFaultProfile:
         happens: what the client does, in words.
         seen_in: where it was reported.
         answer: the right reaction of a server.
-        make: the bytes that are sent before the silence; its keyword arguments are the options.
+        make: the bytes that are sent before the silence; its keyword arguments are the parameters.
     """
 
     name: str
@@ -57,7 +57,7 @@ def misbehaving_client(
     Args:
         endpoint: URL of the server.
         fault_profile: the client fault profile.
-        options: the options of the fault profile.
+        options: values for the parameters of the fault profile.
     """
     where = parse_endpoint(endpoint)
     with socket.create_connection((where.host, where.port or 0), 5.0) as connection:

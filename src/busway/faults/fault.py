@@ -152,7 +152,7 @@ class Fault:
         answered: the frames that leave, made from those that would.
         closes_at: when the connection is closed, in the clock of ``now``; None for never.
         carriers: the kinds of transport on which it can occur.
-        options: the options of the fault profile that it was made with.
+        options: the parameters of its fault profile, with the values that it was made with.
     """
 
     name: str = ""

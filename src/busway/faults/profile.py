@@ -2,7 +2,7 @@
 
 Knows the description of a profile and how to make its fault; knows no connection.
 
-1. A name means the same in tests, in the simulator, in the options of the client and in the documentation; the
+1. A name means the same in tests, in the simulator, in the command line and in the documentation; the
    documentation's table is generated from these objects.
 2. A table is immutable; `FaultProfileTable.with_fault_profiles` makes a larger one.
 3. A parameter is declared once, in the signature of the function that makes the fault (`profiles`), with the marks of

@@ -30,7 +30,7 @@ from .responder import FaultyResponder
 
 @dataclass(frozen=True, slots=True)
 class FaultStatus:
-    """The status of one fault: its profile, options, whether it is on, and how often it applied.
+    """The status of one fault: its profile, parameters, whether it is on, and how often it applied.
 
     Attributes:
         name: the name of the fault.
@@ -107,7 +107,7 @@ class FaultSwitchboard:
             probability: 0…1, the part of those requests that it changes.
             schedule: when it is active.
             on: whether it is switched on.
-            parameters: the options of the fault profile.
+            parameters: values for the parameters of the fault profile.
 
         Returns:
             The name of the fault.

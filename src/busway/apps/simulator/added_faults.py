@@ -91,7 +91,7 @@ def _put_on(board: FaultSwitchboard, section: FaultSection, name: str) -> str:
 
 
 def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
-    """Carry out an option ``--fault``: switch on the fault with that name, or add a fault profile with options.
+    """Carry out an option ``--fault``: switch on the fault with that name, or add a fault with parameters.
 
     Args:
         board: the faults of the simulation.
@@ -111,7 +111,7 @@ def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
 
 
 def fault_profile_lines(fault_profiles: FaultProfileTable = FAULT_PROFILES) -> list[str]:
-    """Return the lines that ``--list-faults`` prints: each fault profile with its effect and its options."""
+    """Return the lines that ``--list-faults`` prints: each fault profile with its effect and its parameters."""
     width = max(len(name) for name in fault_profiles)
     lines = []
     for one in fault_profiles.values():
