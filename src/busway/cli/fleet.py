@@ -2,7 +2,8 @@
 
 1. ``apply`` checks a collector file as ``collect`` does, and writes it to the coordinator only if nothing is wrong.
 2. ``run`` is one collector of the zone; its configuration is the coordinator's, and followed while it runs.
-3. ``status`` asks the coordinator alone: it also shows a zone none of whose collectors lives.
+3. ``run --stream`` sends samples into a stream, from which ``sink`` takes them (`fleet_sinks`).
+4. ``status`` asks the coordinator alone: it also shows a zone none of whose collectors lives.
 4. ``restore`` is for a coordinator that has lost its entries, or has older ones; not while a collector lives.
 """
 
@@ -22,6 +23,7 @@ from ..errors import ConfigError, ModbusError
 from .arguments import JSON, VERBOSE, seconds, show_traffic, whole_number
 from .collect_status import open_page, print_status
 from .exits import ExitCode
+from .fleet_sinks import open_stream, print_stream_status, run_sink
 from .output import print_aligned, print_json, say, warn
 from .signals import stop_event
 
@@ -35,6 +37,8 @@ EXAMPLES = """\b
 Examples:
   busway fleet apply plant.toml --coordinator nats://10.0.0.7 --zone hall
   busway fleet run --coordinator nats://10.0.0.7 --zone hall --name west --store /var/lib/busway/west
+  busway fleet run --stream --coordinator nats://10.0.0.7 --zone hall --name east --store /var/lib/busway/east
+  busway fleet sink broker --coordinator nats://10.0.0.7 --zone hall
   busway fleet status --coordinator nats://10.0.0.7 --zone hall
   busway fleet drain west --coordinator nats://10.0.0.7 --zone hall
   busway fleet drain west --undo --coordinator nats://10.0.0.7 --zone hall
@@ -43,14 +47,16 @@ Examples:
 The coordinator may also be local:FOLDER (one machine) or postgresql://user@host/database; BUSWAY_FLEET_PASSWORD holds
 the password of --user, BUSWAY_FLEET the coordinator.
 """
-ACTIONS = ("apply", "run", "status", "drain", "restore")
+ACTIONS = ("apply", "run", "sink", "status", "drain", "restore")
 LOOK = 4.0
 """Seconds after which a collector that has not renewed its entry is shown as silent: it renews every three."""
 
 
 def fleet(
     words: list[str] = typer.Argument(
-        ..., metavar="apply FILE|run|status|drain NAME|restore", help="A collector file, or the name of a collector."
+        ...,
+        metavar="apply FILE|run|sink NAME|status|drain NAME|restore",
+        help="A collector file, or the name of a sink of it, or of a collector.",
     ),
     coordinator: str | None = typer.Option(
         None, "--coordinator", metavar="URL", help="nats://host:4222, local:FOLDER."
@@ -63,8 +69,11 @@ def fleet(
     credentials: str | None = typer.Option(None, "--credentials", metavar="FILE", help="A NATS credentials file."),
     ca: str | None = typer.Option(None, "--ca", metavar="FILE", help="Certificates to check the coordinator by."),
     replicas: str = typer.Option("1", "--replicas", metavar="N", help="Servers that must keep each entry: 1."),
+    stream: bool = typer.Option(False, "--stream", help="run: send samples into a stream, for sinks (NATS)."),
     undo: bool = typer.Option(False, "--undo", help="drain: let the collector take part again."),
-    status_every: str = typer.Option("60s", "--status-every", metavar="TIME", help="run: print a status this often."),
+    status_every: str = typer.Option(
+        "60s", "--status-every", metavar="TIME", help="run, sink: print a status so often."
+    ),
     as_json: bool = JSON,
     verbose: int = VERBOSE,
 ) -> int:
@@ -77,6 +86,8 @@ def fleet(
         raise ConfigError("is needed: nats://host:4222, local:FOLDER or postgresql://user@host/db", key="--coordinator")
     if undo and action != "drain":
         raise ConfigError("is for drain", key="--undo")
+    if stream and action != "run":
+        raise ConfigError("is for run", key="--stream")
     if (name or folder) and action != "run":
         raise ConfigError("is for run", key="--name" if name else "--store")
     options = CoordinatorOptions(
@@ -92,8 +103,17 @@ def fleet(
     works: dict[str, Any] = {
         "apply": lambda table: _apply(table, about),
         "run": lambda table: _run(
-            table, name, folder, count, every, partial(_take_commands, url, zone, options, table), as_json=as_json
+            table,
+            name,
+            folder,
+            count,
+            every,
+            partial(_take_commands, url, zone, options, table),
+            zone if stream else None,
+            options.replicas,
+            as_json=as_json,
         ),
+        "sink": lambda table: run_sink(table, zone, about, options.replicas, every, as_json=as_json),
         "status": lambda table: _show_status(table, as_json=as_json),
         "drain": lambda table: _drain(table, about, undo=undo),
         "restore": _restore,
@@ -106,10 +126,10 @@ def fleet(
 
 def _action(words: list[str]) -> tuple[str, str]:
     """Return what to do, and the file or collector that it is about."""
-    needs = 2 if words[0] in ("apply", "drain") else 1
+    needs = 2 if words[0] in ("apply", "sink", "drain") else 1
     if words[0] not in ACTIONS or len(words) != needs:
         raise ConfigError(
-            f"must be apply FILE, run, status, drain NAME or restore, not {' '.join(words)}", key="ACTION"
+            f"must be apply FILE, run, sink NAME, status, drain NAME or restore, not {' '.join(words)}", key="ACTION"
         )
     return words[0], words[-1]
 
@@ -187,6 +207,8 @@ async def _run(
     shards: int,
     every: float,
     take_commands: Callable[[AsyncExitStack, "FleetCollector"], Awaitable[None]],
+    stream_zone: str | None,
+    replicas: int,
     *,
     as_json: bool,
 ) -> None:
@@ -204,8 +226,20 @@ async def _run(
     host = socket.gethostname().partition(".")[0]
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
+            stream = None
+            if stream_zone is not None:
+                stream = await open_stream(stack, table, stream_zone, shards, replicas)
+                configuration = replace(configuration, sinks={})
             member = await stack.enter_async_context(
-                FleetCollector(configuration, table, name or host, host=host, shards=shards, revision=shared.revision)
+                FleetCollector(
+                    configuration,
+                    table,
+                    name or host,
+                    host=host,
+                    shards=shards,
+                    stream=stream,
+                    revision=shared.revision,
+                )
             )
             member.collector.more_metrics.append(lambda: fleet_families(member))
             await take_commands(stack, member)
@@ -217,6 +251,8 @@ async def _run(
                         await stop.wait()
                 except TimeoutError:
                     print_status(member.collector, as_json=as_json)
+                    if not as_json:
+                        print_stream_status(member)
                     if member.refused is not None:
                         warn(f"warning: {member.refused}")
 

@@ -236,7 +236,8 @@ class FleetCollector:
         try:
             shared = decode_configuration(entry)
             newer = await asyncio.to_thread(shared.parsed, self.member.times)
-            newer = replace(newer, store=self._configuration.store)
+            sinks = newer.sinks if self._stream is None else {}  # its samples reach sinks through the stream
+            newer = replace(newer, store=self._configuration.store, sinks=sinks)
             refuse_what_cannot_change(self._configuration, newer)
         except ConfigError as error:
             self.refused = f"revision {entry.revision} is refused, revision {self.revision} holds: {error}"

@@ -60,6 +60,11 @@ class FileSink:
             None  # first commits of files that an earlier process wrote; None: not looked yet
         )
 
+    @property
+    def is_named_by_commits(self) -> bool:
+        """Whether each batch is a file that its first commit names: commits of one store then."""
+        return self._format is FileFormat.PARQUET
+
     async def open(self) -> None:
         """Do nothing: the sink opens its files anew for each batch of samples."""
 

@@ -1,0 +1,169 @@
+"""``busway fleet run --stream`` and ``busway fleet sink``: samples of a zone through a stream of NATS JetStream.
+
+1. With ``--stream`` a collector sends its samples into the stream, and keeps them in its store until every sink has
+   them; it runs no sink of the file itself.
+2. A sink is a process of its own, with its table of the zone's configuration. Its place in the stream has its name.
+"""
+
+import asyncio
+from contextlib import AsyncExitStack
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any
+
+from ..errors import ConfigError
+from ..values.counts import counted
+from .output import print_json, say, warn
+from .signals import stop_event
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from ..apps.collector.sinks.interface import Sink
+    from ..apps.collector.store.committed_samples import CommittedSample
+    from ..apps.fleet.coordinator import Coordinator
+    from ..apps.fleet.fleet_collector import FleetCollector
+    from ..apps.fleet.streams import NatsStream
+    from ..options.sinks import DeliveryOptions
+
+
+def nats_client(table: "Coordinator") -> Any:
+    """Return the NATS client of a coordinator. Raises `ConfigError` for one of another kind."""
+    client = getattr(table, "client", None)
+    if client is None:
+        raise ConfigError("samples go through a stream of NATS JetStream: nats://host:4222", key="--coordinator")
+    return client
+
+
+async def open_stream(
+    stack: AsyncExitStack, table: "Coordinator", zone: str, shards: int, replicas: int
+) -> "NatsStream":
+    """Open the stream of a zone for the samples of one collector, and follow what its sinks have.
+
+    Args:
+        stack: ends what is begun here.
+        table: the coordinator.
+        zone: its name.
+        shards: how many the zone has.
+        replicas: servers that keep each message.
+
+    Raises:
+        ConfigError: the stream cannot be used, or has too few replicas.
+        StreamDown: no server has answered.
+    """
+    from ..apps.fleet.lease_driver import end_tasks
+    from ..apps.fleet.shards import shard_of
+    from ..apps.fleet.streams import NatsStream, StreamOptions, make_stream
+
+    client = nats_client(table)
+    await make_stream(client, zone, StreamOptions(replicas=replicas))
+    stream = NatsStream(client, zone, lambda link: shard_of(link, shards))
+    watch = asyncio.create_task(stream.watch_cursors(table), name="busway fleet cursors")
+    stack.push_async_callback(end_tasks, [watch])
+    return stream
+
+
+def print_stream_status(member: "FleetCollector") -> None:
+    """Print how far the samples of a collector have come: into the stream, and to all its sinks."""
+    if member.outbox is None:
+        return
+    status = member.outbox.status()
+    error = f": {status.error}" if status.error else ""
+    newest = member.collector.newest_commit
+    print(f"  stream: {newest - status.sent} of {counted(newest, 'commit')} wait to be sent{error}", flush=True)
+    print(f"  sinks of the stream: {counted(newest - status.kept, 'commit')} behind", flush=True)
+
+
+def _refuse_what_needs_a_store(file: str, name: str, sink: "Sink", options: "DeliveryOptions") -> None:
+    """Raise `ConfigError` for a sink, or an option of it, that works only beside the store of one collector."""
+    from ..apps.collector.sinks.files import FileSink
+    from ..apps.collector.sinks.sparkplug import SparkplugSink
+
+    key = f"sink.{name}"
+    if isinstance(sink, SparkplugSink):
+        raise ConfigError("Sparkplug needs the store of a collector: run it without --stream", file=file, key=key)
+    if isinstance(sink, FileSink) and sink.is_named_by_commits:
+        raise ConfigError(
+            "Parquet files are called by commits, which several collectors count: take csv or jsonl", file=file, key=key
+        )
+    if options.report is not None:
+        raise ConfigError("is not applied to samples of a stream: leave it out", file=file, key=f"{key}.report")
+
+
+class _Chosen:
+    """A sink that gets only the points that its table of the file names."""
+
+    def __init__(self, sink: "Sink", patterns: "Sequence[str]") -> None:
+        self._sink, self._patterns = sink, patterns
+        self._known: dict[tuple[str, str], bool] = {}
+
+    async def open(self) -> None:
+        await self._sink.open()
+
+    async def send(self, samples: "Sequence[CommittedSample]") -> None:
+        chosen = [each for each in samples if self._is_chosen(each.device, each.point)]
+        if chosen:
+            await self._sink.send(chosen)
+
+    async def close(self) -> None:
+        await self._sink.close()
+
+    def _is_chosen(self, device: str, point: str) -> bool:
+        found = self._known.get((device, point))
+        if found is None:
+            found = any(fnmatchcase(f"{device}/{point}", pattern) for pattern in self._patterns)
+            self._known[device, point] = found
+        return found
+
+
+async def run_sink(table: "Coordinator", zone: str, name: str, replicas: int, every: float, *, as_json: bool) -> None:
+    """Pass the samples of a zone's stream on to one sink of its configuration, until a signal.
+
+    Raises:
+        ConfigError: the zone has no such sink, or the coordinator no stream.
+    """
+    from ..apps.fleet.control_entries import read_configuration
+    from ..apps.fleet.lease_driver import end_tasks
+    from ..apps.fleet.lease_times import LeaseTimes
+    from ..apps.fleet.streams import StreamOptions, StreamSink
+
+    client = nats_client(table)
+    shared = await read_configuration(table)
+    if shared is None:
+        raise ConfigError("the zone has no configuration yet: busway fleet apply FILE", key="--zone")
+    configuration = await asyncio.to_thread(shared.parsed, LeaseTimes())
+    if name not in configuration.sinks:
+        there = ", ".join(configuration.sinks) or "none"
+        raise ConfigError(f"the configuration has no sink {name}; there are {there}", key="NAME")
+    sink, options = configuration.sinks[name]
+    _refuse_what_needs_a_store(shared.name, name, sink, options)
+
+    def set_aside(sample: "CommittedSample", error: str) -> None:
+        warn(f"sink {name}: {sample.device}/{sample.point} at {sample.time} ns is refused for good: {error}")
+
+    handed = StreamSink(
+        client, table, zone, name, _Chosen(sink, options.points), set_aside, StreamOptions(replicas=replicas)
+    )
+    with stop_event() as stop:
+        running = asyncio.create_task(handed.run(), name="busway fleet sink")
+        stopped: asyncio.Task[Any] = asyncio.create_task(stop.wait(), name="busway fleet sink stop")
+        say(f"sink {name} takes the samples of zone {zone}")
+        try:
+            while not stopped.done() and not running.done():
+                await asyncio.wait((running, stopped), timeout=every, return_when=asyncio.FIRST_COMPLETED)
+                _print_status(handed, name, as_json=as_json)
+        finally:
+            await end_tasks([running, stopped])
+    if not running.cancelled():
+        running.result()
+
+
+def _print_status(handed: Any, name: str, *, as_json: bool) -> None:
+    facts = {
+        "sink": name, "taken": handed.taken, "refused": handed.refused, "unreadable": handed.unreadable,
+        "dropped": handed.dropped, "error": handed.error,
+    }  # fmt: skip
+    if as_json:
+        print_json(facts)
+        return
+    lost = "".join(f", {facts[key]} {key}" for key in ("refused", "unreadable", "dropped") if facts[key])
+    print(f"{counted(handed.taken, 'sample')} taken{lost}{f': {handed.error}' if handed.error else ''}", flush=True)
