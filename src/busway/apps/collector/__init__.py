@@ -34,7 +34,8 @@
 Where it is decided: which registers one read fetches: `plan`. What a device refuses, and how long its reads take:
 `learning`. Which device is asked next, how often a silent one, and which rounds are skipped: `schedule`. Whether a link
 has too much to do: `admission`. The time of a sample: `poller` and `sample_clock`. What a reload changes: `reloading`.
-Why a sample has no value, or a doubtful one: `poller` for the read, `busway.points` for its decoding. Whether a
-collector of a fleet may still poll: `permitted_link` asks, `busway.apps.fleet.lease_holder` decides. What is remembered
+Why a sample has no value, or a doubtful one: `poller` for the read, `busway.points` for its decoding. When a
+counter has begun again: `busway.points.derived`. Whether a collector of a fleet may still poll: `permitted_link` asks,
+`busway.apps.fleet.lease_holder` decides. What is remembered
 of devices over a restart: `learnt_file`; of samples: `store`.
 """

@@ -2,7 +2,8 @@
 
 Pure: knows points and their latest readings; knows no request and no clock.
 
-1. The sample of an accumulator is its total, which goes on where the counter begins again.
+1. The sample of an accumulator is its total, which goes on where the counter begins again: `busway.points.derived` says
+   when it has.
 2. Computed points get a sample at the end of each round that read one of their inputs.
 3. A member of a group whose size the device says is read while it is there, once the size is known.
 """

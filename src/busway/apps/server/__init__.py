@@ -11,7 +11,7 @@
 `service`          A running server and the services around it: policy, audit log, metrics and control socket
 =================  =====================================================================================================
 
-Where it is decided: what a reload can change without a restart: `reload`. What an option of the command line overrides:
-`overrides`. Which keys a configuration has, and what must fit together: `configuration`. Which policy and which allow
-list apply now: `access_in_force`. The order of start and stop: `service`.
+Where it is decided: what a reload can change without a restart: `reload`, and ``at_once`` in `configuration`. What an
+option of the command line overrides: `overrides`. Which keys a configuration has, and what must fit together:
+`configuration`. Which policy and which allow list apply now: `access_in_force`. The order of start and stop: `service`.
 """

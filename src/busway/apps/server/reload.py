@@ -6,7 +6,8 @@ Knows what differs between two configurations, and what can be replaced; knows n
    a thread, and applied in the event loop in one step, so that the server answers meanwhile.
 2. Policy and address lists are replaced at once, and connections of hosts that may no longer connect end; certificates
    hold from the next connection on; the audit log is reopened. Other differences are named: they take effect at the
-   next start.
+   next start, but for the sections in ``at_once`` of the configuration. Those of a gateway are in
+   `busway.apps.gateway.configuration`, and its `Gateway.change` applies them.
 """
 
 import asyncio
