@@ -231,6 +231,29 @@ def test_blocking_server_is_stopped_from_another_thread() -> None:
         servers.ServerStop()
 
 
+def test_a_server_that_takes_long_to_stop_has_stopped_when_the_other_thread_goes_on() -> None:
+    context = ModbusServerContext(devices=ModbusDeviceContext())
+    thread = threading.Thread(target=lambda: servers.StartTcpServer(context=context, address=ANY_PORT), daemon=True)
+    thread.start()
+    pause = threading.Event()
+    while (server := servers.ModbusBaseServer.active_server) is None or not server.endpoints:
+        pause.wait(0.001)
+    stop, stops = server._server.stop, 0
+
+    async def stop_slowly() -> None:
+        nonlocal stops
+        stops += 1
+        if stops == 1:
+            await asyncio.sleep(0.05)
+        await stop()
+
+    server._server.stop = stop_slowly  # type: ignore[method-assign]
+    servers.ServerStop()
+    assert not server._server.is_running
+    thread.join(60)
+    assert not thread.is_alive()
+
+
 async def test_arguments_are_those_of_pymodbus_and_others_are_refused() -> None:
     context = ModbusServerContext(devices=ModbusDeviceContext())
     servers.ModbusTcpServer(context, address=ANY_PORT, broadcast_enable=True, custom_functions=[], defer_start=True)

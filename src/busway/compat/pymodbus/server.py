@@ -238,8 +238,10 @@ class ModbusBaseServer:
 
     async def shutdown(self) -> None:
         """Stop serving; ``serve_forever`` returns."""
-        self._ended.set()
-        await self._server.stop()
+        try:
+            await self._server.stop()
+        finally:
+            self._ended.set()  # last: the loop may end with ``serve_forever``, and takes down what still waits
 
 
 class ModbusTcpServer(ModbusBaseServer):
