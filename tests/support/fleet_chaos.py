@@ -509,7 +509,8 @@ poll_class = "fast"
         happened.whom = "sink"
         until = time.monotonic() + READY_SECONDS
         while not self._sunk_rows():
-            assert time.monotonic() < until, "the sink got no samples"
+            assert self._sink.runs, self._sink.complaints()
+            assert time.monotonic() < until, f"the sink got no samples: {self._sink.complaints()}"
             time.sleep(0.2)
         self._sink.kill()
         self._start_sink()

@@ -7,6 +7,7 @@ Knows processes and pipes; knows no Modbus. What it can look at from outside is 
 """
 
 import json
+import os
 import select
 import subprocess
 import tempfile
@@ -21,6 +22,8 @@ LIMIT = 30.0
 """Seconds for one step of a program: starting Python on a busy machine takes a few."""
 ESTABLISHED = "01"
 """The state of a connection in /proc/net/tcp."""
+LONGEST_STORY = 100_000
+"""Bytes of its complaints that a failure shows."""
 PAUSE = 0.01
 """Seconds between two looks at the table of connections, which tells nobody when it changes."""
 
@@ -91,6 +94,11 @@ class Program:
         return self._process.pid
 
     @property
+    def runs(self) -> bool:
+        """Whether it has not ended."""
+        return self._process.poll() is None
+
+    @property
     def resident(self) -> int:
         """Bytes of memory that it has in use."""
         for line in Path(f"/proc/{self._process.pid}/status").read_text().splitlines():
@@ -102,6 +110,10 @@ class Program:
     def handles(self) -> int:
         """Its open files and sockets."""
         return len(list(Path(f"/proc/{self._process.pid}/fd").iterdir()))
+
+    def complaints(self) -> str:
+        """What it has said on stderr so far, and whether it still runs."""
+        return self._story("runs" if self.runs else f"ended with {self._process.returncode}")
 
     def kill(self) -> None:
         """End it as a crash does."""
@@ -122,5 +134,5 @@ class Program:
         return line.strip()
 
     def _story(self, what: str) -> str:
-        self._complaints.seek(0)
-        return f"{' '.join(self._command)}: {what}\n{self._complaints.read()}"
+        said = os.pread(self._complaints.fileno(), LONGEST_STORY, 0).decode(errors="replace")
+        return f"{' '.join(self._command)}: {what}\n{said}"

@@ -13,8 +13,9 @@ from foreign_servers import ForeignServer, nats_server
 from waiting import until
 
 from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.fleet.coordinator import CoordinatorDown
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
-from busway.apps.fleet.coordinators.opening import CoordinatorOptions, open_coordinator
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions, open_coordinator, until_up
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_status import zone_status
 from busway.apps.fleet.streams import NatsStream, StreamOptions, StreamSink, make_stream
@@ -49,7 +50,9 @@ def accounts(folder: Path, user: str, *permissions: str) -> str:
 
 @contextlib.asynccontextmanager
 async def connected(server: ForeignServer, options: CoordinatorOptions = OPTIONS) -> AsyncIterator[NatsCoordinator]:
-    coordinator = await open_nats(f"nats://127.0.0.1:{server.port}", "hall", options)
+    coordinator = await until_up(
+        lambda: open_nats(f"nats://127.0.0.1:{server.port}", "hall", options), CoordinatorDown, 30
+    )
     try:
         yield coordinator
     finally:

@@ -18,7 +18,7 @@ from waiting import until
 from busway.apps.collector.configuration import load_collector
 from busway.apps.fleet.coordinator import CoordinatorDown, OutcomeUnknown
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
-from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_commands import FleetCommands, command_subject, result_key
 from busway.apps.fleet.live_subjects import LiveSubjects
@@ -58,7 +58,9 @@ class Fleet:
 
     @contextlib.asynccontextmanager
     async def table(self, zone: str) -> AsyncIterator[NatsCoordinator]:
-        opened = await open_nats(self.url, zone, CoordinatorOptions(answer=TIMES.answer))
+        opened = await until_up(
+            lambda: open_nats(self.url, zone, CoordinatorOptions(answer=TIMES.answer)), CoordinatorDown, 30
+        )
         try:
             yield opened
         finally:

@@ -13,8 +13,9 @@ from waiting import until
 import busway
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.fleet.coordinator import CoordinatorDown
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
-from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.streams import NatsStream, StreamSink, make_stream
@@ -47,7 +48,11 @@ class KeepingSink:
 
 @contextlib.asynccontextmanager
 async def connected(server: ForeignServer) -> AsyncIterator[NatsCoordinator]:
-    coordinator = await open_nats(f"nats://127.0.0.1:{server.port}", "hall", CoordinatorOptions(answer=0.8))
+    coordinator = await until_up(
+        lambda: open_nats(f"nats://127.0.0.1:{server.port}", "hall", CoordinatorOptions(answer=0.8)),
+        CoordinatorDown,
+        30,
+    )
     try:
         yield coordinator
     finally:

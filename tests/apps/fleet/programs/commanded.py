@@ -12,8 +12,9 @@ from fleet_devices import TIMES
 from waiting import until
 
 from busway.apps.collector.configuration import load_collector
+from busway.apps.fleet.coordinator import CoordinatorDown
 from busway.apps.fleet.coordinators.nats import open_nats
-from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_commands import FleetCommands
 
@@ -25,8 +26,12 @@ def kill_at(step: str, name: str) -> None:
 
 async def main() -> None:
     file, url, name, step = sys.argv[1:]
-    coordinator = await open_nats(url, "hall", CoordinatorOptions(answer=TIMES.answer))
-    results = await open_nats(url, "hall-commands", CoordinatorOptions(answer=TIMES.answer))
+    coordinator = await until_up(
+        lambda: open_nats(url, "hall", CoordinatorOptions(answer=TIMES.answer)), CoordinatorDown, 30
+    )
+    results = await until_up(
+        lambda: open_nats(url, "hall-commands", CoordinatorOptions(answer=TIMES.answer)), CoordinatorDown, 30
+    )
     made = load_collector(file)
     async with (
         FleetCollector(made, coordinator, name, host=name, shards=8, times=TIMES) as fleet,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from busway.apps.collector.store.committed_samples import CommittedSample
-from busway.apps.fleet.coordinators.nats import open_nats
+from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
 from busway.apps.fleet.streams import StreamOptions, StreamSink
 
@@ -58,7 +58,9 @@ class AcknowledgesTooEarly(StreamSink):
 
 async def main(settings: dict[str, Any]) -> None:
     kind = AcknowledgesTooEarly if settings["mutant"] == "acknowledgement too early" else StreamSink
-    coordinator = await open_nats(settings["coordinator"], settings["zone"], CoordinatorOptions(**settings["options"]))
+    coordinator: Any = await open_coordinator(
+        settings["coordinator"], settings["zone"], CoordinatorOptions(**settings["options"])
+    )
     options = StreamOptions(replicas=settings["options"].get("replicas", 1))
     sink = KeepingSink(settings["rows"], settings["slow"])
     await sink.open()
