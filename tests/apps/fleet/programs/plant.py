@@ -9,6 +9,7 @@ import os
 import struct
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
 
 PROBE_EVERY = 0.2
+LEADER_SECONDS = 25.0
+"""An election takes about five seconds where the machine has time."""
 
 
 class Devices:
@@ -70,10 +73,14 @@ class Probe:
         self.coordinator = coordinator = await open_coordinator(
             self._settings["coordinator"], self._settings["zone"], CoordinatorOptions(**self._settings["options"])
         )
-        revision = await coordinator.create("probe", b"0")
+        revision = 0
         while True:
             try:
-                revision = await coordinator.replace("probe", b"%d" % time.time_ns(), revision)
+                value = b"%d" % time.time_ns()
+                if revision:
+                    revision = await coordinator.replace("probe", value, revision)
+                else:
+                    revision = await coordinator.create("probe", value)
                 self.successes.append(time.time())
             except RevisionConflict:  # one without an answer was made
                 revision = await self._present()
@@ -82,6 +89,7 @@ class Probe:
             await asyncio.sleep(PROBE_EVERY)
 
     async def _present(self) -> int:
+        """The revision of the entry, 0 where there is none."""
         watch = self.coordinator.watch("probe")
         try:
             return int((await anext(watch)).revision)
@@ -90,8 +98,20 @@ class Probe:
 
 
 async def leader(probe: Probe, stream: str) -> str:
-    info = await probe.coordinator.client.jetstream(timeout=5).stream_info(stream)
-    return str(info.cluster.leader)
+    """The server that leads a stream; waits while none does."""
+    nats = import_module("nats")
+    until = time.monotonic() + LEADER_SECONDS
+    info = None
+    while True:
+        try:
+            info = await probe.coordinator.client.jetstream(timeout=2).stream_info(stream)
+            if info.cluster.leader:
+                return str(info.cluster.leader)
+        except (nats.errors.Error, TimeoutError):
+            if time.monotonic() > until:
+                raise
+        assert time.monotonic() < until, info
+        await asyncio.sleep(PROBE_EVERY)
 
 
 async def main(settings: dict[str, Any]) -> None:
