@@ -1,7 +1,7 @@
 """Deliveries for the tests of sinks: run until everything has arrived."""
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 from collected import at, meter_read
@@ -10,6 +10,7 @@ from busway.apps.collector.sinks.delivery import Delivery, DeliveryOptions
 from busway.apps.collector.sinks.interface import Sink, SinkDown, SinkRefused
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.collector.store.writer import StoreWriter
+from busway.points.point_rules import ReportRule
 
 
 async def short_pause(seconds: float) -> None:
@@ -18,7 +19,13 @@ async def short_pause(seconds: float) -> None:
 
 
 def delivery_to(
-    sink: Sink, writer: StoreWriter, options: DeliveryOptions | None = None, name: str = "sink"
+    sink: Sink,
+    writer: StoreWriter,
+    options: DeliveryOptions | None = None,
+    name: str = "sink",
+    *,
+    points: Collection[tuple[str, str]] | None = None,
+    point_rules: Mapping[tuple[str, str], ReportRule] | None = None,
 ) -> Delivery:
     return Delivery(
         name,
@@ -26,6 +33,8 @@ def delivery_to(
         writer.folder,
         writer.manifest,
         options or DeliveryOptions(age=0.0),
+        points=points,
+        point_rules=point_rules,
         now=lambda: at(1000),
         pause=short_pause,
     )

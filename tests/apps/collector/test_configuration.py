@@ -224,3 +224,22 @@ def test_sinks_are_judged_with_their_lines_and_their_paths_are_those_of_the_file
     first, second = problems(plant, text)
     assert first.startswith("plant.toml:39: sink[0].url: ")
     assert second.startswith("plant.toml:44: sink[1].points: must be a list of patterns")
+
+
+def test_names_that_would_be_one_in_topics_of_a_sink_are_refused(plant: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    pytest.importorskip("google.protobuf")
+    sink = '[[sink]]\nname = "scada"\nurl = "sparkplug+mqtt://broker"\ngroup = "plant"\nedge_node = "hall"\n'
+    text = PLANT.replace('"meter-8"', '"meter#7"').replace('"meter-7"', '"meter+7"')
+    parse_collector(text, str(plant))
+    (found,) = problems(plant, text + sink)
+    assert found == "plant.toml:43: sink[1].url: devices meter+7 and meter#7 would both be meter_7 there: rename one"
+    parse_collector(text + sink + 'points = ["meter+7", "pump"]\n', str(plant))
+    mqtt = '[[sink]]\nname = "broker"\nurl = "mqtt://broker"\n'
+    (found,) = problems(plant, text + mqtt)
+    assert "meter+7 and meter#7 would both be meter_7 there" in found
+    points = PUMP.replace('"double"', '"a#b"').removesuffix("]\n") + '    { name = "a/b", formula = "1" },\n]\n'
+    (plant.parent / "pump.toml").write_text(points)
+    parse_collector(PLANT + mqtt + sink, str(plant))
+    (found,) = problems(plant, PLANT + sink + mqtt + "per_point = true\n")
+    assert "sink[2].url: points a#b and a/b of pump would both be a_b there" in found

@@ -43,7 +43,7 @@ from .permitted_link import PermittedLink
 from .point_names import PointKey, PointNames
 from .poller import LinkPoller
 from .reloading import Reloading
-from .report_rules import sink_rules, store_rules
+from .report_rules import point_keys, sink_rules, store_rules
 from .sample_clock import SampleClock
 from .sample_readers import SampleReaders
 from .samples import CounterState, PointDescription, SampleBatch, StateInterval
@@ -205,7 +205,7 @@ class Collector:
         """Start to send samples to the sinks (MQTT, …). Raises `ConfigError` or, for a port in use, `LinkDown`."""
         configuration = self.configuration
         if configuration.sinks:
-            self._sinks = SinkThread(writer, configuration.sinks, sink_rules(configuration))
+            self._sinks = SinkThread(writer, configuration.sinks, sink_rules(configuration), point_keys(configuration))
         if configuration.pages:
             for page in configuration.pages.values():
                 alarms = self.alarms.active
@@ -492,8 +492,6 @@ class Collector:
         """Use another configuration: end the links that change, rename points after all samples so far, start links."""
         assert self._committer is not None
         self.configuration = configuration
-        if self._sinks is not None:
-            self._sinks.set_point_rules(sink_rules(configuration))
         done: list[str] = []
         changed = [name for name, link in self._links.items() if link.key != _key_of(configuration, name)]
         for name in changed:  # before anything is awaited: no command of a new point goes to a device of before
@@ -506,6 +504,8 @@ class Collector:
         descriptions = _descriptions(configuration)
         moved = self._names.describe(descriptions)
         self._committer.describe(descriptions, store_rules(configuration))
+        if self._sinks is not None:
+            self._sinks.set_points(point_keys(configuration), sink_rules(configuration))
         self.alarms.configure(self._points(), moved)
         self._counters = _renamed(self._counters, moved)
         for name in configuration.links:

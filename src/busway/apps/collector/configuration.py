@@ -6,8 +6,9 @@ that this names.
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, Final
@@ -41,7 +42,7 @@ from .cost import ReadCost, baud_cost, line_cost, network_cost
 from .knowledge import DeviceKnowledge, Knowledge
 from .plan_cache import PlanBook
 from .samples import PointDescription
-from .sinks.interface import Sink
+from .sinks.interface import Sink, TopicSink
 from .sinks.options import make_sink
 
 LINK_DEFAULTS: Final[Mapping[str, Any]] = {"port_wait": 0.0, "retries": 0, "open_after": 0}
@@ -180,6 +181,7 @@ def parse_collector(text: str, name: str) -> CollectorConfiguration:
         if made is not None:
             devices[made.name] = made
     sinks, pages, inputs = _sinks(file, name, report)
+    _check_places(file, sinks, devices, report)
     report.end()
     periods = {key: each.period for key, each in file.poll_class.items()}
     return CollectorConfiguration(
@@ -206,6 +208,35 @@ def _sinks(
             sinks |= {} if made is None else {section.name: made}
             inputs |= {} if taken is None else {section.name: taken}
     return sinks, pages, inputs
+
+
+def _check_places(
+    file: CollectorFile,
+    sinks: Mapping[str, tuple[Sink, DeliveryOptions]],
+    devices: Mapping[str, CollectedDevice],
+    report: ConfigurationReport,
+) -> None:
+    """Refuse devices and points that a sink would send under one name, because topics cannot have their characters."""
+    for index, section in enumerate(file.sink):
+        if section.name in sinks:
+            sink, options = sinks[section.name]
+            for sentence in _shared_places(sink, options, devices.values()) if isinstance(sink, TopicSink) else ():
+                report.refuse(("sink", index, "url"), sentence)
+
+
+def _shared_places(sink: TopicSink, options: DeliveryOptions, devices: Iterable[CollectedDevice]) -> Iterator[str]:
+    others: dict[str, str] = {}
+    for device in devices:
+        places: dict[str, str] = {}
+        for point in device.points:
+            if not any(fnmatchcase(f"{device.name}/{point.name}", pattern) for pattern in options.points):
+                continue
+            place, own = sink.place_of(device.name, point.name)
+            if others.setdefault(place, device.name) != device.name:
+                yield f"devices {others[place]} and {device.name} would both be {place} there: rename one"
+                break
+            if places.setdefault(own, point.name) != point.name:
+                yield f"points {places[own]} and {point.name} of {device.name} would both be {own} there: rename one"
 
 
 def _rooted(section: SinkSection, name: str) -> SinkSection:

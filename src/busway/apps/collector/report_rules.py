@@ -60,3 +60,8 @@ def sink_rules(configuration: CollectorConfiguration) -> RulesByPoint:
         for point in device.points
         if point.reporting.when != _EVERY
     }
+
+
+def point_keys(configuration: CollectorConfiguration) -> frozenset[tuple[str, str]]:
+    """Return the device and the name of each point of a configuration."""
+    return frozenset((device.name, point.name) for device in configuration.devices.values() for point in device.points)

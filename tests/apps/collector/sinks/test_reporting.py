@@ -29,7 +29,7 @@ async def handed_on(folder: Path, sink_rule: ReportRule | None, point_rule: Repo
         last = writer.commit([], [], at(31)).number
         sink = RecordingSink()
         delivery = delivery_to(sink, writer, DeliveryOptions(age=0.0, report=sink_rule))
-        delivery.set_point_rules({("pump-1", "speed"): point_rule})
+        delivery.set_points(None, {("pump-1", "speed"): point_rule})
         await run_until(delivery, lambda: delivery.status().cursor >= last)
         return [(sample.time - at(0)) // 1_000_000_000 for sample in sink.taken]
 
@@ -77,7 +77,7 @@ async def test_a_sink_that_has_all_again_begins_to_compare_anew(tmp_path: Path) 
         for second, (rule, value) in enumerate(
             ((CHANGE, 1.0), (CHANGE, 1.0), (EVERY, 2.0), (CHANGE, 1.0), (CHANGE, 1.0))
         ):
-            delivery.set_point_rules({key: rule})
+            delivery.set_points(None, {key: rule})
             writer.commit([read_of(PUMP, second, value)], [], at(second))
             await finished(delivery)
         assert [sample.value for sample in sink.taken] == [1.0, 2.0, 1.0]
@@ -125,13 +125,13 @@ async def test_after_crashes_the_same_samples_come_again_under_the_same_keys(tmp
             writer.commit(reads, [], at(second + 0.9))
         plain = RecordingSink()
         undisturbed = delivery_to(plain, writer, DeliveryOptions(age=0.0), "plain")
-        undisturbed.set_point_rules(rules)
+        undisturbed.set_points(None, rules)
         await finished(undisturbed)
         sink = ChancySink(chance)
         for _ in range(200):  # each is a process that ends somewhere
             options = DeliveryOptions(age=0.0, most=chance.choice((1, 7, 30, 500)))
             delivery = delivery_to(sink, writer, options)
-            delivery.set_point_rules(rules)
+            delivery.set_points(None, rules)
             try:
                 if not await delivery.step():
                     break

@@ -13,15 +13,18 @@ from collected import NOON, at, read_of
 from deliveries import delivery_to
 from sparkplug_broker import SparkplugBroker
 from sparkplug_host import SparkplugHost
+from waiting import until
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
-from busway.apps.collector.samples import PointGroup, Reason, Value
+from busway.apps.collector.samples import PointDescription, PointGroup, Reason, Value
 from busway.apps.collector.sinks import sparkplug
+from busway.apps.collector.sinks.delivery import DeliveryOptions
 from busway.apps.collector.sinks.interface import SinkDown, SinkRefused
 from busway.apps.collector.sinks.sparkplug import SparkplugSink
 from busway.apps.collector.sinks.sparkplug_payload import DataType, Metric, encode_payload
 from busway.apps.collector.store.committed_samples import CommittedAlarm, CommittedSample
 from busway.apps.collector.store.writer import StoreWriter
+from busway.points.point_rules import ReportRule
 
 pytest.importorskip("aiomqtt")
 pytest.importorskip("google.protobuf")
@@ -163,6 +166,115 @@ async def test_what_went_as_history_is_shown_when_no_more_follows(plant: Plant) 
         await sink.send([plant.sample("speed", 3, seconds=100)])
         assert not plant.host.data[-1][2].is_historical, "as old as the connection is not older"
         assert plant.shown()["speed"] == (3, 192)
+
+
+async def test_points_and_devices_that_there_are_no_longer_leave_the_births_at_once(plant: Plant) -> None:
+    async with plant.sink() as sink:
+        await sink.open()
+        samples = [plant.sample("speed", 1), plant.sample("level", 2)]
+        await sink.send([*samples, replace(samples[0], device="valve")])
+        await sink.show_current({("pump", "speed")})
+        assert plant.shown() == {"speed": (1, 192)}
+        assert "valve" not in plant.host.current
+        births = plant.broker.taken
+        await sink.show_current({("pump", "speed")})
+        assert plant.broker.taken == births, "once is enough"
+        await sink.close()
+        await sink.open()
+        assert list(plant.host.current) == ["pump"]
+        assert plant.shown() == {"speed": (1, 192)}
+
+
+async def test_a_device_that_is_gone_and_removed_is_not_born_again(plant: Plant) -> None:
+    async with plant.sink() as sink:
+        await sink.open()
+        await sink.send([plant.sample("speed", 1)])
+        await sink.send([plant.sample("speed", None, Reason.SUSPENDED)])
+        await sink.show_current(set())
+        await sink.send([plant.sample("speed", 2)])  # it was on its way
+        assert plant.shown() == {"speed": (2, 192)}
+        await sink.show_current(set())
+        assert plant.host.current == {}
+
+
+ON_CHANGE = {("pump", "mode"): ReportRule("change"), ("pump", "speed"): ReportRule("change")}
+
+
+@pytest.mark.parametrize("reason", [0, Reason.OUT_OF_RANGE, Reason.SUSPENDED])
+async def test_points_that_are_sent_on_change_are_in_the_births_after_a_restart(
+    plant: Plant, tmp_path: Path, reason: int
+) -> None:
+    quality = 192 if not reason else 500
+    with StoreWriter(tmp_path / "store", now=NOON) as writer:
+        writer.describe_points([PointDescription("pump", "mode", "%"), PointDescription("pump", "speed", "1/min")])
+        for names in (ON_CHANGE.keys(), ON_CHANGE.keys(), {("pump", "mode")}):
+            values = {name: value for name, value in (("speed", 5), ("mode", "on")) if ("pump", name) in names}
+            given = [None] * len(values) if reason == Reason.SUSPENDED else list(values.values())
+            writer.commit([read_of(PointGroup("pump", tuple(values)), 1, *given, reasons=reason)], [], at(1))
+            async with plant.sink() as sink:
+                delivery = delivery_to(sink, writer, points=names, point_rules=ON_CHANGE)
+                while await delivery.step():
+                    pass
+                if reason == Reason.SUSPENDED:
+                    assert plant.host.current == {}
+                    continue
+                assert plant.shown() == {name: (value, quality) for name, value in values.items()}
+                if plant.host.connection > 1:
+                    assert plant.host.current["pump"]["mode"].unit == "%", "by the birth alone"
+    assert len(plant.host.data) == (0 if reason == Reason.SUSPENDED else 2)
+
+
+async def test_an_edge_node_is_there_before_the_first_sample_and_again_when_its_connection_was_lost(
+    plant: Plant, tmp_path: Path
+) -> None:
+    with StoreWriter(tmp_path / "store", now=NOON) as writer:
+        async with plant.sink() as sink:
+            delivery = delivery_to(sink, writer)
+            await delivery.step()
+            assert plant.host.is_online
+            writer.commit([read_of(PointGroup("pump", ("speed",)), 1, 5)], [], at(1))
+            await delivery.step()
+            plant.broker.lose()
+            assert not plant.host.is_online
+            await turns()
+            with pytest.raises(SinkDown):
+                await delivery.step()
+            await delivery._down(SinkDown("it was lost"))
+            await delivery.step()
+            assert plant.host.is_online
+            assert plant.shown() == {"speed": (5, 192)}
+            assert delivery.status().error is None
+
+
+async def test_a_primary_host_that_goes_offline_is_noticed_at_once_where_nothing_is_to_be_sent(
+    plant: Plant, tmp_path: Path
+) -> None:
+    plant.state(online=True, timestamp=5)
+    with StoreWriter(tmp_path / "store", now=NOON) as writer:
+        async with plant.sink("scada") as sink:
+            delivery = delivery_to(sink, writer, DeliveryOptions(age=3600.0, keep=1e6))
+            pauses: list[float] = []
+
+            async def pause(seconds: float) -> None:
+                pauses.append(seconds)
+                await (asyncio.Future() if seconds == 3600.0 else asyncio.sleep(0.01))
+
+            delivery._pause = pause
+            running = asyncio.create_task(delivery.run())
+            try:
+                await until(lambda: plant.host.is_online and 3600.0 in pauses)
+                plant.state(online=False, timestamp=6)
+                await until(lambda: not plant.host.is_online)
+                await until(lambda: "scada went offline" in str(delivery.status().error))
+                plant.state(online=True, timestamp=7)
+                await until(lambda: plant.host.is_online and delivery.status().error is None)
+                plant.broker.lose()
+                assert not plant.host.is_online
+                await until(lambda: plant.host.is_online)
+            finally:
+                running.cancel()
+                await asyncio.gather(running, return_exceptions=True)
+    assert len(plant.host.sessions) == 3
 
 
 async def test_a_sample_from_before_a_rebirth_is_not_history(plant: Plant) -> None:

@@ -1,10 +1,11 @@
 """A Sparkplug sink against a host application that is a model of the standard: seeded walks over everything it meets.
 
-1. Devices are read, fail, are suspended and come back; points change type and names, devices are added; alarms come.
+1. Devices are read, fail, are suspended and come back; points change type and names; devices are added, they and points
+   removed; alarms come.
 2. Meanwhile the broker goes away, or loses what was on its way; the primary host leaves, comes back, does both at
    once; hosts ask for births; the collector starts again; the clock stands still (a sample as old as a birth).
 3. The model refuses what breaks a rule at once. Whenever everything is delivered, it has each sample in order, none
-   twice by one connection, and shows each device and metric as the store has it.
+   twice by one connection, and shows each device and metric as the store has it, and none that was removed.
 """
 
 import asyncio
@@ -43,6 +44,8 @@ SEEDS = [int(each) for each in os.environ.get("BUSWAY_SPARKPLUG_SEEDS", "1 2 3 4
 STEPS = int(os.environ.get("BUSWAY_SPARKPLUG_STEPS", "120"))
 MS = 1_000_000
 NOON = 1_800_000_000_000 * MS
+NEW = ("new0", "new1", "new2")
+RULES = {(name, "slow"): ReportRule("change") for name in ("one", "two", *NEW)}
 POINTS = ("count", "level", "run", "mode", "slow")
 GONE = (Reason.SUSPENDED, Reason.MAINTENANCE)
 QUALITIES = {Quality.GOOD: 192, Quality.UNCERTAIN: 500, Quality.BAD: 0}
@@ -64,6 +67,7 @@ class SparkplugWalk:
         self.events: list[str] = []
         self.done: list[str] = []
         self.began = 0
+        self.added: dict[str, int] = {}
         self.is_disturbed = False
         self.describe()
         self.connect()
@@ -72,7 +76,6 @@ class SparkplugWalk:
 
     def connect(self) -> None:
         """A sink of a collector that begins."""
-        rules = {(name, "slow"): ReportRule("change") for name in ("one", "two", "new0", "new1", "new2")}
         self.sink = sparkplug.SparkplugSink(
             "broker",
             group="plant",
@@ -88,9 +91,14 @@ class SparkplugWalk:
             self.writer.folder,
             self.writer.manifest,
             DeliveryOptions(age=0, most=self.chance.choice((3, 20))),
-            point_rules=rules,
+            point_rules=RULES,
+            points=self.keys(),
             now=lambda: self.clock,
         )
+
+    def keys(self) -> set[tuple[str, str]]:
+        """The points of the configuration."""
+        return {(device, name) for device, names in self.names.items() for name in names}
 
     def describe(self, moved: dict[tuple[str, str], str] | None = None) -> None:
         was = moved or {}
@@ -99,6 +107,8 @@ class SparkplugWalk:
             for device, names in self.names.items()
             for name in names
         )
+        if hasattr(self, "delivery"):
+            self.delivery.set_points(self.keys(), RULES)
 
     # Deeds.
 
@@ -150,18 +160,32 @@ class SparkplugWalk:
     async def exchange(self) -> None:
         """Two points of a device exchange their names, and so what they say has another type."""
         name = self.chance.choice(list(self.names))
-        one, other = self.chance.sample(range(len(POINTS)), 2)
         names = self.names[name]
+        one, other = self.chance.sample(range(len(names)), 2)
         names[one], names[other] = names[other], names[one]
         self.describe({(name, names[one]): names[other], (name, names[other]): names[one]})
         await self.read(name)
 
     async def add(self) -> None:
-        if len(self.names) < 5:
-            name = f"new{len(self.names) - 2}"
+        name = next((each for each in NEW if each not in self.names), None)
+        if name is not None:
             self.names[name] = list(POINTS)
+            self.added[name] = self.clock
             self.describe()
             await self.read(name)
+
+    async def remove(self) -> None:
+        """A file that is read again has a device less, or a point less of a device."""
+        name = self.chance.choice(list(self.names))
+        begun = self.suspended.pop(name, None)
+        if begun is not None:
+            self.clock += MS
+            self.writer.commit([], [StateInterval(name, begun.begin, self.clock, begun.reason)], self.clock)
+        if name in NEW and self.chance.random() < 0.5:
+            del self.names[name]
+        elif len(self.names[name]) > 3:
+            del self.names[name][self.chance.randrange(2, len(self.names[name]))]
+        self.describe()
 
     async def go_away(self) -> None:
         self.broker.is_down = True
@@ -234,9 +258,7 @@ class SparkplugWalk:
         return self.host.may_speak and not self.broker.is_down and self.broker.loses_after is None
 
     async def settle(self) -> None:
-        """Deliver until all is delivered, or nothing goes. Only something new makes a sink connect again."""
-        if not self.host.is_online:
-            await self.read()
+        """Deliver until all is delivered, or nothing goes."""
         for _ in range(1000):
             try:
                 if not await self.delivery.step():
@@ -267,12 +289,16 @@ class SparkplugWalk:
             told[device, metric.name].append((connection, metric))
         for key, samples in wanted.items():
             self.check_data(samples, told[key], is_whole="slow" not in key[1])
-        assert set(self.host.current) == {device for device, is_there in lives.items() if is_there}
+        keys = self.keys()
+        shown_devices = {device for device, is_there in lives.items() if is_there and device in self.names}
+        assert set(self.host.current) == shown_devices
+        assert {(device, point) for device, points in self.host.current.items() for point in points} <= keys
         for (device, point), samples in wanted.items():
-            if lives[device]:
+            if lives[device] and (device, point) in keys:
                 shown = self.host.current[device].get(point)
-                if shown is None and (samples[-1].time <= self.began or point == "slow"):
-                    assert self.began, f"{device}/{point} is not shown"
+                if shown is None and samples[-1].time <= self.added.get(device, 0):
+                    continue  # of an earlier device of this name
+                if shown is None and self.began and samples[-1].time <= self.began and point != "slow":
                     continue  # no sample of it was handed on since the collector began
                 assert shown is not None, f"{device}/{point} is not shown"
                 assert_shows(shown, samples[-1])
@@ -296,6 +322,7 @@ class SparkplugWalk:
 
     async def run(self) -> None:
         deeds = [self.read, self.reads, self.reads, self.suspend, self.alarm, self.exchange, self.add, self.go_away]
+        deeds += [self.remove]
         deeds += [self.come_back] * 3 + [self.lose, self.lose_soon, self.host_leaves, self.host_blinks, self.ask]
         deeds += [self.host_returns] * 2 + [self.restart] + [self.deliver] * 8
         for _ in range(STEPS):

@@ -20,7 +20,7 @@ from busway.apps.collector.samples import (
     StateInterval,
     exception_reason,
 )
-from busway.apps.collector.store import segment
+from busway.apps.collector.store import manifest, segment
 from busway.apps.collector.store.folder import SEGMENTS
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.retention import Retention
@@ -245,6 +245,17 @@ def test_a_full_disk_undoes_the_commit_and_is_over_when_there_is_room(tmp_path: 
         commit = writer.commit([read_of(group, 21, *range(500))], [], at(21))
         assert len(commit.batches) == 1
         assert len(Store(tmp_path).read("d")) == 500
+
+
+def test_a_store_that_cannot_be_opened_because_the_disk_is_full_is_not_called_unreadable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_room(*_: object) -> sqlite3.Connection:
+        raise sqlite3.OperationalError("disk I/O error")  # what SQLite says where its -shm file has no room
+
+    monkeypatch.setattr(manifest, "open_database", no_room)
+    with pytest.raises(ConfigError, match="the store cannot be written: disk I/O error"):
+        StoreWriter(tmp_path, now=NOON)
 
 
 def test_the_log_stays_bounded_while_a_reader_holds_a_snapshot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

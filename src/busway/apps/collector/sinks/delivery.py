@@ -13,7 +13,9 @@ Knows when to send, to wait, to drop and to set aside; knows no receiver.
    `ASIDE_LIMIT` bytes; then they are only counted. All others are sent.
 6. Samples from before the wall clock was set wait until they are mended, so that the receiver gets them once with their
    right time; after `CLOCK_WAIT` seconds they are handed on as they are, and not again.
-7. A full disk ends no delivery: it goes on with what the store gives, and keeps its cursor when there is room. Until
+7. A sink that shows current values is connected while nothing is to be sent, too, and told which points there are.
+   After a restart it knows the last samples of points that are sent in part.
+8. A full disk ends no delivery: it goes on with what the store gives, and keeps its cursor when there is room. Until
    then a crash has the samples since then sent again.
 """
 
@@ -22,7 +24,7 @@ import json
 import logging
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -81,6 +83,7 @@ class Delivery:
         options: DeliveryOptions | None = None,
         *,
         point_rules: Mapping[tuple[str, str], ReportRule] | None = None,
+        points: Collection[tuple[str, str]] | None = None,
         now: Callable[[], int] = time.time_ns,
         monotonic: Callable[[], float] = time.monotonic,
         pause: Callable[[float], Awaitable[object]] = asyncio.sleep,
@@ -94,6 +97,7 @@ class Delivery:
             manifest: the store's manifest, opened for writing.
             options: the options of the delivery.
             point_rules: by device and point, the rules of points of which only some samples are sent.
+            points: device and name of each point that the configuration has; None for all of the store.
             now: nanoseconds since 1970 UTC.
             monotonic: seconds of a clock that is never set.
             pause: waits some seconds.
@@ -108,6 +112,7 @@ class Delivery:
         manifest.set_cursor(name, self._cursor, self._lost)
         self._named: dict[tuple[str, str], bool] = {}
         self._point_rules: Mapping[tuple[str, str], ReportRule] = point_rules or {}
+        self._points = points
         self._reported: dict[tuple[str, str], ReportedSample] = {
             (row.device, row.point): row for row in manifest.reported(name)
         }
@@ -117,14 +122,29 @@ class Delivery:
         self._store_error: str | None = None
         self._unkept: dict[tuple[str, str], ReportedSample] = {}  # sent, and not in the manifest yet
         self._is_open = False
+        self._shown = points
+        if isinstance(sink, CurrentSink):
+            self._forget_all_but(points)
+            sink.remember(self._last_reported())
+
+    def _last_reported(self) -> list[CommittedSample]:
+        """Return the last samples that the sink got of points that are sent in part."""
+        units = {(each.device, each.point): each.unit_of_measure for each in self._manifest.points()}
+        return [
+            CommittedSample(self._cursor, row.device, row.point, row.time, 0, row.value, row.reason, units.get(key, ""))
+            for key, row in self._reported.items()
+            if self._is_named(key)
+        ]
 
     def note_defect(self, error: Exception) -> None:
         """Show in the sink's status why its delivery ended unexpectedly."""
         self._down_error = f"failed unexpectedly: {str(error) or type(error).__name__}"
 
-    def set_point_rules(self, rules: Mapping[tuple[str, str], ReportRule]) -> None:
-        """Use the report rules of a configuration that was read again. Safe from any thread."""
-        self._point_rules = rules
+    def set_points(
+        self, points: Collection[tuple[str, str]] | None, rules: Mapping[tuple[str, str], ReportRule]
+    ) -> None:
+        """Use the points and report rules of a configuration that was read again. Safe from any thread."""
+        self._points, self._point_rules = points, rules
 
     def status(self) -> SinkStatus:
         """Return the status of the sink. Safe from any thread."""
@@ -145,7 +165,7 @@ class Delivery:
                     continue
                 wait = PAUSE
                 if not more:
-                    await self._pause(max(self.options.age, 0.05))
+                    await self._rest(max(self.options.age, 0.05))
         finally:
             self._is_open = False
             await self._sink.close()
@@ -153,26 +173,58 @@ class Delivery:
     async def step(self) -> bool:
         """Send the next batch of stored samples to the sink. Returns whether more may wait. Raises `SinkDown`."""
         found = await asyncio.to_thread(self._next)
-        if found is None:
-            return False
-        if self._waits_for_the_clock(found):
+        if found is None or self._waits_for_the_clock(found):
+            await self._show_current()
             return False
         wanted, reported = self._wanted(found.samples)
         sink = self._sink
         alarms = found.alarms if isinstance(sink, AlarmSink) else []
         alarms = [each for each in alarms if self._is_named((each.event.device, each.event.point))]
-        if (wanted or alarms) and not self._is_open:
-            await sink.open()
-            self._is_open = True
+        if wanted or alarms:
+            await self._open()
         if wanted:
             await self._send(wanted)
         if alarms and isinstance(sink, AlarmSink):
             await self._send_alarms(sink, alarms)
         self._down_error = None
         await asyncio.to_thread(self._move, found.last, reported)
-        if self._is_open and not found.more and isinstance(sink, CurrentSink):
-            await sink.show_current()
+        if not found.more:
+            await self._show_current()
         return found.more
+
+    def _forget_all_but(self, points: Collection[tuple[str, str]] | None) -> None:
+        """Forget what was sent of points that there are no longer: one that comes back is sent and shown again."""
+        if points is not None:
+            self._reported = {key: row for key, row in self._reported.items() if key in points}
+
+    async def _open(self) -> None:
+        if not self._is_open:
+            await self._sink.open()
+            self._is_open = True
+
+    async def _show_current(self) -> None:
+        """Connect a sink that shows current values, also where nothing is to be sent, and have it show them."""
+        if isinstance(self._sink, CurrentSink):
+            await self._open()
+            points = self._points
+            await self._sink.show_current(points)
+            if points is not self._shown:
+                self._forget_all_but(points)
+                self._shown = points
+            self._down_error = None
+
+    async def _rest(self, seconds: float) -> None:
+        """Pause until there may be new samples, or until a sink that shows current values is disturbed."""
+        if not (self._is_open and isinstance(self._sink, CurrentSink)):
+            await self._pause(seconds)
+            return
+        ends = [asyncio.ensure_future(self._pause(seconds)), asyncio.ensure_future(self._sink.disturbed())]
+        try:
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for each in ends:
+                each.cancel()
+            await asyncio.gather(*ends, return_exceptions=True)
 
     def _waits_for_the_clock(self, found: CommitRange) -> bool:
         """Whether the next commits must wait because their times will still be corrected (rule 6)."""
@@ -200,7 +252,7 @@ class Delivery:
 
     def _move(self, cursor: int, reported: Mapping[tuple[str, str], ReportedSample]) -> None:
         """Move the sink's cursor past sent samples. They are not sent again, even if the store cannot
-        save it (rule 7).
+        save it (rule 8).
         """
         self._cursor = cursor
         self._reported.update(reported)

@@ -1,7 +1,7 @@
 """The interface of sinks, which send samples to other systems, and their errors."""
 
 import asyncio
-from collections.abc import Awaitable, Iterable, Sequence
+from collections.abc import Awaitable, Collection, Iterable, Sequence
 from typing import Protocol, runtime_checkable
 
 from ....errors import ModbusError
@@ -47,13 +47,34 @@ class AlarmSink(Protocol):
 
 @runtime_checkable
 class CurrentSink(Protocol):
-    """Interface of a sink whose receiver distinguishes current values from historical ones that arrive late."""
+    """Interface of a sink whose receiver shows current values, apart from historical ones that arrive late.
 
-    async def show_current(self) -> None:
-        """Send as current the last values that were sent as historical; called once no stored samples wait any more.
+    It stays connected while nothing is to be sent, and is connected again when it no longer is.
+    """
 
-        Raises `SinkDown`.
+    def remember(self, samples: Sequence[CommittedSample]) -> None:
+        """Take over the last samples that the receiver got of points before a restart; called before `open`."""
+
+    async def show_current(self, points: Collection[tuple[str, str]] | None) -> None:
+        """Have the receiver show what is current; called while open, whenever no stored samples wait any more.
+
+        Args:
+            points: the device and the name of each point that there is; others are shown no longer. None for all.
+
+        Raises:
+            SinkDown: the connection is lost, or the receiver must not be sent anything now.
         """
+
+    async def disturbed(self) -> None:
+        """Return when `show_current` should be called at once, because the connection may have ended."""
+
+
+@runtime_checkable
+class TopicSink(Protocol):
+    """Interface of a sink whose topics cannot have each character of a name, so that two names could have one topic."""
+
+    def place_of(self, device: str, point: str) -> tuple[str, str]:
+        """Return by what the receiver knows a device, and by what a point among those of its device."""
 
 
 async def all_taken(sendings: Iterable[Awaitable[object]]) -> None:

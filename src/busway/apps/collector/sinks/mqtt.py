@@ -182,6 +182,12 @@ class MqttSink:
     def _name(self, device: str, point: str = "") -> str:
         return self._topic.replace("{device}", topic_level(device)).replace("{point}", topic_level(point))
 
+    def place_of(self, device: str, point: str) -> tuple[str, str]:
+        """Return the level of topics that a device has, and what tells its points apart."""
+        if self._discovery is not None:
+            return _plain(device), _plain(point)
+        return topic_level(device), topic_level(point) if self._per_point else point
+
     def _discoveries(self, samples: Sequence[CommittedSample]) -> dict[tuple[str, str], _Message]:
         """Return the discovery messages for points that Home Assistant does not know yet."""
         found = {}

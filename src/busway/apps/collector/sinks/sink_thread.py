@@ -7,7 +7,7 @@ import asyncio
 import contextlib
 import logging
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from ....errors import ConfigError
 from ....options.sinks import DeliveryOptions
@@ -27,6 +27,7 @@ class SinkThread:
         writer: StoreWriter,
         sinks: Mapping[str, tuple[Sink, DeliveryOptions]],
         point_rules: Mapping[tuple[str, str], ReportRule] | None = None,
+        points: Collection[tuple[str, str]] | None = None,
     ) -> None:
         """Start the thread and the delivery to each sink.
 
@@ -34,6 +35,7 @@ class SinkThread:
             writer: the open store; cursors are in its manifest.
             sinks: the sinks by name; a name keeps its cursor over a restart.
             point_rules: by device and point, the rule for which samples are sent.
+            points: device and name of each point that the configuration has; None for all of the store.
 
         Raises:
             ConfigError: a name is empty or has a character that a file's name cannot have.
@@ -42,7 +44,7 @@ class SinkThread:
             if not name or not all(each.isalnum() or each in "-_." for each in name) or name.startswith("."):
                 raise ConfigError(f"{name!r} is no name of a sink: letters, digits, - _ . are possible", key="name")
         self._deliveries = [
-            Delivery(name, sink, writer.folder, writer.manifest, options, point_rules=point_rules)
+            Delivery(name, sink, writer.folder, writer.manifest, options, point_rules=point_rules, points=points)
             for name, (sink, options) in sinks.items()
         ]
         self._loop = asyncio.new_event_loop()
@@ -51,10 +53,10 @@ class SinkThread:
         self._thread = threading.Thread(target=self._run, name="busway-sinks", daemon=True)
         self._thread.start()
 
-    def set_point_rules(self, rules: Mapping[tuple[str, str], ReportRule]) -> None:
-        """Use the report rules of a configuration that was read again."""
+    def set_points(self, points: Collection[tuple[str, str]], rules: Mapping[tuple[str, str], ReportRule]) -> None:
+        """Use the points and report rules of a configuration that was read again."""
         for delivery in self._deliveries:
-            delivery.set_point_rules(rules)
+            delivery.set_points(points, rules)
 
     def statuses(self) -> Sequence[SinkStatus]:
         """Return the status of each sink. Safe from any thread."""

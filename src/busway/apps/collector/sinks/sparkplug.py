@@ -5,13 +5,13 @@ is aiomqtt's (``busway[sparkplug]``).
 
 1. One connection, one edge node. Its last will is the death of the node, with the number (bdSeq) that its birth has
    too; the number is kept in a file, so that it goes on after a restart.
-2. A device is born with the last samples of all of its metrics known so far, and again when one is new or has another
-   type. Data follow only a birth; those from before the connection are marked as historical. Hosts do not show these:
-   when no more follow, a device whose last values were among them is born again.
+2. A device is born with the last samples of all of its metrics known so far, and again when one is new, has another
+   type, or is no longer there. Data follow only a birth; those from before the connection are marked as historical.
+   Hosts do not show these: when no more follow, a device whose last values were among them is born again.
 3. Data go with QoS 0, as the standard wants it. `send` returns when a later message with QoS 1 was acknowledged: a
    broker takes the messages of a connection in order, so it has the data too.
-4. With a primary host, nothing is sent while the host is offline: samples wait in the store. One that was away knows
-   nothing of before: it gets births before data.
+4. With a primary host, nothing is sent while the host is offline: the edge node dies at once, and samples wait in the
+   store. One that was away knows nothing of before: it gets births before data.
 5. A host that asks for the births again gets them, once in `REBIRTH_PAUSE` seconds at most.
 6. Events of alarms are values of the metric `ALARM_METRIC` of the edge node, JSON as over MQTT, whether their device is
    born or not.
@@ -28,7 +28,7 @@ import json
 import logging
 import ssl
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import groupby
@@ -99,6 +99,13 @@ class _Device:
         self.kinds[point] = kind
         self.last[point] = sample
         return kind is not known or not self.is_born
+
+    def forget(self, points: Collection[str]) -> None:
+        """Drop metrics whose points there are no longer."""
+        for point in points:
+            del self.last[point], self.kinds[point]
+        self.untyped.difference_update(points)
+        self.behind.difference_update(points)
 
 
 def _wider(known: DataType | None, value: Value) -> DataType:
@@ -199,6 +206,7 @@ class SparkplugSink:
         self._host_online = asyncio.Event()
         self._host_time = 0
         self._host_left = False
+        self._disturbance = asyncio.Event()
         self._last_alarm: Metric | None = None
         self._rebirth: asyncio.Task[None] | None = None
         self._asked_at: float | None = None
@@ -218,12 +226,14 @@ class SparkplugSink:
         client = mqtt.Client(**self._address, will=will, protocol=mqtt.ProtocolVersion.V5, clean_start=True)
         publisher = MqttPublisher(client, self._timeout)
         self._host_online.clear()
+        self._disturbance.clear()
         self._host_time, self._host_left, self._asked_at = 0, False, None
         try:
             await connect(client)
             self._client, self._publisher = client, publisher
             self._listener = asyncio.create_task(self._listen(client), name="busway sparkplug messages")
             self._listener.add_done_callback(_log_defect)
+            self._listener.add_done_callback(lambda _: self._disturbance.set())
             await client.subscribe(self._topic("NCMD"), qos=1)
             if self.commands is not None:
                 await client.subscribe(f"{self._topic('DCMD')}/+", options=_fresh_alone())
@@ -279,16 +289,48 @@ class SparkplugSink:
                     self._last_alarm = event
                     self._published.append(alarm)
 
-    async def show_current(self) -> None:
-        """Publish births, with current values, of devices whose last values were sent as historical.
-        Raises `SinkDown`.
+    def remember(self, samples: Sequence[CommittedSample]) -> None:
+        """Take over last samples from before a restart: births have them until others come."""
+        for sample in sorted(samples, key=lambda each: each.time):
+            device = self._devices.setdefault(sample.device, _Device())
+            device.learn(sample)
+            device.is_gone = sample.reason in _NO_DEVICE
+
+    async def show_current(self, points: Collection[tuple[str, str]] | None = None) -> None:
+        """Publish births of devices whose last values were sent as historical, or that have lost some of their points.
+
+        Args:
+            points: device and name of each point that there is; None for all that were sent.
+
+        Raises:
+            SinkDown: the connection is lost, or the primary host is offline.
         """
-        behind = [(name, device) for name, device in self._devices.items() if device.is_born and device.behind]
-        if behind:
+        self._disturbance.clear()
+        self._check_connection()
+        self._check_host()
+        left = {} if points is None else self._without(points)
+        due = [name for name, device in self._devices.items() if name in left or (device.is_born and device.behind)]
+        if due:
             async with self._delivering():
-                for name, device in behind:
+                for name in due:
                     with contextlib.suppress(SinkRefused):  # it is as large as it was
-                        await self._birth(name, device)
+                        await self._show_device(name, left.get(name, ()))
+
+    async def disturbed(self) -> None:
+        """Return when the primary host has gone offline, or the connection has ended."""
+        await self._disturbance.wait()
+
+    def _without(self, points: Collection[tuple[str, str]]) -> dict[str, list[str]]:
+        """Return by device the names of its metrics that are not among some points."""
+        found = {
+            name: [point for point in device.last if (name, point) not in points]
+            for name, device in self._devices.items()
+        }
+        return {name: gone for name, gone in found.items() if gone}
+
+    def place_of(self, device: str, point: str) -> tuple[str, str]:
+        """Return the name of a device in topics, and that of a metric."""
+        return topic_level(device), point
 
     @contextlib.contextmanager
     def _once(self, wanted: Sequence[Committed]) -> Iterator[list[Committed]]:
@@ -306,8 +348,7 @@ class SparkplugSink:
     async def _delivering(self) -> AsyncIterator[None]:
         """Context manager in which messages are published; when it ends, the broker has them. Raises `SinkDown`."""
         mqtt = import_module("aiomqtt")
-        if self._listener is None or self._listener.done():
-            raise SinkDown(f"messages of the broker {self._where} are no longer received")
+        self._check_connection()
         try:
             async with self._sending:
                 self._check_host()
@@ -326,6 +367,10 @@ class SparkplugSink:
         if self._publisher is None:
             raise SinkDown(f"the broker {self._where} is not connected")
         return self._publisher
+
+    def _check_connection(self) -> None:
+        if self._listener is None or self._listener.done():
+            raise SinkDown(f"messages of the broker {self._where} are no longer received")
 
     def _check_host(self) -> None:
         if self._primary_host is not None and (self._host_left or not self._host_online.is_set()):
@@ -364,6 +409,17 @@ class SparkplugSink:
             await self._publish("DBIRTH", [_without_value(each) for each in metrics], name)
         device.is_born = True
         device.behind.clear()
+
+    async def _show_device(self, name: str, gone: Collection[str]) -> None:
+        """Publish the birth of a device without some of its metrics, or its death if it has no others."""
+        device = self._devices[name]
+        device.forget(gone)
+        if device.last and device.is_born:
+            await self._birth(name, device)
+        elif not device.last:
+            del self._devices[name]
+            if device.is_born:
+                await self._publish("DDEATH", [], name)
 
     async def _send_device(self, name: str, samples: list[CommittedSample]) -> None:
         self._check_host()
@@ -464,6 +520,7 @@ class SparkplugSink:
         else:
             self._host_left = self._is_born
             self._host_online.clear()
+            self._disturbance.set()
 
     def _take_node_command(self, content: bytes) -> None:
         try:

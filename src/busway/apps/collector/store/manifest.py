@@ -208,6 +208,8 @@ class Manifest:
                 self._check_format(writes)
                 unless_open.pop_all()
         except sqlite3.Error as error:
+            if writes and isinstance(error, sqlite3.OperationalError):  # a full disk, for one; the file may be sound
+                raise ConfigError(f"the store cannot be written: {error}", file=str(folder)) from error
             raise ConfigError(f"the manifest of the store cannot be read: {error}", file=str(self.path)) from error
 
     def _check_format(self, writes: bool) -> None:
