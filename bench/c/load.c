@@ -2,7 +2,7 @@
  * The load generator: keeps every connection of a Modbus TCP server full of requests and measures the answers.
  *
  * For: the server tables. It keeps `in_flight` requests pipelined on each connection; requests that become due
- * together (because one read brought several replies) leave in one write. It knows MBAP, FC03, FC06 and FC16 and trusts
+ * together (because one read brought several replies) leave in one write. It knows MBAP and ten functions, and trusts
  * nobody: every reply is held against the request it claims to answer. Compiled with -DTLS it speaks TLS.
  *
  * Rules:
@@ -17,10 +17,14 @@
  * 6. TLS: sockets block, and one SSL_read per wake-up takes one record; what is left stays in the kernel, which tells
  *    again. Both sides show certificates; the name in the server's is not looked at.
  *
+ * 7. Mixed traffic is 20 000 requests that all differ, of functions 01 to 06, 15, 16, 22 and 23 in turn, over addresses
+ *    and counts that are drawn once from a fixed seed. Each reply must have the function and the length that its
+ *    request calls for, and echo what a write echoes.
+ *
  * Use: load HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS [FUNCTION]
  *      load_tls HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS FUNCTION CERTIFICATE KEY AUTHORITY
- *      IN_FLIGHT 1…256, REGISTERS 1…125 (of a write 1…123), FUNCTION 3, 6 or 16, 3 when left out; prints one line of
- *      JSON:
+ *      IN_FLIGHT 1…256, REGISTERS 1…125 (of a write 1…123), FUNCTION 3, 6 or 16, 3 when left out, 0 for mixed traffic
+ *      (REGISTERS is then the most that one request is about, 1…100); prints one line of JSON:
  *      transactions, seconds, rate (per second), p50/p99/p99.9 (µs) of the counted part; all_transactions since the
  *      first byte (to divide the CPU time of the server by); cpu (seconds, of this process); errors.
  */
@@ -54,10 +58,20 @@ enum {
     READ_SIZE = 262144,
     EVENTS = 512,
     STEPS = 64,             /* of the histogram, per power of two */
+    PREPARED = 20000,       /* requests of mixed traffic */
+    MIXED_ITEMS = 65000,    /* addresses that mixed traffic is about */
+};
+
+/* A request of mixed traffic, and what its reply must be like. */
+struct prepared {
+    uint8_t bytes[LONGEST_REQUEST];
+    uint16_t size, reply_size;
+    uint8_t echoes; /* bytes after the function that a reply repeats */
 };
 
 struct slot {
     uint16_t identifier;
+    uint16_t prepared; /* of mixed traffic */
     uint8_t outstanding;
     uint64_t sent; /* ns */
 };
@@ -78,6 +92,8 @@ static size_t reply_size;
 #ifdef TLS
 static SSL_CTX *credentials;
 #endif
+static struct prepared *mixed;
+static unsigned next_prepared;
 static uint64_t histogram[64 * STEPS];
 static uint64_t all_transactions, counted;
 static int counting;
@@ -121,8 +137,69 @@ static double percentile(double share) {
     return 0.0;
 }
 
+static uint32_t drawn(uint32_t below) {
+    static uint32_t state = 2463534242u;
+    state ^= state << 13;
+    state ^= state >> 17;
+    state ^= state << 5;
+    return state % below;
+}
+
+static uint8_t *put_number(uint8_t *at, unsigned value) {
+    *at++ = (uint8_t)(value >> 8);
+    *at++ = (uint8_t)value;
+    return at;
+}
+
+/* Fills in one request of mixed traffic. */
+static void prepare(struct prepared *one, int of) {
+    unsigned count = 1 + drawn((unsigned)registers), address = drawn(MIXED_ITEMS - (unsigned)registers);
+    unsigned bits = 8 * count, bytes = of == 15 ? count : 2 * count, reply = 4; /* behind the function */
+    uint8_t *at = one->bytes + 7;
+    *at++ = (uint8_t)of;
+    at = put_number(at, address);
+    one->echoes = 4;
+    switch (of) {
+    case 1: case 2: at = put_number(at, bits); one->echoes = 0; reply = 1 + count; break;
+    case 3: case 4: at = put_number(at, count); one->echoes = 0; reply = 1 + 2 * count; break;
+    case 5: at = put_number(at, drawn(2) ? 0xFF00 : 0); break;
+    case 6: at = put_number(at, drawn(65536)); break;
+    case 22: at = put_number(at, 0xF0F0); at = put_number(at, drawn(65536)); one->echoes = 6; reply = 6; break;
+    case 23:
+        at = put_number(at, count);
+        at = put_number(at, drawn(MIXED_ITEMS - (unsigned)registers));
+        one->echoes = 0;
+        reply = 1 + 2 * count;
+    /* fall through */
+    default: /* 15 and 16 */
+        at = put_number(at, of == 15 ? bits : count);
+        *at++ = (uint8_t)bytes;
+        for (unsigned index = 0; index < bytes; index++) *at++ = (uint8_t)drawn(256);
+    }
+    one->size = (uint16_t)(at - one->bytes);
+    one->reply_size = (uint16_t)(8 + reply);
+    one->bytes[5] = (uint8_t)(one->size - 6);
+    one->bytes[6] = unit;
+}
+
+static void prepare_mixed(void) {
+    static const int functions[] = {1, 2, 3, 4, 5, 6, 15, 16, 22, 23};
+    mixed = calloc(PREPARED, sizeof *mixed);
+    if (!mixed) fail("no memory");
+    for (int index = 0; index < PREPARED; index++) prepare(&mixed[index], functions[index % 10]);
+}
+
 static uint8_t *put_request(uint8_t *at, struct connection *link, unsigned slot) {
     uint16_t identifier = link->slots[slot].identifier;
+    if (mixed) {
+        const struct prepared *one = &mixed[next_prepared];
+        link->slots[slot].outstanding = 1;
+        link->slots[slot].prepared = (uint16_t)next_prepared;
+        next_prepared = (next_prepared + 1) % PREPARED;
+        memcpy(at, one->bytes, one->size);
+        put_number(at, identifier);
+        return at + one->size;
+    }
     unsigned following = function == 16 ? 7u + 2u * (unsigned)registers : 6u;
     link->slots[slot].outstanding = 1;
     memset(at, 0, 6 + following);
@@ -171,7 +248,8 @@ static ssize_t receive(struct connection *link, uint8_t *bytes, size_t size) {
 }
 
 /* Whether the part of a reply behind its function fits the request that had this slot. */
-static int fits(const uint8_t *frame, unsigned slot) {
+static int fits(const uint8_t *frame, unsigned slot, const struct prepared *one) {
+    if (one) return one->echoes ? !memcmp(frame + 8, one->bytes + 8, one->echoes) : frame[8] == one->reply_size - 9;
     if (function == 3) return frame[8] == 2 * registers;
     if (frame[8] | frame[9] | frame[10]) return 0; /* address 0, and the high byte of what was written or counted */
     return frame[11] == (function == 6 ? (uint8_t)slot : registers);
@@ -193,7 +271,6 @@ static void turn(struct connection *link) {
     }
     uint64_t arrived = now();
     size_t size = (size_t)(link->kept + got), at = 0;
-    const size_t whole = reply_size;
     while (size - at >= HEADER) {
         const uint8_t *frame = incoming + at;
         unsigned identifier = (unsigned)(frame[0] << 8 | frame[1]);
@@ -203,11 +280,14 @@ static void turn(struct connection *link) {
             fail("a reply carries transaction identifier %u, which is not outstanding", identifier);
         if (frame[7] & 0x80) fail("the server answered with exception %u", frame[8]);
         if (frame[2] | frame[3]) fail("a reply has protocol identifier %u", frame[2] << 8 | frame[3]);
-        if (frame[6] != unit || frame[7] != function)
-            fail("a reply has unit %u and function %u, %u and %d were asked", frame[6], frame[7], unit, function);
-        if (length != whole - 6) fail("a reply has length %u for %d registers", length, registers);
+        const struct prepared *one = mixed ? &mixed[slot->prepared] : NULL;
+        const size_t whole = one ? one->reply_size : reply_size;
+        const int asked = one ? one->bytes[7] : function;
+        if (frame[6] != unit || frame[7] != asked)
+            fail("a reply has unit %u and function %u, %u and %d were asked", frame[6], frame[7], unit, asked);
+        if (length != whole - 6) fail("a reply of function %d has length %u, not %zu", asked, length, whole - 6);
         if (size - at < whole) break;
-        if (!fits(frame, identifier % SLOTS)) fail("a reply does not fit its request");
+        if (!fits(frame, identifier % SLOTS, one)) fail("a reply of function %d does not fit its request", asked);
         slot->outstanding = 0;
         slot->identifier = (uint16_t)(identifier + SLOTS);
         due[due_count++] = identifier % SLOTS;
@@ -276,8 +356,11 @@ int main(int argc, char **argv) {
     registers = (int)number(argv[5], "REGISTERS", 1, 125);
     double seconds = strtod(argv[6], NULL);
     if (!(seconds > 0 && seconds <= 3600)) fail("SECONDS is %s, allowed are 0…3600", argv[6]);
-    if (argc > 7) function = (int)number(argv[7], "FUNCTION", 3, 16);
-    if (function != 3 && function != 6 && function != 16) fail("FUNCTION is %d, allowed are 3, 6 and 16", function);
+    if (argc > 7) function = (int)number(argv[7], "FUNCTION", 0, 16);
+    if (function && function != 3 && function != 6 && function != 16)
+        fail("FUNCTION is %d, allowed are 0, 3, 6 and 16", function);
+    if (!function && registers > 100) fail("REGISTERS is %d, mixed traffic takes 1…100", registers);
+    if (!function) prepare_mixed();
     if (function == 16 && registers > 123) fail("REGISTERS is %d, a write takes 1…123", registers);
     reply_size = function == 3 ? (size_t)(HEADER + 2 * registers) : REQUEST;
 

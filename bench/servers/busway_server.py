@@ -1,8 +1,9 @@
 """A busway server on TCP or TLS with 65 536 holding registers for unit 1, register n holding n.
 
 Run from `bench/`: python -m servers.busway_server [--uvloop] [--trace-memory] [--policy] [--audit FILE]
-                   [--tls CERTIFICATE KEY AUTHORITY]
---policy: twelve rules, of which some are about the table that is asked; --audit: writes go into a log.
+                   [--all-tables] [--tls CERTIFICATE KEY AUTHORITY]
+--policy: twelve rules, of which some are about the table that is asked; --audit: writes go into a log;
+--all-tables: coils, discrete inputs and input registers too.
 """
 
 import argparse
@@ -23,7 +24,9 @@ def twelve_rules() -> busway.Policy:
 
 
 async def main(asked: argparse.Namespace) -> None:
-    device = busway.Device(holding_registers=list(range(65536)))
+    bits, registers = [False] * 65536, [0] * 65536
+    others = {"coils": bits, "discrete_inputs": bits, "input_registers": registers} if asked.all_tables else {}
+    device = busway.Device(holding_registers=list(range(65536)), **others)
     url = "tcp://127.0.0.1:0"
     if asked.tls:
         url = f"tls://127.0.0.1:0?{urlencode(dict(zip(('certificate', 'key', 'authority'), asked.tls, strict=True)))}"
@@ -39,6 +42,7 @@ parser = argparse.ArgumentParser()
 parser.add_argument("--uvloop", action="store_true")
 parser.add_argument("--trace-memory", action="store_true")
 parser.add_argument("--policy", action="store_true")
+parser.add_argument("--all-tables", action="store_true")
 parser.add_argument("--audit")
 parser.add_argument("--tls", nargs=3)
 asked = parser.parse_args()

@@ -27,12 +27,13 @@ class Entry:
 
 
 TABLES = {
-    "server": Entry("tables.server", 100, 12),
+    "server": Entry("tables.server", 92, 12),
+    "mixed": Entry("tables.mixed", 20),
     "client": Entry("tables.client", 68, 11, rounds=3),
     "policy": Entry("tables.policy", 20, 5),
     "tls": Entry("tables.tls", 22, 6),
     "gateway": Entry("tables.gateway", 26, 4),
-    "poll": Entry("tables.poll", 75, 6, rounds=2),
+    "poll": Entry("tables.poll", 68, 6, rounds=2),
     "growth": Entry("tables.growth", 20, 4),
     "store": Entry("tables.store", 20, rounds=2),
     "collect": Entry("tables.collect", 12, rounds=1),
@@ -42,7 +43,7 @@ TABLES = {
     "memory": Entry("tables.memory", 44, rounds=1),
     "gateway_line": Entry("tables.gateway_line", 30, rounds=3),
     "line": Entry("tables.line", 52, rounds=2),
-    "connections": Entry("tables.connections", 45),
+    "connections": Entry("tables.connections", 40),
     "simulator": Entry("tables.simulator", 30, rounds=1),
     "fleet": Entry("tables.fleet", 120, rounds=1, alone=True),
 }

@@ -16,7 +16,14 @@ from busway.pdu.general import ExceptionResponse, MalformedRequest
 from busway.pdu.message import Request
 from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
-from busway.pdu.write_items import WriteMultipleCoils, WriteMultipleRegisters, WriteSingleCoil, WriteSingleRegister
+from busway.pdu.write_items import (
+    MaskWriteRegister,
+    ReadWriteMultipleRegisters,
+    WriteMultipleCoils,
+    WriteMultipleRegisters,
+    WriteSingleCoil,
+    WriteSingleRegister,
+)
 from busway.session.responder import ClientIdentity
 
 SHORT: tuple[Any, ...] = (
@@ -28,6 +35,8 @@ SHORT: tuple[Any, ...] = (
     WriteSingleRegister,
     WriteMultipleCoils,
     WriteMultipleRegisters,
+    MaskWriteRegister,
+    ReadWriteMultipleRegisters,
 )
 
 
@@ -51,6 +60,14 @@ class PlainBlock:
             splice_bits(self.data, position, count, data)
         else:
             self.data[2 * position : 2 * (position + count)] = data
+
+    def mask(self, position: int, and_mask: int, or_mask: int) -> None:
+        current = int.from_bytes(self.data[2 * position : 2 * position + 2], "big")
+        self.put(position, 1, (current & and_mask | or_mask & ~and_mask & 0xFFFF).to_bytes(2, "big"))
+
+    def put_then_get(self, position: int, count: int, data: bytes, start: int, size: int) -> bytes:
+        self.put(position, count, data)
+        return bytes(self.data[2 * start : 2 * (start + size)])
 
 
 class DecliningBlock(PlainBlock):
@@ -152,6 +169,9 @@ def test_both_roads_say_and_do_the_same_on_any_bytes(drawn: tuple[Any, bytes]) -
         "06 012B 1234",
         "0F 0003 000A 02 FFFF",  # unused bits set
         "10 012A 0002 04 0001 0002",
+        "16 012B 00F2 0025",
+        "17 0000 007D 012A 0002 04 0001 0002",  # 125 registers read: the most
+        "17 0004 0003 0005 0001 02 1234",  # what is written is read
     ],
 )
 def test_what_is_plainly_right_is_answered_at_once(pdu: str) -> None:
@@ -180,6 +200,16 @@ def test_what_is_plainly_right_is_answered_at_once(pdu: str) -> None:
         "10 0000 0002 02 0001",
         "10 0000 0001 02 00",
         "10 012B 0002 04 0001 0002",
+        "16 012C 00F2 0025",
+        "16 0000 00F2 00",
+        "16 0000 00F2 0025 00",
+        "17 0000 0000 0000 0001 02 1234",
+        "17 0000 007E 0000 0001 02 1234",
+        "17 0000 0001 0000 0000 00",
+        "17 0000 0001 0000 0001 04 1234",
+        "17 0000 0001 0000 0001 02 1234 56",
+        "17 012B 0002 0000 0001 02 1234",
+        "17 0000 0001 012B 0002 04 1234 5678",
     ],
 )
 def test_what_is_not_plainly_right_takes_the_long_road(pdu: str) -> None:

@@ -250,11 +250,22 @@ def long_requests(draw: st.DrawFn) -> bytes:
     return bytes((code,)) + draw(words) + count.to_bytes(2, "big") + bytes((length,)) + data
 
 
+@st.composite
+def exchanges(draw: st.DrawFn) -> bytes:
+    """22 and 23, whose byte count fits."""
+    if draw(st.booleans()):
+        return b"\x16" + draw(words) + draw(words) + draw(words)
+    count = draw(st.integers(0, 60))
+    data = draw(st.binary(min_size=2 * count, max_size=2 * count))
+    return b"\x17" + draw(words) + draw(words) + draw(words) + count.to_bytes(2, "big") + bytes((2 * count,)) + data
+
+
 pdus = st.one_of(
     plain_requests,
     long_requests(),
+    exchanges(),
     st.tuples(plain_requests, st.binary(max_size=3)).map(b"".join),
-    st.tuples(st.sampled_from([1, 2, 3, 4, 5, 6, 15, 16]), st.binary(max_size=12)).map(
+    st.tuples(st.sampled_from([1, 2, 3, 4, 5, 6, 15, 16, 22, 23]), st.binary(max_size=12)).map(
         lambda parts: bytes((parts[0],)) + parts[1]
     ),
 )
@@ -289,6 +300,8 @@ def test_the_short_road_answers_as_the_long_road_does(requests: list[bytes]) -> 
         "06 00 2A 12 34",
         "0F 00 06 00 09 02 FF 01",
         "10 00 29 00 02 04 00 01 00 02",
+        "16 00 2A 00 F2 00 25",
+        "17 00 03 00 06 00 04 00 02 04 00 FF 00 FE",
     ],
 )
 def test_the_short_road_takes_what_is_plainly_right(pdu: str) -> None:

@@ -61,6 +61,16 @@ class ExchangingBlock(Block, Protocol):
         """Replace ``count`` items as ``put`` does, and return their previous values, in one step."""
 
 
+class RegisterBlock(Block, Protocol):
+    """A block of registers that reads and writes in one step for all threads, as functions 22 and 23 do."""
+
+    def mask(self, position: int, and_mask: int, or_mask: int) -> None:
+        """Set a register to (current AND and_mask) OR (or_mask AND NOT and_mask), in one step."""
+
+    def put_then_get(self, position: int, count: int, data: bytes, start: int, size: int) -> bytes:
+        """Replace ``count`` registers from ``position``, then return ``size`` from ``start``, in one step."""
+
+
 class DirectModel(Protocol):
     """Interface of a device that lets requests read and write its tables' memory directly, for speed."""
 
@@ -96,6 +106,7 @@ def plan_read(unit: int, pdu: bytes, limit: int, block: Block) -> ReadPlan | Non
 
 
 _unpack_two = struct.Struct(">HH").unpack_from
+_number = int.from_bytes
 
 
 def read_registers(code: int, limit: int, block: Block) -> Answer:
@@ -118,6 +129,7 @@ def read_registers(code: int, limit: int, block: Block) -> Answer:
 
 def read_bits(code: int, limit: int, block: Block) -> Answer:
     """Return a function that answers read requests 01 or 02 from a block of memory."""
+    heads: list[bytes] = [bytes((code, length)) for length in range((limit + 7) // 8 + 1)]
     first, size = block.first, block.count
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -128,9 +140,9 @@ def read_bits(code: int, limit: int, block: Block) -> Answer:
         if not (0 < count <= limit and address >= 0 and address + count <= size):
             return None
         length = (count + 7) >> 3
-        part = int.from_bytes(block.data[address >> 3 : (address + count + 7) >> 3], "little") >> (address & 7)
-        packed: bytes = (part & (1 << count) - 1).to_bytes(length, "little")
-        return bytes((code, length)) + packed
+        part = _number(block.data[address >> 3 : (address + count + 7) >> 3], "little") >> (address & 7)
+        reply: bytes = heads[length] + (part & (1 << count) - 1).to_bytes(length, "little")
+        return reply
 
     return answer
 
@@ -212,5 +224,54 @@ def write_coils(code: int, limit: int, block: Block) -> Answer:
         ):
             return None
         return None if put(address, count, bytes(buffer[at + 6 : end])) else bytes(buffer[at : at + 5])
+
+    return answer
+
+
+_unpack_mask = struct.Struct(">HHH").unpack_from
+_unpack_four = struct.Struct(">HHHHB").unpack_from
+
+
+def mask_write_register(code: int, block: RegisterBlock) -> Answer:
+    """Return a function that executes and answers requests 22 on a block of memory."""
+    first, size, mask = block.first, block.count, block.mask
+
+    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+        if end - at != 7:
+            return None
+        address, and_mask, or_mask = _unpack_mask(buffer, at + 1)
+        address -= first
+        if not 0 <= address < size:
+            return None
+        mask(address, and_mask, or_mask)
+        return bytes(buffer[at:end])
+
+    return answer
+
+
+def read_write_registers(code: int, most_read: int, most_written: int, block: RegisterBlock) -> Answer:
+    """Return a function that executes and answers requests 23 on a block of memory."""
+    heads: list[bytes] = [bytes((code, 2 * count)) for count in range(most_read + 1)]
+    first, size, put_then_get = block.first, block.count, block.put_then_get
+
+    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+        if end - at < 12:
+            return None
+        start, wanted, address, count, length = _unpack_four(buffer, at + 1)
+        start -= first
+        address -= first
+        if (
+            not 0 < count <= most_written
+            or not 0 < wanted <= most_read
+            or length != 2 * count
+            or end - at != 10 + length
+            or address < 0
+            or start < 0
+            or address + count > size
+            or start + wanted > size
+        ):
+            return None
+        reply: bytes = heads[wanted] + put_then_get(address, count, bytes(buffer[at + 10 : end]), start, wanted)
+        return reply
 
     return answer

@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self, cast
 
 from ..codes import (
     MAX_READ_REGISTERS,
@@ -16,7 +16,17 @@ from ..codes import (
 from ..errors import InvalidRequest
 from .bits import as_state, as_states, listed, pack_bits
 from .compiler import as_integer
-from .fast_answers import Answer, DirectModel, write_coil, write_coils, write_register, write_registers
+from .fast_answers import (
+    Answer,
+    DirectModel,
+    RegisterBlock,
+    mask_write_register,
+    read_write_registers,
+    write_coil,
+    write_coils,
+    write_register,
+    write_registers,
+)
 from .fields import RestLength, rest, rest_length, u16
 from .message import Message, ReplyMessage, Request, Touch
 from .model import Context, DataModel
@@ -213,6 +223,11 @@ class MaskWriteRegister(Request):
         model.write(Table.HOLDING_REGISTERS, self.address, 1, (new & 0xFFFF).to_bytes(2, "big"), context)
         return self
 
+    @classmethod
+    def direct(cls, model: DirectModel) -> Answer | None:
+        block = _read_and_written(model)
+        return None if block is None else mask_write_register(cls.code, block)
+
 
 class ReadWriteMultipleRegisters(Request):
     """23 Read/Write Multiple Registers: writes 1…121 registers, then reads 1…125 (MODBUS Application Protocol V1.1b3
@@ -259,6 +274,21 @@ class ReadWriteMultipleRegisters(Request):
         model.check(Table.HOLDING_REGISTERS, self.read_address, self.read_count, False, context)
         model.write(Table.HOLDING_REGISTERS, self.write_address, self.write_count, self.data, context)
         return self.Reply(model.read(Table.HOLDING_REGISTERS, self.read_address, self.read_count, context))
+
+    @classmethod
+    def direct(cls, model: DirectModel) -> Answer | None:
+        block = _read_and_written(model)
+        if block is None:
+            return None
+        return read_write_registers(cls.code, MAX_READ_REGISTERS, MAX_READ_WRITE_WRITE_REGISTERS, block)
+
+
+def _read_and_written(model: DirectModel) -> RegisterBlock | None:
+    """Return the holding registers if requests may use their memory directly for reads and for writes."""
+    block = model.plain_block(Table.HOLDING_REGISTERS, writes=True)
+    if block is None or block is not model.plain_block(Table.HOLDING_REGISTERS, writes=False):
+        return None
+    return cast(RegisterBlock, block) if hasattr(block, "put_then_get") else None
 
 
 def pack_registers(values: Iterable[int]) -> bytes:

@@ -24,6 +24,8 @@ what is assigned, 0.55 µs for 0.38 (CPython 3.11)."""
 _COPIES: Final = tuple(struct.Struct(f"{2 * count}s") for count in range(_PACKED + 1))
 _PACK: Final = tuple(copy.pack_into for copy in _COPIES)
 _UNPACK: Final = tuple(copy.unpack_from for copy in _COPIES)
+_REGISTER: Final = struct.Struct(">H")
+_pack_register, _unpack_register = _REGISTER.pack_into, _REGISTER.unpack_from
 
 
 class Run(Protocol):
@@ -109,6 +111,22 @@ class RegisterRun:
             _PACK[count](items, start, data)
         return old
 
+    def mask(self, position: int, and_mask: int, or_mask: int) -> None:
+        """Set a register to (current AND and_mask) OR (or_mask AND NOT and_mask), in one step for all threads."""
+        with self._lock:
+            items = self.data
+            (current,) = _unpack_register(items, 2 * position)
+            _pack_register(items, 2 * position, current & and_mask | or_mask & ~and_mask)
+
+    def put_then_get(self, position: int, count: int, data: bytes, start: int, size: int) -> bytes:
+        """Replace ``count`` registers from ``position``, then return ``size`` from ``start``; one step for threads."""
+        with self._lock:
+            items = self.data
+            _PACK[count](items, 2 * position, data)
+            read: bytes
+            (read,) = _UNPACK[size](items, 2 * start)
+        return read
+
 
 class BitRun:
     """Coils or discrete inputs at consecutive addresses, packed from the lowest bit of the first byte.
@@ -147,8 +165,14 @@ class BitRun:
 
     def put(self, position: int, count: int, data: bytes) -> None:
         """Replace the bits of a range by packed bytes; safe from any thread."""
-        with self._lock:
-            splice_bits(self.data, position, count, data)
+        if count == 1:
+            place, bit = position >> 3, 1 << (position & 7)
+            with self._lock:
+                items = self.data
+                items[place] = items[place] | bit if data[0] & 1 else items[place] & ~bit
+        else:
+            with self._lock:
+                splice_bits(self.data, position, count, data)
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
         """Replace the bits of a range and return the old ones, in one step for all threads."""
