@@ -54,7 +54,7 @@ class Part:
 
 
 PROFILES: dict[str, tuple[Part, ...]] = {
-    "server, a read that is not remembered (short road)": (
+    "server, a read that is not remembered (fast path)": (
         Part("L1 compiled answer: limits, slice of the store", "server answer"),
         Part("L2, L3 session: frames, memo, header, counters", "server session", ("server answer",)),
         Part("L5 driver: buffer, join, one write", "server driver", ("server session", "wire")),
@@ -73,7 +73,7 @@ PROFILES: dict[str, tuple[Part, ...]] = {
     ),
 }
 COUNTED: dict[str, Script] = {
-    "server, a read that is not remembered (short road)": scripts.server_short_road,
+    "server, a read that is not remembered (fast path)": scripts.server_fast_path,
     "server, a poller's read (planned)": scripts.server_planned_read,
     "client, execute_many": scripts.client_execute_many,
     "client, one await for each read, 16 in flight": scripts.client_await,
@@ -223,7 +223,7 @@ def driver_steps(loop: MemoryLoop, running: AsyncExitStack) -> dict[str, Step]:
 
     return {
         "wire": carried,
-        "server driver": whole(scripts.server_short_road),
+        "server driver": whole(scripts.server_fast_path),
         "server planned driver": whole(scripts.server_planned_read),
         "client many": whole(scripts.client_execute_many),
         "client await": whole(scripts.client_await),

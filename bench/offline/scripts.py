@@ -29,7 +29,7 @@ Turn = Callable[[], Awaitable[None]]
 Script = Callable[[MemoryLoop], AbstractAsyncContextManager[Turn]]
 TCP = "tcp://127.0.0.1:0"
 PLANS = 4096
-"""So many reads are remembered for all connections together; those that come later take the short road."""
+"""So many reads are remembered for all connections together; those that come later take the fast path."""
 READ_AREA = 8000
 """Where reads are made that are not remembered."""
 
@@ -97,7 +97,7 @@ def server_planned_read(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
     return _asked(loop, busway.serve(TCP, units={1: device()}), READS)
 
 
-def server_short_road(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+def server_fast_path(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
     """Reads that are not remembered."""
     return _asked(loop, busway.serve(TCP, units={1: device()}), UNPLANNED, *ALL_PLANS)
 
@@ -122,7 +122,7 @@ def server_policy_write(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
     return _asked(loop, busway.serve(TCP, units={1: device()}, policy=policy()), SINGLE_WRITES)
 
 
-def server_long_road(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
+def server_generic_path(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
     """Writes that a program is told of: decode, handler, encode."""
     watched = device()
 
@@ -246,12 +246,12 @@ async def rtu_client(loop: MemoryLoop) -> AsyncIterator[Turn]:
 
 SCRIPTS: dict[str, Script] = {
     "server, planned read": server_planned_read,
-    "server, short road": server_short_road,
+    "server, fast path": server_fast_path,
     "server, policy window": server_policy_window,
     "server, short write": server_short_write,
     "server, single write": server_single_write,
     "server, policy write": server_policy_write,
-    "server, long road": server_long_road,
+    "server, generic path": server_generic_path,
     "server, audited write": server_audited_write,
     "client, execute_many": client_execute_many,
     "client, await": client_await,

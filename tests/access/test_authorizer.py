@@ -93,7 +93,7 @@ def test_a_rule_of_items_may_answer_02(device):
     assert ask(one, READ_FAR) == [b"\x83\x02"]
 
 
-def test_reads_keep_the_short_road_and_their_plans_with_a_policy_and_a_log(device, log):
+def test_reads_keep_the_fast_path_and_their_plans_with_a_policy_and_a_log(device, log):
     handler = AuthorizedPipeline(DeviceResponder({1: device}), Policy.of(Rule.of(addresses="4x1-4x5")), log)
     one = session(handler)
     for _ in range(3):

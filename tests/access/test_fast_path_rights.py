@@ -1,4 +1,4 @@
-"""Windows on the short road: every range of a small world, against the decision of the policy."""
+"""Windows on the fast path: every range of a small world, against the decision of the policy."""
 
 import json
 import struct
@@ -70,7 +70,7 @@ def test_the_check_passes_exactly_what_is_plainly_permitted(policy, code):
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 4])
-def test_what_is_cut_off_is_left_to_the_long_road_and_to_the_answer(size):
+def test_what_is_cut_off_is_left_to_the_generic_path_and_to_the_answer(size):
     for code in (1, 3, 5, 6):
         check = bound(POLICIES[1], code)
         pdu = struct.pack(">BHH", code, 3, 1)[:size]
@@ -107,7 +107,7 @@ def test_with_a_log_a_write_leaves_its_line_and_a_write_that_cannot_is_not_bound
     assert bind(rights, 1, served, Own) is not None
 
 
-def test_a_function_that_says_for_itself_what_it_touches_takes_the_long_road():
+def test_a_function_that_says_for_itself_what_it_touches_takes_the_generic_path():
     class Own(Request):
         code = 100
 

@@ -1,4 +1,4 @@
-"""Writes that are looked at on the short road: which take it, which do not, and what they leave."""
+"""Writes that are looked at on the fast path: which take it, which do not, and what they leave."""
 
 import json
 import os
@@ -69,7 +69,7 @@ def lines(log: AuditLog) -> list[dict[str, Any]]:
         ("0F 0001 0003 01 FD", {"function": 15, "address": 1, "count": 3, "old": [0, 1, 0], "new": [1, 0, 1]}),
     ],
 )
-def test_a_write_within_a_zone_takes_the_short_road_and_leaves_its_line(device, log, pdu, facts):
+def test_a_write_within_a_zone_takes_the_fast_path_and_leaves_its_line(device, log, pdu, facts):
     handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log)
     one = session(handler)
     assert ask(one, pdu).startswith(bytes.fromhex(pdu)[:5].hex(" "))
@@ -91,7 +91,7 @@ def test_a_write_within_a_zone_takes_the_short_road_and_leaves_its_line(device, 
         ("05 0002 0001", "85 01", "denied", "default"),  # no such value: its whole table would have to be permitted
     ],
 )
-def test_all_else_takes_the_long_road_and_leaves_its_line_there(device, log, pdu, reply, outcome, rule):
+def test_all_else_takes_the_generic_path_and_leaves_its_line_there(device, log, pdu, reply, outcome, rule):
     handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log)
     assert ask(session(handler), pdu) == reply
     assert handler.handled == 1
@@ -100,7 +100,7 @@ def test_all_else_takes_the_long_road_and_leaves_its_line_there(device, log, pdu
 
 
 @pytest.mark.parametrize("pdu", ["06 0002 000A", "10 0001 0002 04 0001000A", "10 0004 0002 04 0001FFFF"])
-def test_limits_are_judged_on_the_short_road_without_a_log_too(device, pdu):
+def test_limits_are_judged_on_the_fast_path_without_a_log_too(device, pdu):
     handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES)
     one = session(handler)
     assert ask(one, "06 0002 0009") == "06 00 02 00 09"
@@ -149,7 +149,7 @@ def test_lines_are_in_the_order_of_what_was_written_on_whatever_road(device, log
     ]
 
 
-def test_a_log_that_takes_no_writes_has_them_refused_on_the_long_road(device, tmp_path):
+def test_a_log_that_takes_no_writes_has_them_refused_on_the_generic_path(device, tmp_path):
     log = AuditLog(tmp_path / "log", interval=0, on_failure="refuse")
     handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log)
     one = session(handler)
@@ -171,7 +171,7 @@ def test_a_policy_that_is_replaced_holds_for_writes_that_were_compiled(device, l
     assert device.holding_registers[5] == 2
 
 
-def test_a_hook_takes_writes_back_to_the_long_road(device, log):
+def test_a_hook_takes_writes_back_to_the_generic_path(device, log):
     handler = AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log)
     one = session(handler)
     ask(one, "06 0005 0001")

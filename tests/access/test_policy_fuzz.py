@@ -1,4 +1,4 @@
-"""Policies and requests at random: short road, plans and long road permit what a plain reading of the rules permits,
+"""Policies and requests at random: fast path, plans and generic path permit what a plain reading of the rules permits,
 item by item, and what is denied never reaches a store.
 """
 
@@ -164,7 +164,7 @@ ranges_only = st.builds(
     st.sampled_from([Table.HOLDING_REGISTERS, Table.COILS]),
     ranges,
 )
-"""Rules that leave windows on the short road."""
+"""Rules that leave windows on the fast path."""
 
 policies = st.builds(
     lambda found, default: Policy(tuple(found), default),
@@ -404,7 +404,7 @@ asked_often = st.lists(
     [(2, 2, bytes.fromhex("16000000000000"))],
 )
 @settings(max_examples=250, deadline=None)
-def test_both_roads_permit_what_the_rules_say_and_nothing_denied_reaches_a_store(policy, asked):
+def test_both_paths_permit_what_the_rules_say_and_nothing_denied_reaches_a_store(policy, asked):
     check(World(policy), asked)
 
 
@@ -434,7 +434,7 @@ class LongRoadOnly(AuthorizedPipeline):
 
 @given(policies, asked_often)
 @settings(max_examples=150, deadline=None)
-def test_both_roads_leave_the_same_lines_to_the_byte(tmp_path_factory, policy, asked):
+def test_both_paths_leave_the_same_lines_to_the_byte(tmp_path_factory, policy, asked):
     folder = tmp_path_factory.mktemp("audit")
     found = []
     for handler in (AuthorizedPipeline, LongRoadOnly):

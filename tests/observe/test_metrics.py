@@ -187,7 +187,7 @@ def test_every_answered_request_is_counted_exactly_once_on_whatever_road(
         async with with_metrics, server:
             host, _, port = server.endpoints[0].removeprefix("tcp://").rpartition(":")
             reader, writer = await asyncio.open_connection(host, int(port))
-            # The same again, so that the second time everything that can take the short road does.
+            # The same again, so that the second time everything that can take the fast path does.
             for _ in range(2):
                 for number, (unit, kind) in enumerate(asked):
                     writer.write(adu(number, unit, PDUS[kind]))

@@ -1,4 +1,4 @@
-"""The short road: what it answers itself, what it leaves to the long road, and that both say the same."""
+"""The fast path: what it answers itself, what it leaves to the generic path, and that both say the same."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -26,7 +26,7 @@ from busway.pdu.write_items import (
 )
 from busway.session.responder import ClientIdentity
 
-SHORT: tuple[Any, ...] = (
+DIRECT: tuple[Any, ...] = (
     ReadCoils,
     ReadDiscreteInputs,
     ReadHoldingRegisters,
@@ -71,14 +71,14 @@ class PlainBlock:
 
 
 class DecliningBlock(PlainBlock):
-    """A block that looks at what is written, and leaves it to the long road."""
+    """A block that looks at what is written, and leaves it to the generic path."""
 
     def put(self, position: int, count: int, data: bytes) -> bool:
         return True
 
 
 class PlainDevice:
-    """Four plain blocks, by both roads."""
+    """Four plain blocks, by both paths."""
 
     def __init__(self, first: int = 0, count: int = 300) -> None:
         self.blocks = {table: PlainBlock(first, count, table.holds_bits) for table in Table}
@@ -106,7 +106,7 @@ class PlainDevice:
         return [bytes(block.data) for block in self.blocks.values()]
 
 
-def long_road(device: Any, pdu: bytes) -> bytes:
+def generic_path(device: Any, pdu: bytes) -> bytes:
     """What a server says to ``pdu`` when it decodes it."""
     request = STANDARD.decode_request(pdu)
     if isinstance(request, MalformedRequest):
@@ -128,9 +128,9 @@ def expect_same(first: int, count: int, pdu: bytes) -> None:
     # The PDU stands somewhere in a buffer that is used again.
     buffer = bytearray(b"\xee" * 7 + pdu + b"\xdd" * 5)
     said = answer(buffer, 7, 7 + len(pdu), ClientIdentity())
-    expected = long_road(longer, pdu)
+    expected = generic_path(longer, pdu)
     if said is None:
-        assert shorter.content == before, "what is left to the long road has changed nothing"
+        assert shorter.content == before, "what is left to the generic path has changed nothing"
         return
     buffer[:] = bytes(len(buffer))
     assert bytes(said) == expected
@@ -139,10 +139,10 @@ def expect_same(first: int, count: int, pdu: bytes) -> None:
 
 @given(st.data())
 @settings(max_examples=400)
-def test_both_roads_say_and_do_the_same_on_every_request(data: st.DataObject) -> None:
+def test_both_paths_say_and_do_the_same_on_every_request(data: st.DataObject) -> None:
     first = data.draw(st.sampled_from((0, 0, 1, 5, 100)))
     count = data.draw(st.sampled_from((1, 7, 8, 9, 300, 3000)))
-    wire = data.draw(st.sampled_from(SHORT).flatmap(messages)).encode()
+    wire = data.draw(st.sampled_from(DIRECT).flatmap(messages)).encode()
     if data.draw(st.booleans()):
         # bring it into the block, most of the time
         address = first + data.draw(st.integers(0, count))
@@ -150,9 +150,9 @@ def test_both_roads_say_and_do_the_same_on_every_request(data: st.DataObject) ->
     expect_same(first, count, wire)
 
 
-@given(st.sampled_from(SHORT).flatmap(lambda kind: st.tuples(st.just(kind), st.binary(min_size=0, max_size=16))))
+@given(st.sampled_from(DIRECT).flatmap(lambda kind: st.tuples(st.just(kind), st.binary(min_size=0, max_size=16))))
 @settings(max_examples=400)
-def test_both_roads_say_and_do_the_same_on_any_bytes(drawn: tuple[Any, bytes]) -> None:
+def test_both_paths_say_and_do_the_same_on_any_bytes(drawn: tuple[Any, bytes]) -> None:
     kind, rest = drawn
     expect_same(0, 300, bytes((kind.code,)) + rest)
 
@@ -212,7 +212,7 @@ def test_what_is_plainly_right_is_answered_at_once(pdu: str) -> None:
         "17 0000 0001 012B 0002 04 1234 5678",
     ],
 )
-def test_what_is_not_plainly_right_takes_the_long_road(pdu: str) -> None:
+def test_what_is_not_plainly_right_takes_the_generic_path(pdu: str) -> None:
     wire = bytes.fromhex(pdu)
     kind = STANDARD.find(wire, 0, len(wire))
     assert kind is not None
@@ -229,13 +229,13 @@ def test_a_block_whose_bytes_are_replaced_is_read_anew() -> None:
     assert answer(bytes.fromhex("03 0000 0001"), 0, 5, ClientIdentity()) == bytes.fromhex("03 02 1234")
 
 
-def test_functions_that_need_more_than_a_block_have_no_short_road() -> None:
+def test_functions_that_need_more_than_a_block_have_no_fast_path() -> None:
     class NothingPlain:
         def plain_block(self, table: Table, *, writes: bool) -> None:
             return None
 
     for kind in STANDARD:
-        if kind in SHORT:
+        if kind in DIRECT:
             assert kind.direct(NothingPlain()) is None
         else:
             assert kind.direct(PlainDevice()) is None
@@ -244,7 +244,7 @@ def test_functions_that_need_more_than_a_block_have_no_short_road() -> None:
 @pytest.mark.parametrize(
     "pdu", ["05 0003 FF00", "05 0003 0000", "06 0003 1234", "0F 0003 0002 01 03", "10 0003 0002 04 12345678"]
 )
-def test_a_write_that_its_block_declines_takes_the_long_road(pdu: str) -> None:
+def test_a_write_that_its_block_declines_takes_the_generic_path(pdu: str) -> None:
     wire = bytes.fromhex(pdu)
     device = PlainDevice()
     device.blocks = {table: DecliningBlock(0, 300, table.holds_bits) for table in Table}

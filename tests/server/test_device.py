@@ -1,4 +1,4 @@
-"""A device as requests see it: what it refuses, what it offers directly, and that both roads answer alike."""
+"""A device as requests see it: what it refuses, what it offers directly, and that both paths answer alike."""
 
 from collections.abc import Callable
 from typing import Any
@@ -176,7 +176,7 @@ def test_a_dense_table_without_hooks_is_offered_as_a_block() -> None:
         (Device(coils=Cells(count=5, read_only=[(1, 1)])), True, False),
     ],
 )
-def test_holes_and_read_only_ranges_are_for_the_long_road(device: Device, reads: bool, writes: bool) -> None:
+def test_holes_and_read_only_ranges_are_for_the_generic_path(device: Device, reads: bool, writes: bool) -> None:
     assert (device.plain_block(Table.COILS, writes=False) is not None) is reads
     assert (device.plain_block(Table.COILS, writes=True) is not None) is writes
 
@@ -272,21 +272,21 @@ pdus = st.one_of(
 
 
 @given(st.lists(pdus, min_size=1, max_size=6))
-def test_the_short_road_answers_as_the_long_road_does(requests: list[bytes]) -> None:
-    by_long, by_short = devices()
-    answers = {kind.code: kind.direct(by_short) for kind in STANDARD}
+def test_the_fast_path_answers_as_the_generic_path_does(requests: list[bytes]) -> None:
+    by_generic_path, by_fast_path = devices()
+    answers = {kind.code: kind.direct(by_fast_path) for kind in STANDARD}
     for pdu in requests:
-        expected = long_road(by_long, pdu)
+        expected = generic_path(by_generic_path, pdu)
         answer = answers[pdu[0]]
         assert answer is not None
         # The PDU stands somewhere in a receive buffer.
         got = answer(bytearray(b"\xaa\xaa" + pdu + b"\xaa"), 2, 2 + len(pdu), ClientIdentity())
         if got is None:
-            # What the short road leaves is refused, or is a form that only the long road judges.
-            assert long_road(by_short, pdu) == expected
+            # What the fast path leaves is refused, or is a form that only the generic path judges.
+            assert generic_path(by_fast_path, pdu) == expected
         else:
             assert got == expected
-        assert tables_of(by_short) == tables_of(by_long)
+        assert tables_of(by_fast_path) == tables_of(by_generic_path)
 
 
 @pytest.mark.parametrize(
@@ -304,19 +304,19 @@ def test_the_short_road_answers_as_the_long_road_does(requests: list[bytes]) -> 
         "17 00 03 00 06 00 04 00 02 04 00 FF 00 FE",
     ],
 )
-def test_the_short_road_takes_what_is_plainly_right(pdu: str) -> None:
-    by_long, by_short = devices()
+def test_the_fast_path_takes_what_is_plainly_right(pdu: str) -> None:
+    by_generic_path, by_fast_path = devices()
     wire = bytes.fromhex(pdu)
-    answers = {kind.code: kind.direct(by_short) for kind in STANDARD}
+    answers = {kind.code: kind.direct(by_fast_path) for kind in STANDARD}
     answer = answers[wire[0]]
     assert answer is not None
     got = answer(wire, 0, len(wire), ClientIdentity())
     assert got is not None
-    assert got == long_road(by_long, wire)
-    assert tables_of(by_short) == tables_of(by_long)
+    assert got == generic_path(by_generic_path, wire)
+    assert tables_of(by_fast_path) == tables_of(by_generic_path)
 
 
-def long_road(device: Device, pdu: bytes) -> bytes:
+def generic_path(device: Device, pdu: bytes) -> bytes:
     """The answer of decode, execute, encode."""
     request = STANDARD.decode_request(pdu)
     if not isinstance(request, Request):

@@ -151,7 +151,7 @@ def test_whoever_was_started_inside_a_group_writes_at_once_after_it_ended() -> N
     assert device.holding_registers[:] == [1, 2]
 
 
-def test_readers_never_see_half_of_a_group_by_the_long_or_the_short_road() -> None:
+def test_readers_never_see_half_of_a_group_by_the_long_or_the_fast_path() -> None:
     device = Device(holding_registers=100, coils=16)
     registers, coils = ReadHoldingRegisters.direct(device), ReadCoils.direct(device)
     assert registers is not None

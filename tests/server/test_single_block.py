@@ -75,7 +75,7 @@ def test_what_is_read_only_as_a_register_is_so_as_a_coil() -> None:
     assert device.holding_registers[:] == [0, 0x8000, 0, 1]
 
 
-def test_the_short_road_is_offered_for_words_and_not_for_bits() -> None:
+def test_the_fast_path_is_offered_for_words_and_not_for_bits() -> None:
     device = Device(block=SingleBlock(4))
     assert device.plain_block(Table.HOLDING_REGISTERS, writes=True) is not None
     assert device.plain_block(Table.INPUT_REGISTERS, writes=False) is not None

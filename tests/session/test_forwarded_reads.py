@@ -24,7 +24,7 @@ from busway.session.transaction_slots import TransactionSlots
 
 UNITS = 3
 NOT_HANDED_ON = 100
-"""Reads of this address go the long road."""
+"""Reads of this address go the generic path."""
 
 
 def data_of(unit: int, address: int, count: int) -> bytes:
@@ -167,7 +167,7 @@ def test_reads_that_are_planned_and_reads_that_are_handed_on_are_answered_once_w
 
 @settings(max_examples=150)
 @given(st.lists(FRAMES, min_size=1, max_size=12), st.lists(st.integers(0, 200), max_size=5))
-def test_however_the_stream_is_cut_the_answers_are_those_of_the_long_road(
+def test_however_the_stream_is_cut_the_answers_are_those_of_the_generic_path(
     frames: list[tuple[int, bytes]], cuts: list[int]
 ) -> None:
     stream = b"".join(encode_mbap(number, unit, pdu) for number, (unit, pdu) in enumerate(frames))
@@ -222,7 +222,7 @@ def test_what_is_no_read_to_hand_on_is_asked_about_once() -> None:
     assert (handler.planned, handler.handled) == (1, [3, 3, 3])
 
 
-def test_without_a_slot_a_read_takes_the_long_road_which_says_06() -> None:
+def test_without_a_slot_a_read_takes_the_generic_path_which_says_06() -> None:
     handler = HandingOn()
     client = Client(handler, slots=2)
     client.send(read(1) + read(2) + read(3))

@@ -1,4 +1,4 @@
-"""A read that was asked before is answered by its plan: the bytes of the long road, whatever changes between."""
+"""A read that was asked before is answered by its plan: the bytes of the generic path, whatever changes between."""
 
 import struct
 
@@ -47,11 +47,11 @@ reads = st.builds(read, st.sampled_from([3, 4]), st.integers(0, SIZE + 5), st.in
 
 
 @given(st.lists(reads, min_size=1, max_size=12))
-def test_the_answer_from_a_plan_equals_the_answer_of_the_long_road(requests: list[bytes]) -> None:
+def test_the_answer_from_a_plan_equals_the_answer_of_the_generic_path(requests: list[bytes]) -> None:
     planned = Device(holding_registers=list(range(SIZE)), input_registers=list(range(1000, 1000 + SIZE)))
     plain = Device(holding_registers=list(range(SIZE)), input_registers=list(range(1000, 1000 + SIZE)))
     for table in ("holding_registers", "input_registers"):
-        plain.on_read(table, lambda access: None)  # a hook keeps a table off the short road
+        plain.on_read(table, lambda access: None)  # a hook keeps a table off the fast path
     session = session_of(DeviceResponder({1: planned}))
     expected = ask(session_of(DeviceResponder({1: plain})), *requests)
     assert ask(session, *requests) == expected
@@ -105,7 +105,7 @@ def test_units_of_a_connection_count_their_own_on_every_road() -> None:
     )
     write, longer, refused = (bytes.fromhex(one) for one in ("06 0000 0007", "10 0000 0001 02 0007", "03 0046 0001"))
     sent = [(1, read(3, 0, 1)), (3, read(3, 0, 1)), (3, write), (3, longer), (1, refused), (3, bytes.fromhex("07"))]
-    for _ in range(3):  # the first time by the short road, then by plans
+    for _ in range(3):  # the first time by the fast path, then by plans
         ask_units(session, *sent)
         ask_units(session, *sent[:2])  # nothing but planned reads
         ask_units(session, *sent[:1])

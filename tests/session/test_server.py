@@ -221,7 +221,7 @@ def test_a_service_that_is_finished_within_its_call_holds_no_slot(limit: int) ->
 
 
 @pytest.mark.clause("T27")
-def test_the_short_road_needs_no_slot() -> None:
+def test_the_fast_path_needs_no_slot() -> None:
     handler = Scripted(later)
     handler.device = Device(input_registers=[9], functions=[4])
     peer = Peer(handler, slots=TransactionSlots(1))
@@ -346,7 +346,7 @@ def test_an_awaitable_is_handed_to_the_driver_and_holds_a_slot() -> None:
     assert [frame.transaction for frame in peer.arrived()] == [1]
 
 
-# The short road.
+# The fast path.
 
 
 def test_a_unit_is_looked_up_once_until_the_responder_takes_it_back() -> None:
@@ -367,7 +367,7 @@ def test_a_unit_is_looked_up_once_until_the_responder_takes_it_back() -> None:
     assert handler.looked_up[-1] == 1
 
 
-def test_what_the_short_road_leaves_takes_the_long_one() -> None:
+def test_what_the_fast_path_leaves_takes_the_long_one() -> None:
     handler = Scripted()
     handler.device = Device(input_registers=[1])
     assert Peer(handler).send(READ) == [ANSWER.encode()]
@@ -395,7 +395,7 @@ def device(*, short: bool) -> Device:
         coils=[position % 3 == 0 for position in range(DEVICE_SIZE)],
         discrete_inputs=77,
     )
-    if not short:  # a hook keeps a table off the short road and changes nothing else
+    if not short:  # a hook keeps a table off the fast path and changes nothing else
         for table in ("holding_registers", "input_registers", "coils", "discrete_inputs"):
             made.on_read(table, lambda access: None)
         for table in ("holding_registers", "coils"):
@@ -420,7 +420,7 @@ def near(pdu: bytes, address: int) -> bytes:
     )
 )
 @settings(max_examples=200)
-def test_short_and_long_road_answer_alike_count_alike_and_leave_the_same_device(pdus: list[bytes]) -> None:
+def test_short_and_generic_path_answer_alike_count_alike_and_leave_the_same_device(pdus: list[bytes]) -> None:
     devices = [device(short=True), device(short=False)]
     peers = [Peer(DeviceResponder({1: one})) for one in devices]
     assert peers[0].send(*pdus) == peers[1].send(*pdus)

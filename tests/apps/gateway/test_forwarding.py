@@ -1,4 +1,4 @@
-"""Reads that clients ask together go behind as batches: the answers of the long road, each as soon as it is there."""
+"""Reads that clients ask together are forwarded as batches: the answers of the generic path, each on arrival."""
 
 import gc
 import struct
@@ -156,7 +156,7 @@ class WireLink:
 
 
 class LongRoad:
-    """A handler that shows nothing but its long road."""
+    """A handler that shows nothing but its generic path."""
 
     def __init__(self, inner: ListenerRouter) -> None:
         self.inner = inner
@@ -262,7 +262,7 @@ POLICY = busway.Policy.of(
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(STEPS, max_size=14), st.booleans(), st.sampled_from([1, 3, 16]), st.sampled_from([None, POLICY]))
-def test_whoever_asks_gets_the_answers_of_the_long_road(
+def test_whoever_asks_gets_the_answers_of_the_generic_path(
     steps: list[tuple[Any, Any, Any, Any]], share_reads: bool, room: int, policy: busway.Policy | None
 ) -> None:
     found = []
