@@ -1,7 +1,6 @@
 """busway's asyncio client, one await per request, in as many tasks per connection as requests are in flight on it.
 
-Run from `bench/`: python -m clients.busway_await PORT SECONDS REGISTERS CONNECTIONS TASKS [--uvloop] [--join]
---join: requests of one turn of the event loop leave in one write.
+Run from `bench/`: python -m clients.busway_await PORT SECONDS REGISTERS CONNECTIONS TASKS [--uvloop]
 """
 
 import asyncio
@@ -23,7 +22,6 @@ async def main(port: int, seconds: float, registers: int, connections: int, task
                 f"tcp://127.0.0.1:{port}",
                 max_transactions=tasks,
                 max_connections=max(connections, 8),
-                join="--join" in sys.argv,
                 shared=False,
             )
             links.append(await opened.enter_async_context(link))

@@ -1,7 +1,7 @@
 """A busway gateway on TCP, everything to one server behind.
 
 Run from `bench/`:
-    python -m servers.busway_gateway URL [--connections N] [--join] [--uvloop] [--no-sharing] [--real-time]
+    python -m servers.busway_gateway URL [--connections N] [--uvloop] [--no-sharing] [--real-time]
 """
 
 import argparse
@@ -15,8 +15,8 @@ from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.settings import simple_plan
 
 
-async def main(url: str, connections: int, share_reads: bool, join: bool) -> None:
-    options = {"max_transactions": 16, "queue": 4096, "join": join} if url.startswith("tcp:") else {}
+async def main(url: str, connections: int, share_reads: bool) -> None:
+    options = {"max_transactions": 16, "queue": 4096} if url.startswith("tcp:") else {}
     if connections > 1:
         options["connections"] = connections
     plan = simple_plan(["tcp://127.0.0.1:0"], url, share_reads=share_reads, **options)
@@ -28,14 +28,13 @@ async def main(url: str, connections: int, share_reads: bool, join: bool) -> Non
 parser = argparse.ArgumentParser()
 parser.add_argument("url")
 parser.add_argument("--connections", type=int, default=1)
-parser.add_argument("--join", action="store_true")
 parser.add_argument("--uvloop", action="store_true")
 parser.add_argument("--no-sharing", action="store_true")
 parser.add_argument("--real-time", action="store_true")
 asked = parser.parse_args()
 if asked.real_time:
     real_time(PROGRAM)
-serving = main(asked.url, asked.connections, not asked.no_sharing, asked.join)
+serving = main(asked.url, asked.connections, not asked.no_sharing)
 if asked.uvloop:
     import uvloop
 

@@ -80,10 +80,6 @@ def _await(bench: Bench) -> dict[str, Contender]:
             contenders[_label("busway, uvloop", pattern)] = _ours(bench, module, pattern, "--uvloop")
     if bench.quick:
         return contenders
-    joined = (1, IN_FLIGHT)
-    contenders[_label("busway, joined", joined)] = _ours(bench, module, joined, "--join")
-    if bench.uvloop:
-        contenders[_label("busway, uvloop, joined", joined)] = _ours(bench, module, joined, "--uvloop", "--join")
     return contenders
 
 
@@ -158,7 +154,6 @@ def _bars(groups: dict[str, dict[str, Series]]) -> list[Bar]:
         Bar("execute_many, 16 connections", rate(MANY, "busway", sixteen), ">=", 450_000, "/s"),
         Bar("execute_many, 16 connections, uvloop", rate(MANY, fast, sixteen), ">=", 500_000, "/s"),
         Bar("await, 16 in flight on 1 connection, uvloop", rate(AWAIT, fast, awaited), ">=", 100_000, "/s"),
-        Bar("the same, requests of one turn joined", rate(AWAIT, f"{fast}, joined", awaited), ">=", 100_000, "/s"),
         Bar("await, 1 x 16: busway / pymodbus, rate", against_pymodbus("busway", awaited), ">=", 10),
         Bar("await, 16 x 1: busway / pymodbus, rate", against_pymodbus("busway", single), ">=", 10),
         Bar("blocking: busway / pyModbusTCP, rate", blocking, ">=", 0.9),

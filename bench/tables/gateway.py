@@ -2,9 +2,8 @@
 
 The server behind is the floor, on the core of the load generator; the gateway has the other core for itself. 16
 connections with 16 requests in flight, FC03 for 10 registers. All requests are alike, so sharing of reads is switched
-off: a generator that asks 256 times the same would measure that alone. Otherwise the lines are as they are without
-options: reads of one client that came together leave in one segment, those of another one in the next. In the rows
-`joined`, what is asked behind in one turn of the loop leaves in one segment, whoever asked (`join`). The floor is what
+off: a generator that asks 256 times the same would measure that alone. The links behind have 16 transactions, so what
+is asked in one turn of the loop leaves in one segment, whoever asked. The floor is what
 the generator gets from the server behind when it asks it directly, on the other core like the gateways.
 """
 
@@ -23,7 +22,6 @@ SHAPES = (Shape(16, 16), Shape(16, 1))
 FLOOR = "floor (C), no gateway"
 ONE, FOUR = "1 connection behind", "4 connections behind"
 ONE_UVLOOP, FOUR_UVLOOP = "1 behind, uvloop", "4 behind, uvloop"
-ONE_JOINED, FOUR_JOINED = "1 behind, joined", "4 behind, joined"
 STARTING = 3.0
 
 
@@ -46,9 +44,7 @@ def run(bench: Bench) -> Table:
     full = results[SHAPES[0]]
     table.bars = [
         Bar("16 x 16: one connection behind", _rate(full, ONE), ">=", 60_000, "/s"),
-        Bar("16 x 16: one connection behind, joined", _rate(full, ONE_JOINED), ">=", 60_000, "/s"),
         Bar("16 x 16: four connections behind", _best(full, FOUR, FOUR_UVLOOP), ">=", 100_000, "/s"),
-        Bar("16 x 16: four connections behind, joined", _rate(full, FOUR_JOINED), ">=", 100_000, "/s"),
     ]
     return table
 
@@ -58,7 +54,6 @@ def _contenders(bench: Bench, url: str) -> dict[str, Callable[[], Command]]:
         return lambda: bench.ours("servers.busway_gateway", url, "--no-sharing", "--connections", connections, *options)
 
     wanted = {FLOOR: lambda: bench.program("floor_server"), ONE: ours(1), FOUR: ours(4)}
-    wanted |= {ONE_JOINED: ours(1, "--join"), FOUR_JOINED: ours(4, "--join")}
     if bench.uvloop:
         wanted |= {ONE_UVLOOP: ours(1, "--uvloop"), FOUR_UVLOOP: ours(4, "--uvloop")}
     return wanted

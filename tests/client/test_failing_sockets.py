@@ -34,7 +34,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "one transaction": {"max_transactions": 1},
     "several transactions": {"max_transactions": 4},
     "a segment for each request": {"max_transactions": 4, "single_adu_segments": True},
-    "requests of one turn joined": {"max_transactions": 4, "join": True},
     "a deadline": {"max_transactions": 4, "deadline": SHORT / 2, "single_adu_segments": True},
     "held per request": {"max_transactions": 4, "hold": "request"},
 }
@@ -304,7 +303,7 @@ def test_connecting_by_name_does_not_wait_for_the_call_of_another_thread() -> No
 async def test_requests_of_one_turn_leave_before_those_that_a_reply_of_the_same_turn_makes_room_for() -> None:
     wire = Wire({})
     with connected_by(WireConnector(wire)):
-        async with busway.open(ENDPOINT, max_transactions=2, join=True, shared=False, timeout=IN_TIME) as link:
+        async with busway.open(ENDPOINT, max_transactions=2, shared=False, timeout=IN_TIME) as link:
             unit = link.unit(1)
             await unit.write_single_register(0, 1)
             first = asyncio.create_task(unit.write_single_register(0, 2))

@@ -4,7 +4,7 @@ import asyncio
 import threading
 
 import pytest
-from handlers import HeldReplies, ScriptedHandler, address_of, later, registers
+from handlers import HeldReplies, ScriptedHandler, later, registers
 from waiting import until
 
 import busway
@@ -88,20 +88,6 @@ async def test_write_of_a_task_goes_before_its_reads_of_other_units_and_tasks_ta
             _reply(handler.contexts[number], 0)
         await asyncio.gather(blocker, *tasks)
     assert [context.unit for context in handler.contexts] == [9, 1, 2, 1, 2]
-
-
-@pytest.mark.clause("T11")
-@pytest.mark.parametrize("join", [False, True])
-async def test_requests_asked_in_one_turn_leave_together_only_where_joining_is_on(join: bool) -> None:
-    handler = ScriptedHandler(lambda context, request: registers(address_of(request)))
-    async with (
-        busway.serve(ANY_PORT, responder=handler) as server,
-        busway.open(server.endpoints[0], join=join, max_transactions=8) as link,
-    ):
-        await link.connect()
-        unit = link.unit(1)
-        values = await asyncio.gather(*(unit.read_holding_registers(address, count=1) for address in range(20)))
-        assert values == [[address] for address in range(20)]
 
 
 # --- cancelling ----------------------------------------------------------------------------------

@@ -283,7 +283,7 @@ def test_two_loops_cannot_share_a_port(line: PacedLine) -> None:
         ("rtu+tcp://127.0.0.1:4001?baud=9600", "unknown option.*connect_timeout"),
         ("rtu+tcp://127.0.0.1:4001?strict_timing=on", "unknown option"),
         ("udp://127.0.0.1?keepalive=on", "unknown option.*local_address"),
-        ("udp://127.0.0.1?join=on", "unknown option"),
+        ("udp://127.0.0.1?single_adu_segments=on", "unknown option"),
         ("tcp://127.0.0.1?baud=9600", "unknown option.*max_transactions"),
         ("rtu://ttyUSB0", "three slashes"),
     ],

@@ -172,7 +172,6 @@ async def test_a_client_and_a_server_meet_over_ipv6() -> None:
         ({"keepalive_count": 0}, "keepalive_count"),
         ({"tiemout": 1.0}, "tiemout"),
         ({"transaction_policy": "ignore", "max_transactions": 2}, "transaction_policy"),
-        ({"join": True, "single_adu_segments": True}, "join"),
     ],
 )
 def test_the_settings_of_a_client_are_checked_as_a_whole_before_anything_is_opened(

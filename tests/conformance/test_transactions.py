@@ -2,6 +2,7 @@
 
 import asyncio
 import itertools
+from typing import Any
 
 import pytest
 from handlers import HeldReplies, ScriptedHandler, registers
@@ -71,6 +72,32 @@ async def test_requests_of_one_execute_many_leave_joined_or_one_by_one_by_option
         replies = await link.unit(1).execute_many(requests)
         assert [reply.registers for reply in replies] == [[0], [1], [2], [3]]
         assert len(sent) == writes
+
+
+@pytest.mark.clause("T11")
+@pytest.mark.parametrize(
+    ("options", "writes"),
+    [({"max_transactions": 4}, [4, 4]), ({"max_transactions": 4, "single_adu_segments": True}, [1] * 8), ({}, [1] * 8)],
+    ids=["several transactions", "a segment for each", "the default"],
+)
+async def test_requests_of_one_turn_leave_joined_where_several_transactions_were_chosen(
+    options: dict[str, Any], writes: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with ScriptedPeer() as peer, busway.open(peer.endpoint, **options) as link:
+        await link.connect()
+        sent: list[int] = []
+        kind = type(link._link._transport)  # type: ignore[union-attr]
+        write = kind.write
+        monkeypatch.setattr(
+            kind, "write", lambda transport, data: (sent.append(len(data) // 12), write(transport, data))
+        )
+        unit = link.unit(1)
+        replies = await asyncio.gather(*(unit.read_holding_registers(address, count=1) for address in range(8)))
+        assert replies == [[address] for address in range(8)]
+        assert sum(sent) == 8
+        assert sent[0] == writes[0]
+        if len(writes) == 8:
+            assert sent == writes
 
 
 @pytest.mark.clause("T21")

@@ -131,9 +131,9 @@ def test_a_duration_with_a_unit_is_refused_with_the_seconds_that_it_is(text: str
 
 @pytest.mark.clause("T33")
 def test_the_parameters_of_conversations_are_built_and_checked_from_texts() -> None:
-    texts: dict[str, Any] = {"timeout": "0.5", "max_transactions": "16", "deadline": "3", "join": "yes"}
+    texts: dict[str, Any] = {"timeout": "0.5", "max_transactions": "16", "deadline": "3", "single_adu_segments": "yes"}
     assert build_parameters(ClientParameters, texts) == ClientParameters(
-        timeout=0.5, max_transactions=16, deadline=3.0, join=True
+        timeout=0.5, max_transactions=16, deadline=3.0, single_adu_segments=True
     )
     assert build_parameters(ServerParameters, {"scope": "server"}).scope is Scope.SERVER
     with pytest.raises(ConfigError, match="max_transactions: must be 1…16, not 17"):

@@ -25,7 +25,6 @@ def test_the_defaults_of_a_client_are_those_of_the_documentation() -> None:
         "unit_policy": MismatchPolicy.STRICT,
         "recycle_after_timeouts": 3,
         "recycle_after_foreign": 16,
-        "join": False,
         "single_adu_segments": False,
         "connect_delay": 0.0,
         "request_gap": 0.0,
@@ -83,7 +82,6 @@ def test_a_server_has_1_to_16_transactions(value: int) -> None:
     [
         ({"transaction_policy": "lax"}, "transaction_policy: must be one of strict, automatic, ignore, not 'lax'"),
         ({"unit_policy": None}, "unit_policy: must be one of strict, automatic, ignore, not None"),
-        ({"join": True, "single_adu_segments": True}, "join: does not go with single_adu_segments"),
         (
             {"transaction_policy": MismatchPolicy.IGNORE, "max_transactions": 2},
             "transaction_policy: ignore goes with max_transactions 1 only",

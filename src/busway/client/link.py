@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ..errors import LinkDown
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
+from ..options.client import ON_STREAMS
 from ..session.call import Call
 from ..session.client import TcpClientSession
 from ..session.connection_life import ConnectionLife
@@ -111,6 +112,7 @@ class AsyncLinkDriver:
         "_framing",
         "_held",
         "_hold",
+        "_joins",
         "_life",
         "_line",
         "_loop",
@@ -154,6 +156,9 @@ class AsyncLinkDriver:
         self._connector = connector
         self._parameters = settings.parameters
         self._framing = settings.endpoint.framing
+        parameters = settings.parameters
+        is_stream = ON_STREAMS.fits("client", self._framing, settings.endpoint.carrier)
+        self._joins = is_stream and parameters.max_transactions > 1 and not parameters.single_adu_segments
         self.session: ClientSession = session
         self._line = session if isinstance(session, SerialClientSession) else None
         self._clock = _clock_of(self._loop) if self._line is None else time.monotonic
@@ -218,7 +223,7 @@ class AsyncLinkDriver:
         adu = None if self._transport is None or self._paused else self.session.send_now(call, now)
         if adu is not None:
             self.sent_bytes += len(adu)
-            if self._parameters.join:
+            if self._joins:
                 self._outgoing.append(adu)
                 self._plan_flush()
             else:
@@ -231,7 +236,7 @@ class AsyncLinkDriver:
             if call.caller is None:
                 call.caller = asyncio.current_task()
             self.session.submit(call, now)
-            if self._parameters.join:
+            if self._joins:
                 self._plan_flush()
             else:
                 self._pump(now)
@@ -434,7 +439,7 @@ class AsyncLinkDriver:
                 self._write_outgoing()  # keep the order of the calls
             while self._spin and self._clock() < now:
                 pass
-            if self._parameters.join:
+            if self._joins:
                 out = [b"".join(out)]
             for chunk in out:
                 self.sent_bytes += len(chunk)

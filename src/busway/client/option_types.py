@@ -27,7 +27,6 @@ class LinkOptions(TypedDict, total=False):
     unit_policy: MismatchPolicy | Literal["strict", "automatic", "ignore"]
     recycle_after_timeouts: int
     recycle_after_foreign: int
-    join: bool
     single_adu_segments: bool
     connect_delay: float
     request_gap: float

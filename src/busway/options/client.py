@@ -108,16 +108,12 @@ class ClientParameters:
         ONE_AT_A_TIME,
         "replies of foreign transactions in a row after which the connection is closed and opened again.",
     ] = 16
-    join: Annotated[
-        bool,
-        ON_STREAMS,
-        "whether requests made in one turn of the event loop leave in one segment instead of one each.",
-    ] = False
     single_adu_segments: Annotated[
         bool,
         ON_STREAMS,
         Strict("T11", True),
-        "whether even the requests of `execute_many` leave one by one, as Messaging on TCP/IP V1.0b §4.3.2 advises.",
+        "whether each request leaves in a segment of its own, as Messaging on TCP/IP V1.0b §4.3.2 advises. Otherwise",
+        "those of `execute_many` leave together, and with `max_transactions` above 1 all of one turn of the loop.",
     ] = False
     connect_delay: Annotated[float, Range(0, 60), "seconds to wait after connecting before the first request."] = 0.0
     request_gap: Annotated[float, Range(0, 60), "seconds from the end of a reply to the next request."] = 0.0
@@ -133,8 +129,6 @@ class ClientParameters:
         check(self)
         if self.register_width % 2:
             raise ConfigError(f"must be even, not {self.register_width}", key="register_width")
-        if self.join and self.single_adu_segments:
-            raise ConfigError("does not go with single_adu_segments", key="join")
         if self.transaction_policy is MismatchPolicy.IGNORE and self.max_transactions > 1:
             raise ConfigError("ignore goes with max_transactions 1 only", key="transaction_policy")
 
