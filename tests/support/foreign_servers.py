@@ -172,12 +172,18 @@ def victoria_metrics(folder: Path) -> ForeignServer:
 
 
 class PostgresqlServer(ForeignServer):
-    """A PostgreSQL server with a database folder of its own and one user, ``collector``, with a password."""
+    """A PostgreSQL server with a database folder of its own and one user, ``collector``, with a password.
+
+    Args:
+        syncs: whether it waits for the disk.
+        library: one that it loads when it starts, for an extension.
+    """
 
     PASSWORD = "x9-secret"
 
-    def __init__(self, *, syncs: bool = False) -> None:
+    def __init__(self, *, syncs: bool = False, library: str = "") -> None:
         places = [str(path) for path in sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)]
+        places[:0] = filter(None, [os.environ.get("BUSWAY_POSTGRESQL")])  # one with extensions that Debian has not
         postgres = Path(needed("initdb", *places)).resolve().with_name("postgres")
         postgres = next((Path(place) / "postgres" for place in places if (Path(place) / "postgres").exists()), postgres)
         initdb = str(postgres.with_name("initdb"))
@@ -203,6 +209,8 @@ class PostgresqlServer(ForeignServer):
             "listen_addresses=127.0.0.1",
             "-c",
             f"unix_socket_directories={self.folder}",
+            "-c",
+            f"shared_preload_libraries={library}",
         ]
         super().__init__(
             [str(postgres), "-D", str(data), "-p", str(port), *options], port, user=user, stop=signal.SIGQUIT

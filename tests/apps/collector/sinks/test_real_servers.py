@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import gc
 import json
+import os
 import ssl
 import subprocess
 import time
@@ -349,6 +350,26 @@ async def test_a_database_has_each_event_of_an_alarm_once_in_a_table_of_its_own(
         ("HH", "raised", 90.0, "above 80 rpm", "", 2, 1),
         ("H", "acknowledged", None, "above 80 rpm", "anna", 3, 0),
     ]
+
+
+@pytest.mark.soak
+async def test_a_hypertable_of_timescaledb_has_every_sample_and_event_once(tmp_path: Path) -> None:
+    if "BUSWAY_POSTGRESQL" not in os.environ:
+        pytest.skip("BUSWAY_POSTGRESQL names no programs of a PostgreSQL with TimescaleDB")
+    week = 7 * 86_400
+    with PostgresqlServer(library="timescaledb") as server, filled(tmp_path, 10) as writer:
+        await executed(server, "CREATE EXTENSION timescaledb")
+        writer.commit([read_of(METER, 2 * week, 1, 2, 3)], [], at(2 * week), [ALARM, ACKNOWLEDGED])
+        for start in range(2):  # the second finds the tables, and sends everything again
+            sink = PostgresqlSink(server.url, password=server.PASSWORD, timescale=True)
+            delivery = delivery_to(sink, writer, DeliveryOptions(age=0, most=20, keep=1e9))
+            await run_until(delivery, lambda d=delivery: d.status().sent == 33 and d.status().cursor)  # type: ignore[misc]
+            assert (delivery.status().set_aside, delivery.status().error) == (0, None), start
+            writer.manifest.set_cursor("sink", 0, 0)
+        assert await rows_of(server, "SELECT count(*) FROM samples") == [(33,)]
+        assert await rows_of(server, "SELECT count(*) FROM alarms") == [(2,)]
+        asked = "SELECT hypertable_name, num_chunks FROM timescaledb_information.hypertables ORDER BY 1"
+        assert await rows_of(server, asked) == [("alarms", 1), ("samples", 2)]
 
 
 async def test_a_wrong_password_is_told_without_the_password(database: PostgresqlServer) -> None:
