@@ -309,7 +309,22 @@ class _Server(uvicorn.Server):
         self.answering.set()
 
 
+class _HiddenTokens(logging.Filter):
+    """Log filter that hides the headers that can carry an access token, which the library logs at DEBUG."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return True: every record is logged, some with ``***`` for the value of a header."""
+        if isinstance(record.args, tuple) and len(record.args) == 2 and str(record.args[0]).lower() in _TOKEN_HEADERS:
+            record.args = (record.args[0], "***")
+        return True
+
+
+_TOKEN_HEADERS: Final = frozenset({"authorization", "sec-websocket-protocol"})
+_HIDDEN_TOKENS: Final = _HiddenTokens()
+
+
 def _configured(application: Application, context: WatchedContext | None) -> uvicorn.Config:
+    logging.getLogger("uvicorn.error").addFilter(_HIDDEN_TOKENS)  # the same again is not added
     protocols = SharedConnections().protocols(None if context is None else context.current)
     return uvicorn.Config(
         application,

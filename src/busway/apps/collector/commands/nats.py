@@ -16,6 +16,7 @@ from importlib import import_module
 from typing import Any
 
 from ....extras import require
+from ..sinks.hidden_secrets import HiddenSecrets
 from ..sinks.nats import subject_token
 from .inputs import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandReceiver, InputMessage, InputRights
 from .message_tasks import MOST_AT_ONCE, MessageTasks
@@ -54,6 +55,7 @@ class NatsCommands:
         require("nats", "commands by NATS")
         self.rights: InputRights = rights
         self._url, self._timeout = url, timeout
+        self._secrets = HiddenSecrets(password, token)
         given = {"user": user, "password": password, "token": token, "tls": tls}
         self._options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         self._cause = ""
@@ -88,7 +90,7 @@ class NatsCommands:
                     await ended.wait()
                 receiver.down(f"the server has closed the connection {self._cause}".rstrip())
             except (nats.errors.Error, OSError, TimeoutError) as error:
-                receiver.down(f"the server cannot be used: {self._cause or error or type(error).__name__}")
+                receiver.down(f"the server cannot be used: {self._cause or self._words(error)}")
             finally:
                 if client.is_connecting or client.is_connected:  # also where connecting failed or was given up
                     with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone already
@@ -98,7 +100,10 @@ class NatsCommands:
 
     async def _note(self, error: Exception) -> None:
         """Remember why a connection to NATS failed, because the error that `connect` raises does not tell it."""
-        self._cause = str(error) or type(error).__name__
+        self._cause = self._words(error)
+
+    def _words(self, error: Exception) -> str:
+        return self._secrets.hide(error) or type(error).__name__
 
     async def _subscribe(self, client: Any, tasks: MessageTasks, receiver: CommandReceiver) -> None:
         async def came(message: Any) -> None:

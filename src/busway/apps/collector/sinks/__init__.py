@@ -5,6 +5,7 @@
 `delivery`           Delivery of a store's samples to one sink: reads after the sink's cursor, sends
 `sink_thread`        Runs all sinks of a store in a thread with an event loop of its own, so that no sink delays polling
 `options`            Makes a sink, and the options of its delivery, from a table `[[sink]]` of the collector file
+`hidden_secrets`     Hides passwords and tokens in texts of servers, which may send back what they were sent
 `documents`          Converts samples to JSON: one document for each device and commit, or one for each sample
 `files`              Sink that writes files: CSV, JSON lines, Parquet
 `mqtt`               Sink that publishes samples by MQTT 5, with discovery by Home Assistant
@@ -20,6 +21,6 @@
 Where it is decided: what is sent to a sink, in what order, again or never: `delivery`. When a sink that is down is
 tried again, and how long samples wait for it: `delivery` (`Delivery.run`); `sink_thread` begins a delivery again only
 after an unexpected error. Whether an error means "later" or "refused for good": the file of the sink, by the errors of
-`interface`. By which key a receiver knows a sample that comes twice: `documents`. Secrets, TLS and options: `options`.
-Topics and subjects: `mqtt`, `nats`, `sparkplug`.
+`interface`. By which key a receiver knows a sample that comes twice: `documents`. Secrets, TLS and options: `options`; what an error of a
+server may show: `hidden_secrets`. Where a new file has other points: `delivery` (`set_points`). Topics and subjects: `mqtt`, `nats`, `sparkplug`.
 """

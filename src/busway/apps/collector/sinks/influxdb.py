@@ -20,6 +20,7 @@ from ....errors import ConfigError
 from ....extras import require
 from ....options.sinks import InfluxOptions
 from ..store.committed_samples import CommittedAlarm, CommittedSample
+from .hidden_secrets import HiddenSecrets
 from .interface import SinkDown, SinkRefused
 
 _USUAL: Final = InfluxOptions()
@@ -59,6 +60,7 @@ class InfluxSink:
             raise ConfigError(f"lines are posted to http:// or https://, not {url!r}", key="url")
         self._url = url + ("" if "precision=" in url else ("&" if "?" in url else "?") + "precision=ns")
         self._measurement, self._alarm_measurement = _escaped(measurement, ", "), _escaped(alarm_measurement, ", ")
+        self._secrets = HiddenSecrets(token)
         self._headers = {} if token is None else {"Authorization": f"Token {token}"}
         self._tls, self._timeout = tls, timeout
         self._client: Any = None  # httpx is loaded when it is used
@@ -90,10 +92,9 @@ class InfluxSink:
             answer = await self._client.post(self._url, content="\n".join(lines).encode())
         except httpx.HTTPError as error:
             raise SinkDown(f"the server cannot be reached: {error or type(error).__name__}") from error
-        if answer.status_code in _REFUSED:
-            raise SinkRefused(f"the server answered {answer.status_code}: {answer.text[:200]}")
         if not answer.is_success:
-            raise SinkDown(f"the server answered {answer.status_code}: {answer.text[:200]}")
+            kind = SinkRefused if answer.status_code in _REFUSED else SinkDown
+            raise kind(f"the server answered {answer.status_code}: {self._secrets.hide(answer.text)[:200]}")
 
 
 def line_of(sample: CommittedSample, measurement: str) -> str:

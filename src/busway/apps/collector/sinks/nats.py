@@ -21,6 +21,7 @@ from ....extras import require
 from ....options.sinks import NatsOptions
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .documents import alarm_document, documents
+from .hidden_secrets import HiddenSecrets
 from .interface import SinkDown, SinkRefused, all_taken
 
 _USUAL: Final = NatsOptions()
@@ -68,6 +69,7 @@ class NatsSink:
         self._url, self._subject, self._stream, self._timeout = url, subject, stream, timeout
         given = {"user": user, "password": password, "token": token, "tls": tls}
         self._options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        self._secrets = HiddenSecrets(password, token)
         self._client: Any = None  # nats-py is loaded when it is used
         self._jetstream: Any = None
         self._cause = ""
@@ -93,11 +95,14 @@ class NatsSink:
             if self._stream is not None:
                 await self._make_stream(self._stream)
         except (nats.errors.Error, OSError, TimeoutError) as error:
-            raise SinkDown(f"the server cannot be used: {self._cause or error or type(error).__name__}") from error
+            raise SinkDown(f"the server cannot be used: {self._cause or self._words(error)}") from error
+
+    def _words(self, error: Exception) -> str:
+        return self._secrets.hide(error) or type(error).__name__
 
     async def _note(self, error: Exception) -> None:
         """Remember why a connection to NATS failed, because the error that `connect` raises does not tell it."""
-        self._cause = str(error) or type(error).__name__
+        self._cause = self._words(error)
 
     async def _make_stream(self, stream: str) -> None:
         missing = import_module("nats.js.errors").NotFoundError
@@ -156,7 +161,7 @@ class NatsSink:
                 raise SinkRefused(f"the stream refuses: {error.description}") from error
             raise SinkDown(f"the stream does not take messages: {error.description}") from error
         except (nats.errors.Error, OSError, TimeoutError) as error:
-            raise SinkDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
+            raise SinkDown(f"the stream does not acknowledge: {self._words(error)}") from error
 
     def _check_size(self, payload: bytes, key: str) -> None:
         size = len(payload) + len(key.encode()) + _HEADER_BYTES

@@ -24,6 +24,7 @@ from ....extras import require
 from ....options.sinks import PostgresqlOptions
 from ..samples import Value
 from ..store.committed_samples import CommittedAlarm, CommittedSample
+from .hidden_secrets import HiddenSecrets
 from .interface import SinkDown, SinkRefused
 
 _USUAL: Final = PostgresqlOptions()
@@ -89,6 +90,7 @@ class PostgresqlSink:
                 raise ConfigError(f"a table is called by small letters, digits and _, not {name!r}", key=key)
         self._url, self._table, self._alarm_table, self._timescale = url, table, alarm_table, timescale
         self._options: dict[str, Any] = {"password": password, "timeout": timeout, "command_timeout": timeout}
+        self._secrets = HiddenSecrets(password)
         if tls is not None:
             self._options["ssl"] = tls
         self._connection: Any = None  # asyncpg is loaded when it is used
@@ -103,7 +105,10 @@ class PostgresqlSink:
             await self._make_table(_TABLE, self._table)
             await self._connection.execute(_ARRIVING)
         except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
-            raise SinkDown(f"the database cannot be used: {error or type(error).__name__}") from error
+            raise SinkDown(f"the database cannot be used: {self._words(error)}") from error
+
+    def _words(self, error: Exception) -> str:
+        return self._secrets.hide(error) or type(error).__name__
 
     async def _make_table(self, made: str, name: str) -> None:
         await self._connection.execute(made.format(table=name))
@@ -168,9 +173,9 @@ class PostgresqlSink:
             async with self._connection.transaction():
                 yield
         except (*about_values, UnicodeEncodeError) as error:
-            raise SinkRefused(f"the database refuses: {error}") from error
+            raise SinkRefused(f"the database refuses: {self._words(error)}") from error
         except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
-            raise SinkDown(f"the database does not take samples: {error or type(error).__name__}") from error
+            raise SinkDown(f"the database does not take samples: {self._words(error)}") from error
 
 
 def _moment(time: int) -> tuple[datetime, int]:
