@@ -21,6 +21,7 @@ from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.reloading import left_for_the_next_start, replace_file
 from busway.config.files.problems import FileError
 from busway.errors import ConfigError
+from busway.points import Reason
 
 
 @dataclass
@@ -64,7 +65,9 @@ async def test_links_that_did_not_change_go_on_and_are_not_held_up_for_a_round(t
             assert max(later - earlier for earlier, later in pairwise(asked)) < 0.5
             assert first.counters.accepted == 1
             intervals = busway.Store(tmp_path / "data").read("boiler/*", since="1m").intervals
-            assert not intervals
+            assert {each.reason for each in intervals} <= {
+                Reason.SKIPPED
+            }  # by a machine that is busy, as measured above
 
 
 async def test_the_audit_log_has_who_revision_and_difference_of_each_change(tmp_path: Path) -> None:
