@@ -1,9 +1,10 @@
 """Runs the code of a documentation page, as a reader would who copies it.
 
-1. A ``python`` block that serves for ever is started as a program of its own; the URL it prints is where the rest of
-   the page finds it. Without such a block a device of the test's own answers.
+1. A ``python`` block that serves for ever is started as a program of its own, and so is ``$ busway serve`` in a
+   ``console`` block: what the page tells its reader to start, and nothing else, answers the page.
 2. All other ``python`` blocks of a page are one program, from the first to the last.
-3. ``tcp://127.0.0.1:5020`` stands for that device: the port is replaced by the real one.
+3. ``tcp://127.0.0.1:5020`` stands for what was started: the port is replaced by the real one. A page whose code asks
+   that endpoint and that starts nothing fails.
 4. What ``print(…)  # text`` says it prints is compared.
 5. In ``console`` blocks the lines that begin with ``$ busway`` are run, and what stands below is compared.
 """
@@ -19,8 +20,6 @@ from pathlib import Path
 
 import pytest
 
-import busway
-
 ROOT = Path(__file__).resolve().parents[2]
 WRITTEN_ENDPOINT = "tcp://127.0.0.1:5020"
 WRITTEN_PORT = "port=5020"
@@ -34,14 +33,14 @@ class Page:
     """A documentation page and its code.
 
     Attributes:
-        server: the program that serves for ever; empty if the page has none.
+        server: the command that serves for ever, a program or ``busway serve``; empty if the page has none.
         program: all other Python of the page.
         expected: what its ``print`` calls say they print.
         commands: command lines, each with what it says it prints.
     """
 
     path: Path
-    server: str
+    server: list[str]
     program: str
     expected: list[str]
     commands: list[tuple[str, str]]
@@ -51,49 +50,45 @@ def read_page(path: Path) -> Page:
     """The code of a page."""
     text = path.read_text(encoding="utf-8")
     blocks = re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
-    servers = [block for block in blocks if "serve_forever(" in block]
-    assert len(servers) <= 1, f"{path.name}: two servers"
-    program = "\n".join(block for block in blocks if block not in servers)
+    programs = [block for block in blocks if "serve_forever(" in block]
+    servers = [["-c", block.replace(WRITTEN_ENDPOINT, FREE_PORT)] for block in programs]
+    program = "\n".join(block for block in blocks if block not in programs)
     expected = re.findall(r"^ *print\(.*\)  # (.+)$", program, re.MULTILINE)
     commands = []
     for block in re.findall(r"^```console\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
         for part in re.split(r"^\$ ", block, flags=re.MULTILINE):
             command, _, output = part.partition("\n")
-            if command.startswith("busway "):
+            if command.startswith("busway serve"):
+                servers.append(["-m", *shlex.split(command), "--listen", FREE_PORT])
+            elif command.startswith("busway "):
                 commands.append((command, output.strip()))
-    return Page(path, "".join(servers), program, expected, commands)
+    assert len(servers) <= 1, f"{path.name}: two servers"
+    return Page(path, servers[0] if servers else [], program, expected, commands)
 
 
 @contextmanager
 def serving(page: Page, folder: Path) -> Iterator[str]:
-    """The URL of the device that answers the page."""
-    if page.server:
-        program = page.server.replace(WRITTEN_ENDPOINT, FREE_PORT)
-        child = subprocess.Popen(
-            [sys.executable, "-u", "-c", program], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        assert child.stdout is not None
-        try:
-            line = child.stdout.readline()
-            found = re.search(r"tcp://\S+", line)
-            if found is None:
-                child.kill()
-                pytest.fail(f"{page.path.name}: the server printed {line!r}; {child.communicate()[1]}")
-            yield found[0]
-        finally:
+    """The URL of what the page starts; the written one where it starts nothing."""
+    if not page.server:
+        code = "\n".join([page.program, *(command for command, _ in page.commands)])
+        assert WRITTEN_ENDPOINT not in code, f"{page.path.name} asks {WRITTEN_ENDPOINT} and starts nothing there"
+        assert WRITTEN_PORT not in code, f"{page.path.name} asks {WRITTEN_PORT} and starts nothing there"
+        yield WRITTEN_ENDPOINT
+        return
+    child = subprocess.Popen(
+        [sys.executable, "-u", *page.server], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert child.stdout is not None
+    try:
+        line = child.stdout.readline()
+        found = re.search(r"tcp://\S+", line)
+        if found is None:
             child.kill()
-            child.communicate()
-    else:
-        with busway.serve_in_thread(FREE_PORT, units={1: example_device()}) as server:
-            yield server.endpoints[0]
-
-
-def example_device() -> busway.Device:
-    """The device that pages without a server of their own talk to."""
-    device = busway.Device(holding_registers=2000, input_registers=2000, coils=200, discrete_inputs=200)
-    device.write("4x101", 21.5, "float32", order="CDAB")
-    device.holding_registers[0:4] = [7, 8, 9, 10]
-    return device
+            pytest.fail(f"{page.path.name}: the server printed {line!r}; {child.communicate()[1]}")
+        yield found[0]
+    finally:
+        child.kill()
+        child.communicate()
 
 
 RunPage = Callable[[Path], None]

@@ -1,5 +1,6 @@
 """The pages of the documentation: their code runs and prints what they say, and their links lead somewhere."""
 
+import ast
 import re
 import tomllib
 from collections.abc import Callable
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+WRITTEN_ENDPOINT = "tcp://127.0.0.1:5020"
 CODE_FOLDERS = ("how-to", "reference", "tutorial")
 PAGES_WITH_CODE = sorted(page for folder in CODE_FOLDERS for page in (ROOT / "docs" / folder).glob("*.md"))
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "bench" / "README.md"])
@@ -20,6 +22,31 @@ def name_of(path: Path) -> str:
 @pytest.mark.parametrize("page", PAGES_WITH_CODE, ids=name_of)
 def test_the_code_of_a_page_runs_and_prints_what_it_says(page: Path, run_page: Callable[[Path], None]) -> None:
     run_page(page)
+
+
+@pytest.mark.parametrize("page", PAGES_WITH_CODE, ids=name_of)
+def test_what_a_reader_pastes_by_itself_imports_what_it_uses(page: Path) -> None:
+    blocks = re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    modules = {name for block in blocks for name in imported_by(block)}
+    for block in blocks:
+        if page.parent.name == "tutorial" or WRITTEN_ENDPOINT in block:
+            names = [node for node in ast.walk(ast.parse(block)) if isinstance(node, ast.Name)]
+            used = {name.id for name in names} - {name.id for name in names if isinstance(name.ctx, ast.Store)}
+            assert used & modules <= imported_by(block), block
+
+
+def imported_by(block: str) -> set[str]:
+    imports = [node for node in ast.walk(ast.parse(block)) if isinstance(node, ast.Import | ast.ImportFrom)]
+    return {(alias.asname or alias.name).partition(".")[0] for node in imports for alias in node.names}
+
+
+def test_a_page_that_asks_a_device_which_it_does_not_start_fails(
+    tmp_path: Path, run_page: Callable[[Path], None]
+) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(f'```python\nprint("{WRITTEN_ENDPOINT}")\n```\n', encoding="utf-8")
+    with pytest.raises(AssertionError, match="starts nothing"):
+        run_page(page)
 
 
 def test_relative_links_lead_to_files_and_headings_that_are_there() -> None:
