@@ -379,6 +379,26 @@ def test_the_configuration_is_replaced_as_a_whole_or_refused_with_all_that_is_wr
     complaints[:] = [each for each in complaints if "422" not in each]
 
 
+def test_a_configuration_that_is_slow_to_load_is_loaded_once_and_not_over_what_is_typed(new_page, plant, sign_in):
+    page = new_page(plant.page.url)
+    sign_in(page, "configure")
+    waiting = []
+    page.route(re.compile(r"/api/configuration$"), lambda route: waiting.append(route))  # noqa: PLW0108 - the library marks what it calls
+    page.click("#tab-configuration")
+    page.click("#tab-values")
+    page.click("#tab-configuration")
+    expect(page.locator("#configuration-text")).to_be_visible()
+    first = waiting.pop(0)
+    first.fulfill(json={"revision": "1", "text": "first"})
+    expect(page.locator("#configuration-text")).to_have_value("first")
+    page.locator("#configuration-text").fill("typed")
+    for each in waiting:
+        each.fulfill(json={"revision": "2", "text": "second"})
+    expect(page.locator("#configuration-revision")).to_have_text("Revision 1")
+    expect(page.locator("#configuration-text")).to_have_value("typed")
+    assert waiting == []
+
+
 def test_a_file_that_was_refused_or_needs_a_restart_is_told_in_every_view(new_page, plant):
     page = new_page(plant.page.url)
     about = plant.ask("/api/collector")[1]

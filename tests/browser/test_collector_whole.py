@@ -35,6 +35,12 @@ address = "4x3"
 enumeration = { off = 0, auto = 1, "by hand" = 2 }
 
 [[unit.point]]
+name = "faults"
+address = "4x5"
+type = "uint32"
+flags = { "over load" = 0, earth = 4, "last one" = 31 }
+
+[[unit.point]]
 name = "valve"
 address = "4x4.3"
 """
@@ -113,6 +119,9 @@ def test_named_values_and_states_are_chosen_from_a_list_and_shown_by_name(plant,
     expect(choice).to_be_disabled()
     page.get_by_role("button", name="Close", exact=True).click()
     expect(row(page, "pump/mode").locator(".c-value")).to_have_text("auto (1)")
+    page.click("#tab-commands")
+    expect(page.locator("#command-rows tr td:nth-child(5)")).to_have_text("off (0)")
+    page.click("#tab-values")
     row(page, "pump/valve").get_by_role("button", name="Write pump/valve").click()
     expect(choice).to_be_enabled()
     choice.select_option("on")
@@ -125,6 +134,14 @@ def test_named_values_and_states_are_chosen_from_a_list_and_shown_by_name(plant,
     row(page, "pump/speed").get_by_role("button", name="Write pump/speed").click()
     expect(page.get_by_role("textbox", name="New value in rpm")).to_be_focused()
     expect(choice).to_be_hidden()
+
+
+def test_flags_are_shown_by_name_beside_the_number(plant, signed):
+    page = signed("operate")
+    shown = row(page, "pump/faults").locator(".c-value")
+    expect(shown).to_have_text("0")
+    plant.device.holding_registers[4:6] = [0x8000, 0x0013]
+    expect(shown).to_have_text("over load, earth, last one (2147483667)")
 
 
 def test_an_alarm_is_told_at_once_acknowledged_and_kept_in_the_journal(plant, signed):

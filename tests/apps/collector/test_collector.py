@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import sqlite3
 import threading
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
@@ -178,6 +179,24 @@ async def test_a_second_collector_on_one_store_is_refused_with_the_pid_of_the_fi
             with pytest.raises(ConfigError, match=str(os.getpid())):
                 async with busway.collect(file):
                     pass
+
+
+async def test_a_disk_that_is_full_at_the_start_is_told_and_leaves_the_store_to_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = plant(tmp_path, {"hall": CLOSED}, {"a": "hall"})
+    file.write_text(file.read_text() + '[[sink]]\nname = "lines"\nurl = "file://lines.jsonl"\n')
+
+    def no_room(*_: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("busway.apps.collector.store.manifest.Manifest.set_cursor", no_room)
+        with pytest.raises(ConfigError, match="the store cannot be written: database or disk is full"):
+            async with busway.collect(file):
+                pass
+    async with busway.collect(file):
+        pass
 
 
 async def test_a_collector_whose_link_cannot_begin_leaves_the_store_to_others(

@@ -97,6 +97,33 @@ def test_values_of_a_sunspec_inverter_in_milliseconds_over_tcp() -> None:
     assert milliseconds(values, BRIDGED, COSTS["tcp"]) == (310, 115, 10, 10, 10, 10)
 
 
+SUNSPEC_RUNS = {
+    0: (2, 1, 1, 16, 16, 8, 8, 16, 1),  # the marker; 1 (common)
+    70: (1,) * 6,  # 103 (inverter, three phases)
+    77: (1,) * 6,
+    **dict.fromkeys((84, 86, 88, 90, 92), (1,)),
+    94: (2,),
+    **dict.fromkeys((97, 99, 101), (1,)),
+    103: (1,) * 4,
+    108: (1, 1, *(2,) * 6, *(1,) * 23),  # 123 (immediate controls)
+    148: (1,) * 18,  # 124 (storage)
+    174: (1, 1),  # 160 (several inputs)
+    180: (2, 1, 1, *(1, 8, 1, 1, 1, 2, 2, 1, 1, 2) * 3),  # its events, and three inputs
+}
+"""Width of each value by the first register of those that touch: SunSpec's models 1, 103, 123, 124 and 160 with three
+inputs, behind each other as an inverter with a battery has them, without scale factors and pads."""
+
+
+def test_118_values_of_a_sunspec_inverter_in_milliseconds_over_tcp() -> None:
+    items = []
+    for start, widths in SUNSPEC_RUNS.items():
+        for place, width in enumerate(widths):
+            first = start + sum(widths[:place])
+            items.append(PlainItem(Table.HOLDING_REGISTERS, first, width, first))
+    assert (len(items), max(each.start + each.width for each in items)) == (118, 244)
+    assert milliseconds(items, BRIDGED, COSTS["tcp"]) == (590, 85, 10, 10, 10, 10)
+
+
 def test_two_hundred_values_over_3100_registers_in_milliseconds_over_tcp() -> None:
     """125 places with one value or two touching ones."""
     chance = random.Random(0)

@@ -1,5 +1,6 @@
 """The file of tokens: made once, for its owner alone; read again when it changes; refused where others can read it."""
 
+import errno
 import logging
 import os
 from pathlib import Path
@@ -39,6 +40,19 @@ def test_a_new_file_of_tokens_is_durable(tmp_path: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(os, "fsync", lambda file: sizes.append(os.fstat(file).st_size))
     KeptTokens(tmp_path / "tokens")
     assert sizes[0] == (tmp_path / "tokens").stat().st_size
+
+
+def test_a_file_of_tokens_for_which_the_disk_has_no_room_is_told_and_not_left_empty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_room(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", no_room)
+        with pytest.raises(ConfigError, match="cannot be written: No space left on device"):
+            KeptTokens(tmp_path / "tokens")
+    assert len(KeptTokens(tmp_path / "tokens").current()) == 3
 
 
 def test_further_tokens_have_names(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import asyncio
 import contextlib
 import logging
 import os
+import sqlite3
 import time
 from collections.abc import AsyncIterator, Callable, Container, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack
@@ -129,6 +130,14 @@ class Collector:
         Raises:
             ConfigError: another process writes the store (its pid is named), or it cannot be written.
         """
+        try:
+            await self._start_parts()
+        except sqlite3.Error as error:
+            raise ConfigError(f"the store cannot be written: {error}", file=self.configuration.store) from error
+        return self
+
+    async def _start_parts(self) -> None:
+        """Open the store and start every part; if one cannot start, those before it are stopped."""
         writer = self._opened_store()
         loop = asyncio.get_running_loop()
         self._started = loop.time()
@@ -151,7 +160,6 @@ class Collector:
             self._upkeep.add_done_callback(_log_defect)
             self._receive_commands()
             unless_started.pop_all()
-        return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -42,6 +42,7 @@ class CollectedPoint(Answer):
     enumeration: dict[str, int] = Field(
         default_factory=dict, description="Numbers by name; each can be written by name."
     )
+    flags: dict[str, int] = Field(default_factory=dict, description="Bits of a whole number by name.")
     writable: bool
 
 

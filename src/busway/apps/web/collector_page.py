@@ -220,6 +220,7 @@ class CollectorApi:
                     unit_of_measure=point.unit_of_measure,
                     kind=_kind(point),
                     enumeration=dict(point.conversion.names),
+                    flags=dict(point.conversion.flags),
                     writable=point.writing is not None,
                 )
                 for device in self._collector.configuration.devices.values()

@@ -127,7 +127,11 @@ def _make(path: Path) -> None:
         return
     except OSError as error:
         raise ConfigError(f"cannot be made: {error.strerror}", file=str(path)) from error
-    with os.fdopen(handle, "w", encoding="ascii") as file:
-        file.write(_HEAD + "".join(f"{role.label:<9} {new_token()}\n" for role in Role))
-        file.flush()
-        os.fsync(handle)  # without its content, after a power failure, it would be refused
+    try:
+        with os.fdopen(handle, "w", encoding="ascii") as file:
+            file.write(_HEAD + "".join(f"{role.label:<9} {new_token()}\n" for role in Role))
+            file.flush()
+            os.fsync(handle)  # without its content, after a power failure, it would be refused
+    except OSError as error:  # a full disk
+        path.unlink()
+        raise ConfigError(f"cannot be written: {error.strerror}", file=str(path)) from error

@@ -1,5 +1,6 @@
 """A store is written and read again: keys, kinds of values, segments, late rows, names, gaps, retention, the lock."""
 
+import errno
 import math
 import os
 import sqlite3
@@ -256,6 +257,19 @@ def test_a_store_that_cannot_be_opened_because_the_disk_is_full_is_not_called_un
     monkeypatch.setattr(manifest, "open_database", no_room)
     with pytest.raises(ConfigError, match="the store cannot be written: disk I/O error"):
         StoreWriter(tmp_path, now=NOON)
+
+
+def test_the_lock_of_a_store_holds_where_a_full_disk_takes_no_number_of_its_holder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_room(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "pwrite", no_room)
+        with StoreWriter(tmp_path, now=NOON), pytest.raises(ConfigError, match="another process collects"):
+            StoreWriter(tmp_path, now=NOON)
+    StoreWriter(tmp_path, now=NOON).close(NOON)
 
 
 def test_the_log_stays_bounded_while_a_reader_holds_a_snapshot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

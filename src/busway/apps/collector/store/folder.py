@@ -46,8 +46,9 @@ class StoreLock:
             raise ConfigError(
                 f"{who} collects into this store; end it first, or name another folder", file=str(folder)
             ) from error
-        os.ftruncate(self._handle, 0)
-        os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
+        with contextlib.suppress(OSError):  # a full disk: the lock holds, only its holder has no number then
+            os.ftruncate(self._handle, 0)
+            os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
 
     def _take(self) -> None:
         """Lock the store's lock file, waiting for a holder that has just ended.

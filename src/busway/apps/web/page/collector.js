@@ -47,7 +47,7 @@ const SHOW = {
   links: showLinks,
   sinks: showSinks,
   fleet: showFleet,
-  commands: showCommands,
+  commands: () => showCommands(table.points),
   log: showLog,
   configuration: () => configuration.show(),
 };

@@ -154,18 +154,20 @@ export class WriteDialog {
   }
 }
 
-/** The list of what was written, the newest first. */
-export async function showCommands() {
+/** The list of what was written, the newest first; values have the names that their points give them now. */
+export async function showCommands(points) {
   const { commands: list } = await ask("GET", "/api/commands?limit=200");
   byId("no-commands").hidden = list.length > 0;
   byId("command-table").hidden = list.length === 0;
+  const described = new Map(points.map((point) => [point.key, point]));
+  const text = (value, each) => valueText(value, described.get(`${each.device}/${each.point}`));
   const cells = (each) => [
     moment(each.at),
     each.by,
     each.origin,
     `${each.device}/${each.point}`,
-    valueText(each.old, null),
-    valueText(each.value, null),
+    text(each.old, each),
+    text(each.value, each),
     each.state,
     each.reason ?? "",
   ];
@@ -174,7 +176,7 @@ export async function showCommands() {
     list,
     (each) => each.key,
     (each) => element("tr", {}, ...cells(each).map(() => element("td"))),
-    (row, each) => cells(each).forEach((text, at) => setText(row.children[at], String(text))),
+    (row, each) => cells(each).forEach((cell, at) => setText(row.children[at], String(cell))),
   );
 }
 

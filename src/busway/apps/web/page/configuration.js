@@ -6,13 +6,16 @@ import { ask, exchange } from "./link.js";
 export class ConfigurationView {
   constructor() {
     this.revision = null;
+    this.loading = null; // the first load: a second one would take the place of what is typed meanwhile
     byId("configuration-apply").addEventListener("click", () => this.apply());
     byId("configuration-again").addEventListener("click", () => this.load());
   }
 
   /** Load it at the first look; what is being edited stays. */
   async show() {
-    if (this.revision === null) await this.load();
+    if (this.revision !== null) return;
+    this.loading ??= this.load().finally(() => (this.loading = null));
+    await this.loading;
   }
 
   async load() {

@@ -30,10 +30,15 @@ export function valueText(value, point) {
   if (typeof value === "number") {
     const label = point?.labels.get(value);
     if (label !== undefined) return `${label} (${value})`;
+    const set = (point?.flags ?? []).filter(([, bit]) => isSet(value, bit)).map(([name]) => name);
+    if (set.length) return `${set.join(", ")} (${value})`;
     return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(7)));
   }
   return String(value);
 }
+
+/** Whether a bit of a whole number is set, also beyond the 32 bits of the operators of this language, and below zero. */
+const isSet = (value, bit) => Math.abs(Math.floor(value / 2 ** bit) % 2) === 1;
 
 /** A value as a number for charts; NaN for what is none. */
 export function numberOf(value) {

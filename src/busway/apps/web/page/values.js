@@ -63,6 +63,7 @@ export class ValueTable {
       place,
       key: `${point.device}/${point.point}`,
       labels: new Map(Object.entries(point.enumeration).map(([name, number]) => [number, name])),
+      flags: Object.entries(point.flags),
       text: `${point.device}/${point.point}`.toLowerCase(),
       value: null,
       reason: 0,
