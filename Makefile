@@ -89,6 +89,10 @@ check: $(VENV)/.installed-dev ## format, lint, types, the way imports point, and
 	@$(RUN)/python -m pytest --quiet --no-summary tests/test_imports.py >/dev/null || \
 		{ $(RUN)/python -m pytest --quiet tests/test_imports.py; exit 1; }
 
+.PHONY: docs
+docs: $(VENV)/.installed-dev ## the documentation as a site, in build/site; needs no network
+	@$(RUN)/python scripts/site.py
+
 .PHONY: test-unit
 test-unit: $(VENV)/.installed-dev ## unit tests, side by side
 	@echo "== unit tests"
@@ -152,7 +156,7 @@ bench-peers: $(BENCH_PEERS)/.installed ## the foreign programs of the benchmark
 .PHONY: clean
 clean: ## removes everything that these targets made
 	rm -rf $(VENV) $(VENV)-3.* $(PEERS) dist build bench/build bench/results tests/interop/build
-	rm -rf .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf .cache .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find src tests bench scripts -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # --- set-up -----------------------------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """The reference says what the code says: defaults, errors, exception codes, endpoints, types, orders."""
 
 import inspect
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +16,14 @@ from busway.values import ORDERS, TYPE_NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 REFERENCE = ROOT / "docs" / "reference"
+
+
+def test_every_page_has_a_place_in_the_navigation_of_the_site() -> None:
+    listed = re.findall(r": (\S+\.md)$", (ROOT / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
+    pages = {str(path.relative_to(ROOT / "docs")) for path in (ROOT / "docs").rglob("*.md")}
+    made = {one for one in listed if one.startswith(("project/", "reference/api/"))}
+    assert set(listed) - made == pages
+    assert len(listed) == len(set(listed))
 
 
 def page(name: str) -> str:
