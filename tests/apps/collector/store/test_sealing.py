@@ -9,7 +9,7 @@ import pytest
 from collected import METER, NOON, at, filled, meter_read, read_of
 
 from busway.apps.collector.samples import PointGroup
-from busway.apps.collector.store import sealing
+from busway.apps.collector.store import sealed_part, sealing
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.folder import SEGMENTS
 from busway.apps.collector.store.reading import Store
@@ -94,3 +94,13 @@ def test_late_samples_are_sealed_in_files_of_their_own(tmp_path: Path) -> None:
         files = sorted(part.file for part in writer.manifest.parts())
         assert sorted("late" in file for file in files) == [False, True]
         assert len(Store(tmp_path).read(METER.device + "/*")) == 6
+
+
+@pytest.mark.parametrize("times", [[1, 1, 2, 2, 3], [3, 1, 2, 2, 1]], ids=["as SQLite gives them", "in another order"])
+def test_rows_are_sorted_by_point_and_time_whatever_their_order_was(times: list[int]) -> None:
+    import pyarrow as pa
+
+    points = [2, 1, 2, 1, 1]
+    order = sealed_part._order(pa.array(points, pa.int32()), pa.array(times, pa.int64())).to_pylist()
+    found = [(points[place], times[place]) for place in order]
+    assert found == sorted(zip(points, times, strict=True))
