@@ -78,6 +78,7 @@ def fleet(
     verbose: int = VERBOSE,
 ) -> int:
     """Share the links of a plant among several collectors."""
+    from ..apps.fleet.coordinators import open_coordinator
     from ..apps.fleet.coordinators.opening import CoordinatorOptions
 
     action, about = _action(words)
@@ -108,7 +109,8 @@ def fleet(
             folder,
             count,
             every,
-            partial(_take_commands, url, zone, options, table),
+            partial(open_coordinator, url, f"{zone}-commands", options),
+            partial(_take_commands, zone, options, table),
             zone if stream else None,
             options.replicas,
             as_json=as_json,
@@ -163,7 +165,6 @@ async def _drain(table: "Coordinator", name: str, *, undo: bool) -> None:
 
 
 async def _take_commands(
-    url: str,
     zone: str,
     options: "CoordinatorOptions",
     table: "Coordinator",
@@ -176,14 +177,11 @@ async def _take_commands(
     client = getattr(table, "client", None)
     if client is None:
         return
-    from ..apps.fleet.coordinators import open_coordinator
     from ..apps.fleet.fleet_commands import FleetCommands
     from ..apps.fleet.live_subjects import LiveSubjects
 
     try:
-        results = await open_coordinator(url, f"{zone}-commands", options)
-        stack.push_async_callback(results.close)
-        await stack.enter_async_context(FleetCommands(member, client, results, zone, replicas=options.replicas))
+        await stack.enter_async_context(FleetCommands(member, client, zone, replicas=options.replicas))
         await stack.enter_async_context(LiveSubjects(member.collector, client, zone))
     except ModbusError as error:
         warn(f"no commands over the fleet: {error}")
@@ -206,6 +204,7 @@ async def _run(
     folder: str | None,
     shards: int,
     every: float,
+    open_keys: Callable[[], Awaitable["Coordinator"]],
     take_commands: Callable[[AsyncExitStack, "FleetCollector"], Awaitable[None]],
     stream_zone: str | None,
     replicas: int,
@@ -226,6 +225,8 @@ async def _run(
     host = socket.gethostname().partition(".")[0]
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
+            keys = await open_keys()
+            stack.push_async_callback(keys.close)
             stream = None
             if stream_zone is not None:
                 stream = await open_stream(stack, table, stream_zone, shards, replicas)
@@ -239,6 +240,7 @@ async def _run(
                     shards=shards,
                     stream=stream,
                     revision=shared.revision,
+                    keys=keys,
                 )
             )
             member.collector.more_metrics.append(lambda: fleet_families(member))

@@ -29,6 +29,7 @@ from ...errors import ConfigError
 from ...points.point import Point
 from .alarms.collected import CollectorAlarms
 from .commands.audit import revision_of
+from .commands.claims import KeyClaims
 from .commands.command import CommandResult, CommandValue
 from .commands.inputs import CommandReceiver, InputStatus
 from .commands.journal import CommandJournal
@@ -93,16 +94,24 @@ class Collector:
 
     alarms: CollectorAlarms
 
-    def __init__(self, configuration: CollectorConfiguration, *, permit: Callable[[str], None] | None = None) -> None:
+    def __init__(
+        self,
+        configuration: CollectorConfiguration,
+        *,
+        permit: Callable[[str], None] | None = None,
+        claims: KeyClaims | None = None,
+    ) -> None:
         """Create a collector from its configuration; nothing is opened yet.
 
         Args:
             configuration: the contents of its file.
             permit: called with the name of a link right before each of its transactions, reads and writes; an error
                 that it raises (a `LinkDown`) is that of the transaction, of which nothing is sent then.
+            claims: takes the keys of write commands for all collectors of a fleet; None for a collector that works
+                alone.
         """
         self.configuration: CollectorConfiguration = configuration
-        self._permit = permit
+        self._permit, self._claims = permit, claims
         self._committer: Committer | None = None
         self.knowledge: Knowledge = Knowledge()
         self._learnt = LearntFile(configuration.learnt_path)
@@ -238,7 +247,7 @@ class Collector:
         days = configuration.file.collector.keep_days
         journal = CommandJournal(Path(configuration.store), keep=None if days is None else 86_400 * days)
         try:
-            self._commands = CommandRunner(targets, journal, self._audit)
+            self._commands = CommandRunner(targets, journal, self._audit, claims=self._claims)
         except OSError as error:
             journal.close()
             raise ConfigError(str(error), file=str(journal.path)) from error

@@ -19,7 +19,9 @@
 `outbox`           what a collector has stored, sent until the sinks of the fleet have it
 `streams`          the stream of a zone: samples go in from collectors, and out to sinks
 `fleet_collector`  a collector that polls what it owns
-`fleet_commands`   commands by request and reply on a subject of the link; the keys that are never sent again
+`fleet_commands`   commands by request and reply on a subject of the link
+`key_memory`       the keys of commands that one entry of the table remembers, and for how long
+`key_table`        the keys of all commands of a zone: each is sent at most once, whatever way it came
 `live_subjects`    last values on plain subjects, for displays
 =================  ==================================================================================================
 
@@ -29,5 +31,6 @@ now, and whether one more transaction may begin before its lease ends (fencing):
 the device: `plant`. Which collector takes a free shard, and which shards move: `balance`. Who wins when two write at
 once: `coordinator` (compare-and-set). To which epoch a sample belongs: `ownership_log`. What becomes of samples that an
 old owner still sends: they are kept, under the epoch in which they were taken (`messages`). What is sent again:
-`outbox`. Whether a command was sent before: `fleet_commands`.
+`outbox`. Whether a command was sent before: `key_table`; how long that is
+known: `key_memory`.
 """

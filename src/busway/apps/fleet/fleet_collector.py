@@ -10,7 +10,9 @@ Knows the collector, the member and the log of ownership; what is owned is decid
 4. The store has an interval for each time in which a link was not owned: from its end here until it is owned again.
    Who takes a link from an owner that fell silent records the time since that one's last renewal: samples that the
    other still sends shrink this gap.
-5. Where it was started with a revision, another configuration of the zone is taken when it comes, as a whole: one that
+5. The key of each command that writes a point is taken for the whole zone before the wire (`key_table`), whatever way
+   the command came: page, HTTP, MQTT, NATS.
+6. Where it was started with a revision, another configuration of the zone is taken when it comes, as a whole: one that
    is refused, by its check or because a sink is another, changes nothing and is told. The store stays the one with
    which the collector was started, whatever the new configuration names.
 """
@@ -35,6 +37,7 @@ from ..collector.reloading import refuse_what_cannot_change
 from ..collector.samples import NANOSECONDS, Reason, StateInterval
 from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration, refuse_other_figures
 from .coordinator import Coordinator, Entry
+from .key_table import KeyTable
 from .lease_driver import MemberDriver, boot_time, end_tasks
 from .lease_holder import FleetMember, ShardEvent, Step
 from .lease_times import Epoch, LeaseTimes
@@ -64,7 +67,9 @@ class FleetCollector:
         times: the lengths of the leases; the same for all collectors.
         capacity: this collector's share of the work, relative to the others.
         stream: gets its samples; None if they stay in its own store.
-        revision: the revision of the configuration, if that is from the coordinator; then it is followed (rule 5).
+        revision: the revision of the configuration, if that is from the coordinator; then it is followed (rule 6).
+        keys: the table of the keys of commands, the same for all collectors; not closed here. None for that of the
+            coordinator.
         now: the clock of leases.
 
     Attributes:
@@ -94,6 +99,7 @@ class FleetCollector:
         capacity: float = 1.0,
         stream: SampleStream | None = None,
         revision: int = 0,
+        keys: Coordinator | None = None,
         now: Callable[[], float] = boot_time,
     ) -> None:
         times = times or LeaseTimes()
@@ -117,6 +123,7 @@ class FleetCollector:
             shards=shards,
         )
         self.member.set_revision(revision)
+        self._keys = KeyTable(keys or coordinator, name)
         self._driver = MemberDriver(self.member, coordinator, self._told, now=now, behind=lambda: self.behind)
         self._active: dict[str, Epoch] = {}
         self._link_followers: list[Callable[[], None]] = []
@@ -135,7 +142,8 @@ class FleetCollector:
         """
         await refuse_other_figures(self._coordinator, self._shards, self.member.times)
         async with AsyncExitStack() as unless_started:
-            collector = Collector(restricted(self._configuration, ()), permit=self._permit)
+            await unless_started.enter_async_context(self._keys)
+            collector = Collector(restricted(self._configuration, ()), permit=self._permit, claims=self._keys)
             self.collector = await unless_started.enter_async_context(collector)
             self._tell_costs()
             self.ownership = OwnershipLog(Path(self._configuration.store))
@@ -159,6 +167,7 @@ class FleetCollector:
         """Give all owned shards (groups of links) back to the fleet, then stop."""
         async with AsyncExitStack() as steps:
             steps.callback(self.ownership.close)
+            steps.push_async_exit(self._keys)
             steps.push_async_exit(self.collector)
             steps.push_async_callback(self._end_tasks)
             if not any(task.done() for task in self._tasks) and not await self._driver.end(END_LIMIT):
@@ -232,7 +241,7 @@ class FleetCollector:
                     self._driver.wake()
 
     async def _check(self, entry: Entry) -> None:
-        """Check another configuration; it is applied beside changes of ownership, or refused (rule 5)."""
+        """Check another configuration; it is applied beside changes of ownership, or refused (rule 6)."""
         try:
             shared = decode_configuration(entry)
             newer = await asyncio.to_thread(shared.parsed, self.member.times)

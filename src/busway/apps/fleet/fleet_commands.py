@@ -1,17 +1,15 @@
 """Commands to a fleet by NATS request and reply, on a subject of the link: the collector that owns it executes them.
 
-Knows subjects, the collector and the table of results; which request a command is, its rules and the wire are the
-collector's own. Works with nats-server 2.9.
+Knows subjects and the collector; which request a command is, its rules, its key and the wire are the collector's own.
+Works with nats-server 2.9.
 
 1. A command is a request on ``busway.<zone>.command.<link>``: JSON with key, device, point, value, by and expires. Only
    the link's owner listens there, so a link without an owner answers nothing and nothing is sent.
-2. Before the wire the result key is created in the table of results by compare-and-set: of two collectors that get
-   one command, one executes it. What is found there finished is the answer; found unfinished it is unknown. A key that
-   was created is never sent again, by a later owner of the link either.
-3. A table that does not answer refuses the command: nothing is sent.
-4. The end is in the table before it is told, unless that is away: then it is told, and asked for again it is unknown.
-5. Each end is a message of the stream of audit lines, ``busway.<zone>.audit``, too. Rights are those of subjects: who
-   may send on a link's subject is the server's decision, and ``by`` is what the sender says of itself.
+2. Its key is taken as that of any write of a collector of a fleet (`key_table`).
+3. The end of each command of this collector, whatever way it came, is a message of the stream of audit lines,
+   ``busway.<zone>.audit``, too.
+4. Rights are those of subjects: who may send on a link's subject is the server's decision, and ``by`` is what the
+   sender says of itself.
 """
 
 import asyncio
@@ -26,26 +24,19 @@ from typing import Any, Final, Self
 
 from ...errors import InvalidRequest
 from ..collector.commands.audit import command_line
-from ..collector.commands.command import USUAL_SECONDS, CommandResult, CommandState, PointCommand, same_value
+from ..collector.commands.command import USUAL_SECONDS, CommandResult, CommandState, PointCommand
 from ..collector.commands.message_tasks import MessageTasks
 from ..collector.sinks.nats import subject_token
-from .control_entries import read_entries
-from .coordinator import Coordinator, CoordinatorDown, OutcomeUnknown, RevisionConflict
 from .coordinators.opening import until_up
 from .fleet_collector import FleetCollector
 from .lease_driver import end_tasks
 from .outbox import StreamDown
 from .streams import found_or_made
 
-RESULTS: Final = "command."
 LONGEST_REQUEST: Final = 64 * 1024
-RECORD_AGAIN: Final = (0.0, 0.5, 2.0)
-"""Seconds before each try to write the end of a command into the table."""
 START_SECONDS: Final = 30.0
 """Seconds for which a server that does not answer is asked for the stream of audit lines."""
 AUDIT_AGE: Final = 366 * 86_400.0
-_ESCAPED: Final = {"_": "__", ":": "_c", "@": "_a", ".": "_d"}
-"""Characters of keys that names of entries may not have, or not everywhere."""
 _KEYS: Final = {"key", "device", "point", "value", "by", "expires"}
 _log = logging.getLogger("busway.fleet")
 
@@ -55,43 +46,31 @@ def command_subject(zone: str, link: str) -> str:
     return f"busway.{zone}.command.{subject_token(link)}"
 
 
-def result_key(key: str) -> str:
-    """Return the name of a command's entry in the table of results."""
-    return RESULTS + "".join(_ESCAPED.get(each, each) for each in key)
-
-
-def _ignore_step(name: str) -> None:
-    """Do nothing between two steps of a command; tests replace this to end the process there."""
-
-
 class FleetCommands:
     """Takes commands for the links that a collector of a fleet owns, while the ``async with`` block lasts.
 
     Args:
         fleet: the running collector.
         client: of nats-py, connected.
-        results: the table of results, which all collectors of the zone share.
         zone: its name.
         replicas: servers that keep each line of the audit.
         now: seconds since 1970 UTC.
-        step: is told the name of each step that a command has taken: ``created``, ``answered``, ``recorded``.
     """
 
     def __init__(
         self,
         fleet: FleetCollector,
         client: Any,  # of nats-py, which has no types here
-        results: Coordinator,
         zone: str,
         *,
         replicas: int = 1,
         now: Callable[[], float] = time.time,
-        step: Callable[[str], None] = _ignore_step,
     ) -> None:
-        self._fleet, self._client, self._results, self._zone = fleet, client, results, zone
-        self._replicas, self._now, self._step = replicas, now, step
+        self._fleet, self._client, self._zone = fleet, client, zone
+        self._replicas, self._now = replicas, now
         self._messages = MessageTasks()
-        self._running: dict[str, tuple[PointCommand, asyncio.Task[dict[str, Any]]]] = {}
+        self._publishing: set[asyncio.Task[None]] = set()
+        self._has_ended = False
         self._subscribed: dict[str, Any] = {}
         self._changed = asyncio.Event()
         self._task: asyncio.Task[None] | None = None
@@ -101,6 +80,7 @@ class FleetCommands:
         await self._make_audit_stream()
         await self._messages.__aenter__()
         self._fleet.follow_links(self._changed.set)
+        self._fleet.collector.commands.subscribe(self._told)
         self._changed.set()
         self._task = asyncio.create_task(self._follow(), name="busway fleet commands")
         return self
@@ -108,12 +88,13 @@ class FleetCommands:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take no more commands, and wait until those that run are recorded."""
+        """Take no more commands; those that run go on, and are recorded before the collector ends."""
         assert self._task is not None
         await end_tasks([self._task])
         await self._listen(())
-        await asyncio.gather(*(task for _, task in self._running.values()), return_exceptions=True)
         await self._messages.__aexit__(kind, error, trace)
+        self._has_ended = True
+        await asyncio.gather(*self._publishing)
 
     async def _make_audit_stream(self) -> None:
         api = import_module("nats.js.api")
@@ -160,13 +141,16 @@ class FleetCommands:
             device = self._fleet.collector.configuration.devices.get(command.device)
             if device is None or command_subject(self._zone, device.link) != subject:
                 raise InvalidRequest(f"{command.device} is not a device of this link here; nothing was sent")
-            running = self._running.get(command.key)
-            if running is not None and running[0].is_same(command):
-                return await asyncio.shield(running[1])
-            task = asyncio.create_task(self._take(command))
-            self._running[command.key] = command, task
-            task.add_done_callback(lambda _: self._running.pop(command.key, None))
-            return await asyncio.shield(task)
+            result = await self._fleet.collector.commands.write(
+                command.device,
+                command.point,
+                command.value,
+                by=command.by,
+                origin=command.origin,
+                expires=command.expires,
+                key=command.key,
+            )
+            return result.content()
         except InvalidRequest as error:
             return {"state": CommandState.REFUSED.value, "reason": error.message}
 
@@ -189,67 +173,12 @@ class FleetCommands:
             given.get("expires", self._now() + USUAL_SECONDS),
         )
 
-    async def _take(self, command: PointCommand) -> dict[str, Any]:
-        """Take the key of a command, execute it, and record its end (rules 2, 3 and 4)."""
-        key = result_key(command.key)
-        opened = {**_about(command), "state": CommandState.OPEN.value, "collector": self._fleet.member.name}
-        try:
-            revision = await self._results.create(key, _encoded(opened))
-        except RevisionConflict:
-            return await self._of_first(key, command)
-        except (CoordinatorDown, OutcomeUnknown) as error:
-            raise InvalidRequest(f"the table of results does not answer, nothing was sent: {error}") from error
-        self._step("created")
-        try:
-            result = await self._fleet.collector.commands.write(
-                command.device,
-                command.point,
-                command.value,
-                by=command.by,
-                origin=command.origin,
-                expires=command.expires,
-                key=command.key,
-            )
-            ended = {**opened, **result.content()}
-        except InvalidRequest as error:  # nothing was sent
-            result = CommandResult(command, CommandState.OPEN, self._now())
-            result = result.finished(CommandState.REFUSED, error.message)
-            ended = {**opened, **result.content()}
-        self._step("answered")
-        await self._record(key, ended, revision)
-        self._step("recorded")
-        await self._publish_audit(result)
-        return ended
-
-    async def _of_first(self, key: str, command: PointCommand) -> dict[str, Any]:
-        """Return the answer for a key that was used before: its end, or that nothing says what became of it."""
-        try:
-            async with asyncio.timeout(5.0):
-                entry = (await read_entries(self._results, key)).get(key)
-            known: dict[str, Any] = json.loads(entry.value) if entry is not None else {}
-        except (TimeoutError, ValueError):
-            known = {}
-        if not known:
-            return {**_about(command), "state": CommandState.UNKNOWN.value, "reason": "its result cannot be read now"}
-        if (known["device"], known["point"]) != (command.device, command.point) or not same_value(
-            known["value"], command.value
-        ):
-            raise InvalidRequest(f"this key was used for another command, {known['device']}/{known['point']}")
-        if known["state"] == CommandState.OPEN.value:
-            reason = f"{known['collector']} has begun it, and nothing says what became of it; it is not sent again"
-            return {**known, "state": CommandState.UNKNOWN.value, "reason": reason}
-        return known
-
-    async def _record(self, key: str, ended: dict[str, Any], revision: int) -> None:
-        for pause in RECORD_AGAIN:
-            await asyncio.sleep(pause)
-            try:
-                await self._results.replace(key, _encoded(ended), revision)
-                return
-            except RevisionConflict:
-                return  # a try before, whose answer was lost
-            except (CoordinatorDown, OutcomeUnknown) as error:
-                _log.warning("the end of command %s is not recorded yet: %s", ended["key"], error)
+    def _told(self, result: CommandResult) -> None:
+        """Publish the audit line of a command that has ended."""
+        if not self._has_ended:
+            task = asyncio.create_task(self._publish_audit(result), name="busway fleet audit")
+            self._publishing.add(task)
+            task.add_done_callback(self._publishing.discard)
 
     async def _publish_audit(self, result: CommandResult) -> None:
         nats = import_module("nats")
@@ -265,18 +194,3 @@ class FleetCommands:
                 self._fleet.member.name,
                 error or type(error).__name__,
             )
-
-
-def _about(command: PointCommand) -> dict[str, Any]:
-    return {
-        "key": command.key,
-        "device": command.device,
-        "point": command.point,
-        "value": command.value,
-        "by": command.by,
-        "reason": None,
-    }
-
-
-def _encoded(content: dict[str, Any]) -> bytes:
-    return json.dumps(content, separators=(",", ":")).encode()

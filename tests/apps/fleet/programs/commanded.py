@@ -29,14 +29,12 @@ async def main() -> None:
     coordinator = await until_up(
         lambda: open_nats(url, "hall", CoordinatorOptions(answer=TIMES.answer)), CoordinatorDown, 30
     )
-    results = await until_up(
-        lambda: open_nats(url, "hall-commands", CoordinatorOptions(answer=TIMES.answer)), CoordinatorDown, 30
-    )
     made = load_collector(file)
     async with (
         FleetCollector(made, coordinator, name, host=name, shards=8, times=TIMES) as fleet,
-        FleetCommands(fleet, coordinator.client, results, "hall", step=lambda each: kill_at(step, each)) as commands,
+        FleetCommands(fleet, coordinator.client, "hall") as commands,
     ):
+        fleet.collector.commands._step = lambda each: kill_at(step, each)
         await until(lambda: len(commands._subscribed) == len(made.links), 60)
         await coordinator.client.flush()
         print("ready", flush=True)

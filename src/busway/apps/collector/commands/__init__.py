@@ -5,6 +5,7 @@
 `point_write`    The request that writes a value to a point, and the check whether the device shows the value afterwards
 `point_read`     The request that reads one point alone, before or after a command, within what its device allows
 `journal`        The record of each command and its result, written before the command is sent
+`claims`         The interface through which a collector of a fleet takes keys of commands for all collectors
 `runner`         Executes commands that write points of a running collector: checks, records, sends, reads back, reports
 `audit`          Audit lines, as JSON, for commands that write points and for changes of the configuration
 `targets`        Finds points of a running collector as targets of commands, and their last values
@@ -17,7 +18,7 @@
 ===============  =======================================================================================================
 
 Where it is decided: which points the commands of one server may write, and whether a message came too late: `inputs`.
-Whether a command was given before (also before a crash), and what it gets then: `journal`. The order of check, record,
-write and report: `runner`. Which values a point takes, and whether the device shows them afterwards: `point_write`. How
-many messages wait at once: `message_tasks`. What the audit log says: `audit`.
+Whether a command was given before (also before a crash), and what it gets then: `journal`, in a fleet `claims` too. The
+order of check, record, write and report: `runner`. Which values a point takes, and whether the device shows them
+afterwards: `point_write`. How many messages wait at once: `message_tasks`. What the audit log says: `audit`.
 """

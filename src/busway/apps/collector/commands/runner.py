@@ -2,8 +2,9 @@
 
 Knows the journal, the audit log and the pollers of links; decides by `point_write`. Runs in one event loop.
 
-1. A key is sent at most once, ever. The first command with a key takes it; it is recorded before the wire (`journal`).
-   The same command again gives the result of the first; another one with its key is refused.
+1. A key is sent at most once, ever. The first command with a key takes it; it is recorded before the wire (`journal`),
+   in a fleet for all collectors (`claims`). The same command again gives the result of the first; another one with its
+   key is refused.
 2. What is against a rule, or too late, is refused before any byte, and recorded as such. What finds too many commands
    open, a link that is begun anew, or a log or journal that cannot be written, is refused without a record: it may be
    asked again. Its key is looked up before: a command that was sent is never said to be refused.
@@ -35,6 +36,7 @@ from ....points.quality import Quality
 from ....values.refusal import shown
 from ..poller import LinkPoller
 from .audit import command_line
+from .claims import KeyClaims, KeysUnavailable
 from .command import (
     MADE,
     USUAL_SECONDS,
@@ -146,6 +148,7 @@ class CommandRunner:
         targets: finds points and their pollers.
         journal: where commands are recorded; what it holds open ends as unknown now. Closed by `close`.
         audit: gets a line for each command.
+        claims: takes keys for all collectors of a fleet; None for a collector that works alone.
         now: seconds since 1970 UTC.
         moment: seconds of the monotonic clock, for commands that wait to be confirmed.
         step: is told the name of each step that a command has taken: ``claimed``, ``answered``, ``recorded``.
@@ -157,11 +160,12 @@ class CommandRunner:
         journal: CommandJournal,
         audit: AuditLog,
         *,
+        claims: KeyClaims | None = None,
         now: Callable[[], float] = time.time,
         moment: Callable[[], float] = time.monotonic,
         step: Callable[[str], None] = _ignore_step,
     ) -> None:
-        self._targets, self._journal, self._audit = targets, journal, audit
+        self._targets, self._journal, self._audit, self._claims = targets, journal, audit, claims
         self._now, self._moment, self._step = now, moment, step
         self._running: dict[str, _Running] = {}
         self._armed: dict[str, ArmedCommand] = {}
@@ -341,8 +345,8 @@ class CommandRunner:
         elif not self._audit.takes_writes:
             return await self._refused_now(command, "the audit log cannot be written")
         try:
-            known = await self._in_thread(self._journal.take, result)
-        except (OSError, Overloaded) as error:
+            known = await self._recorded(result)
+        except (OSError, Overloaded, KeysUnavailable) as error:
             return self.refused(result, f"it cannot be recorded; nothing was sent: {error}")
         if known is not None:
             return self._of_first(command, known)
@@ -360,8 +364,27 @@ class CommandRunner:
         except OSError as error:
             self._unrecorded[command.key] = result
             _log.error("the result of a command is kept in memory: %s", error)
+        if self._claims is not None:
+            await self._claims.finish(result)
         self._step("recorded")
         return self._tell(result)
+
+    async def _recorded(self, result: CommandResult) -> CommandResult | None:
+        """Record a command under its key, in a fleet for all collectors first; for a key used before, return the
+        recorded result instead. Raises `OSError`, `Overloaded`, `KeysUnavailable`: it must not be sent.
+        """
+        if self._claims is not None:
+            known = await self._in_thread(self._journal.known, result)
+            known = await self._claims.claim(result) if known is None else known
+            if known is not None:
+                return known
+        try:
+            return await self._in_thread(self._journal.take, result)
+        except (OSError, Overloaded) as error:
+            if self._claims is not None:
+                why = f"it could not be recorded; nothing was sent: {error}"
+                await self._claims.finish(result.finished(CommandState.REFUSED, why))
+            raise
 
     def _left(self, command: PointCommand, until: float) -> float:
         """Return the seconds in which a command may still be sent: its time limit or its expiry, whichever is first."""
@@ -385,6 +408,8 @@ class CommandRunner:
             if joined is not None:
                 return joined
             known = await self._in_thread(self._journal.known, self._result(command))
+            if known is None and self._claims is not None:
+                known = self._claims.known(self._result(command))
             if known is not None:
                 return self._of_first(command, known)
             if self._other_running(command) is None:

@@ -1,0 +1,38 @@
+"""The interface through which a collector of a fleet takes the key of a command for all collectors, before the wire.
+
+Knows commands and results; knows no fleet. A collector that works alone has none: its journal is enough.
+"""
+
+from typing import Protocol
+
+from ....errors import ModbusError
+from .command import CommandResult
+
+
+class KeysUnavailable(ModbusError):
+    """Error: whether a command's key was used before cannot be known now. Nothing was sent."""
+
+
+class KeyClaims(Protocol):
+    """Interface of the keys of commands that several collectors share, so that each key is sent at most once."""
+
+    async def claim(self, result: CommandResult) -> CommandResult | None:
+        """Take the key of a command, durably and for all collectors; `finish` tells the end of it.
+
+        Args:
+            result: open for a command that will be sent, or finished for one that will not.
+
+        Returns:
+            None if the key was new and is taken now. Else the result of the first command with this key, for one that
+            is not finished as unknown; for one whose result is no longer kept, a refusal.
+
+        Raises:
+            KeysUnavailable: it is not known whether the key is new. The command must not be sent.
+            Overloaded: no further key can be remembered. The command must not be sent.
+        """
+
+    def known(self, result: CommandResult) -> CommandResult | None:
+        """Return what `claim` would return for a key that is known to be taken; None if it is not, and take nothing."""
+
+    async def finish(self, result: CommandResult) -> None:
+        """Record the result of a command whose key was taken. Where that fails, its key is unknown to others."""

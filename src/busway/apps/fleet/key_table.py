@@ -1,0 +1,176 @@
+"""The keys of all commands of a zone, in a table that its collectors share: each key is sent at most once.
+
+Knows the coordinator; what an entry remembers is decided by `key_memory`. Works on every backend.
+
+1. A key belongs to one of `SLOTS` entries by its hash. It is taken by compare-and-set of the whole entry: of two
+   collectors that take one key, one changes the entry and the other finds the key there. The table never has more
+   entries than that.
+2. Entries are not read: a watch shows them. One that it has not shown yet is stale at worst, so that the change is
+   refused, and made again once the watch shows the newer one.
+3. A change whose outcome is not known is no claim: the command is refused, nothing is sent. Its key may be taken, for
+   this collector, which takes it again when it is asked again; for others it is unknown.
+4. The end of a command is written with some tries. Where they fail the key stays taken, and its outcome is unknown to
+   others.
+"""
+
+import asyncio
+import hashlib
+import logging
+import secrets
+import time
+from collections.abc import Callable
+from contextlib import aclosing
+from types import TracebackType
+from typing import Final, Self
+
+from ...errors import ConfigError
+from ..collector.commands.claims import KeysUnavailable
+from ..collector.commands.command import CommandResult
+from .coordinator import Coordinator, CoordinatorDown, OutcomeUnknown, RevisionConflict
+from .key_memory import KeyMemory, decode_memory
+from .lease_driver import end_tasks
+
+KEYS: Final = "keys."
+SLOTS: Final = 256
+"""Entries of the table: the same for all collectors of a zone, for ever."""
+MOST_DOUBTFUL: Final = 1000
+"""Keys that are remembered as perhaps taken by a change without an answer."""
+CLAIM_SECONDS: Final = 8.0
+"""Seconds in which a key is taken, or its command refused."""
+RECORD_AGAIN: Final = (0.0, 0.5, 2.0)
+"""Seconds before each try to write the end of a command."""
+_log = logging.getLogger("busway.fleet")
+
+
+def slot_of(key: str) -> str:
+    """Return the name of the table's entry that remembers a key."""
+    return f"{KEYS}{int.from_bytes(hashlib.sha256(key.encode()).digest()[-2:], 'big') % SLOTS:03d}"
+
+
+class KeyTable:
+    """Takes keys of commands for one collector of a fleet, while the ``async with`` block lasts.
+
+    Args:
+        table: the table of keys, which all collectors of the zone share; not closed here.
+        collector: the name of the collector.
+        now: seconds since 1970 UTC.
+    """
+
+    def __init__(self, table: Coordinator, collector: str, *, now: Callable[[], float] = time.time) -> None:
+        self._table, self._now = table, now
+        self._owner = f"{collector}/{secrets.token_hex(6)}"
+        self._seen: dict[str, tuple[bytes, int]] = {}
+        self._told = asyncio.Event()
+        self._locks: dict[str, asyncio.Lock] = {}
+        self._doubtful: dict[str, None] = {}
+        self._task: asyncio.Task[None] | None = None
+
+    async def __aenter__(self) -> Self:
+        """Begin to follow the table of keys."""
+        self._task = asyncio.create_task(self._follow(), name="busway fleet keys")
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Stop following the table; commands must have ended."""
+        assert self._task is not None
+        await end_tasks([self._task])
+
+    async def claim(self, result: CommandResult) -> CommandResult | None:
+        """Take the key of a command for all collectors of the zone. As `KeyClaims.claim`."""
+        key = result.command.key
+        try:
+            async with asyncio.timeout(CLAIM_SECONDS):
+                found = await self._change(key, lambda memory: self._taken(memory, result))
+        except CoordinatorDown as error:
+            raise KeysUnavailable(f"the fleet's table of keys does not answer: {error}") from error
+        except (OutcomeUnknown, TimeoutError) as error:
+            self._doubt(key)
+            raise KeysUnavailable(f"the fleet's table of keys does not confirm: {error or 'no answer'}") from error
+        self._doubtful.pop(key, None)
+        return found
+
+    def known(self, result: CommandResult) -> CommandResult | None:
+        """Return the first result for a key that the watch has shown as taken; None if it has not."""
+        seen = self._seen.get(slot_of(result.command.key))
+        if seen is None:
+            return None
+        try:
+            return decode_memory(seen[0]).found(result)
+        except KeysUnavailable:
+            return None  # nothing is sent on this: `claim` decides
+
+    async def finish(self, result: CommandResult) -> None:
+        """Record the end of a command in the zone, with some tries (rule 4)."""
+        for pause in RECORD_AGAIN:
+            await asyncio.sleep(pause)
+            try:
+                async with asyncio.timeout(CLAIM_SECONDS):
+                    await self._change(result.command.key, lambda memory: (None, memory.end(result)))
+            except (KeysUnavailable, CoordinatorDown, OutcomeUnknown, TimeoutError) as error:
+                _log.warning("the end of command %s is not recorded in the zone yet: %s", result.command.key, error)
+            else:
+                return
+
+    def _taken(self, memory: KeyMemory, result: CommandResult) -> tuple[CommandResult | None, bool]:
+        if result.command.key in self._doubtful and memory.is_open(result.command.key, self._owner):
+            return None, memory.end(result)
+        found = memory.found(result)
+        if found is None:
+            memory.add(result, self._owner, self._now())
+        return found, found is None
+
+    def _doubt(self, key: str) -> None:
+        """Remember that this collector may have taken a key, and has sent nothing (rule 3)."""
+        self._doubtful[key] = None
+        if len(self._doubtful) > MOST_DOUBTFUL:
+            del self._doubtful[next(iter(self._doubtful))]
+
+    async def _change(
+        self, key: str, change: Callable[[KeyMemory], tuple[CommandResult | None, bool]]
+    ) -> CommandResult | None:
+        """Change the entry of a key by compare-and-set, again after each conflict (rules 1 and 2).
+
+        Args:
+            key: the key.
+            change: changes the memory in place; returns what this returns, and whether there is something to write.
+        """
+        slot = slot_of(key)
+        async with self._locks.setdefault(slot, asyncio.Lock()):
+            while True:
+                value, revision = self._seen.get(slot, (b"", 0))
+                memory = decode_memory(value) if value else KeyMemory()
+                found, is_changed = change(memory)
+                if not is_changed:
+                    return found
+                try:
+                    encoded = memory.encode()
+                    if revision:
+                        made = await self._table.replace(slot, encoded, revision)
+                    else:
+                        made = await self._table.create(slot, encoded)
+                except RevisionConflict:
+                    await self._shown_after(slot, revision)
+                else:
+                    self._show(slot, encoded, made)
+                    return found
+
+    async def _shown_after(self, slot: str, revision: int) -> None:
+        while self._seen.get(slot, (b"", 0))[1] <= revision:
+            self._told.clear()
+            await self._told.wait()
+
+    def _show(self, slot: str, value: bytes, revision: int) -> None:
+        if revision > self._seen.get(slot, (b"", 0))[1]:
+            self._seen[slot] = value, revision
+            self._told.set()
+
+    async def _follow(self) -> None:
+        try:
+            async with aclosing(self._table.watch(KEYS)) as entries:
+                async for entry in entries:
+                    if entry.revision:
+                        self._show(entry.key, entry.value, entry.revision)
+        except ConfigError as error:
+            _log.error("no command is taken: the fleet's table of keys cannot be followed: %s", error)

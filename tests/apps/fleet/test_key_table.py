@@ -1,0 +1,216 @@
+"""Two collectors that share a table of keys: one of them takes a key, whatever the table answers, and how late."""
+
+import asyncio
+from collections.abc import AsyncGenerator, Awaitable, Callable
+
+import pytest
+from waiting import until
+
+from busway.apps.collector.commands.claims import KeysUnavailable
+from busway.apps.collector.commands.command import CommandResult, CommandState, PointCommand
+from busway.apps.fleet.coordinator import SNAPSHOT_ENDS, CoordinatorDown, Entry, OutcomeUnknown, RevisionConflict
+from busway.apps.fleet.key_memory import decode_memory
+from busway.apps.fleet.key_table import KeyTable, slot_of
+
+
+class Shared:
+    """The entries of a table in memory, and who watches them."""
+
+    def __init__(self) -> None:
+        self.entries: dict[str, Entry] = {}
+        self.watches: list[asyncio.Queue[Entry]] = []
+        self.revision = 0
+
+
+class MemoryTable:
+    """One collector's way to a shared table, which tests disturb.
+
+    Attributes:
+        before: called before each change.
+        fails: raised by each change, before it is made or after.
+        shows: set while watches show what changes.
+    """
+
+    def __init__(self, shared: Shared) -> None:
+        self.shared = shared
+        self.before: Callable[[], Awaitable[None]] | None = None
+        self.fails: Exception | None = None
+        self.is_made = True
+        self.shows = asyncio.Event()
+        self.shows.set()
+
+    async def create(self, key: str, value: bytes) -> int:
+        return await self.replace(key, value, 0)
+
+    async def replace(self, key: str, value: bytes, revision: int) -> int:
+        if self.before is not None:
+            await self.before()
+        if self.fails is not None and not self.is_made:
+            raise self.fails
+        present = self.shared.entries.get(key)
+        if (present.revision if present else 0) != revision:
+            raise RevisionConflict(key)
+        self.shared.revision += 1
+        entry = self.shared.entries[key] = Entry(key, value, self.shared.revision)
+        for watch in self.shared.watches:
+            watch.put_nowait(entry)
+        if self.fails is not None:
+            raise self.fails
+        return entry.revision
+
+    async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
+        queue: asyncio.Queue[Entry] = asyncio.Queue()
+        self.shared.watches.append(queue)
+        for entry in list(self.shared.entries.values()):
+            yield entry
+        yield SNAPSHOT_ENDS
+        while True:
+            entry = await queue.get()
+            await self.shows.wait()
+            if entry.key.startswith(prefix):
+                yield entry
+
+    async def close(self) -> None:
+        pass
+
+
+def opened(key: str, value: int = 7) -> CommandResult:
+    command = PointCommand(key, "boiler", "setpoint", value, "anna", "api", 1030.0)
+    return CommandResult(command, CommandState.OPEN, 1000.0)
+
+
+DONE = opened("k1").finished(CommandState.DONE)
+
+
+async def test_a_key_is_taken_by_one_and_its_end_is_what_the_other_gets() -> None:
+    shared = Shared()
+    async with KeyTable(MemoryTable(shared), "west") as west, KeyTable(MemoryTable(shared), "east") as east:
+        assert await west.claim(opened("k1")) is None
+        first = await east.claim(opened("k1"))
+        assert first is not None
+        assert (first.state, "west has begun it" in first.reason) == (CommandState.UNKNOWN, True)
+        await west.finish(DONE)
+        await until(lambda: east.known(opened("k1")) == DONE)
+        assert await east.claim(opened("k1")) == DONE
+        assert east.known(opened("k2")) is None
+    async with KeyTable(MemoryTable(shared), "west") as again:
+        assert await again.claim(opened("k1")) == DONE, "after a restart too"
+
+
+async def test_of_many_claims_of_one_key_at_once_one_takes_it() -> None:
+    shared = Shared()
+    tables = [MemoryTable(shared) for _ in range(4)]
+    for table in tables:
+        table.before = lambda: asyncio.sleep(0)
+    async with (
+        KeyTable(tables[0], "a") as a,
+        KeyTable(tables[1], "b") as b,
+        KeyTable(tables[2], "c") as c,
+        KeyTable(tables[3], "d") as d,
+    ):
+        for number in range(40):
+            key = f"k{number}"
+            found = await asyncio.gather(*(each.claim(opened(key)) for each in (a, b, c, d, a, b)))
+            assert found.count(None) == 1
+
+
+async def test_keys_of_one_entry_are_all_remembered_when_collectors_change_it_at_once() -> None:
+    shared = Shared()
+    keys = [key for key in (f"k{number}" for number in range(2000)) if slot_of(key) == slot_of("k0")]
+    async with KeyTable(MemoryTable(shared), "west") as west, KeyTable(MemoryTable(shared), "east") as east:
+        found = await asyncio.gather(*((west, east)[n % 2].claim(opened(key)) for n, key in enumerate(keys)))
+        assert found == [None] * len(keys)
+    (entry,) = shared.entries.values()
+    assert set(decode_memory(entry.value).results) == set(keys)
+
+
+async def test_a_watch_that_is_late_makes_a_claim_wait_and_one_that_is_dead_refuses_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shared = Shared()
+    late = MemoryTable(shared)
+    async with KeyTable(MemoryTable(shared), "west") as west, KeyTable(late, "east") as east:
+        await asyncio.sleep(0)
+        late.shows.clear()
+        assert await west.claim(opened("k1")) is None
+        waiting = asyncio.create_task(east.claim(opened("k1")))
+        for _ in range(20):
+            await asyncio.sleep(0)
+        assert not waiting.done()
+        late.shows.set()
+        found = await waiting
+        assert found is not None
+        assert found.state is CommandState.UNKNOWN
+        late.shows.clear()
+        await west.finish(DONE)
+        assert await west.claim(opened("k1")) == DONE
+        monkeypatch.setattr("busway.apps.fleet.key_table.CLAIM_SECONDS", 0.05)
+        other = next(key for key in (f"x{n}" for n in range(5000)) if slot_of(key) == slot_of("k1"))
+        with pytest.raises(KeysUnavailable, match="does not confirm"):
+            await east.claim(opened(other))
+
+
+async def test_a_table_that_is_away_refuses_and_takes_no_key() -> None:
+    shared = Shared()
+    table = MemoryTable(shared)
+    async with KeyTable(table, "west") as west:
+        table.fails, table.is_made = CoordinatorDown("it is away"), False
+        with pytest.raises(KeysUnavailable, match="does not answer: it is away"):
+            await west.claim(opened("k1"))
+        table.fails = None
+        assert await west.claim(opened("k1")) is None
+
+
+@pytest.mark.parametrize("is_made", [True, False])
+async def test_a_claim_without_an_answer_is_refused_and_may_be_made_again_by_this_collector_alone(
+    *, is_made: bool
+) -> None:
+    shared = Shared()
+    table = MemoryTable(shared)
+    async with KeyTable(table, "west") as west, KeyTable(MemoryTable(shared), "east") as east:
+        table.fails, table.is_made = OutcomeUnknown("no answer"), is_made
+        with pytest.raises(KeysUnavailable, match="does not confirm: no answer"):
+            await west.claim(opened("k1"))
+        table.fails = None
+        if is_made:
+            there = await east.claim(opened("k1"))
+            assert there is not None
+            assert there.state is CommandState.UNKNOWN
+        assert await west.claim(opened("k1")) is None
+        again = await west.claim(opened("k1"))
+        assert again is not None
+        assert again.state is CommandState.UNKNOWN
+    async with KeyTable(MemoryTable(shared), "west") as restarted:
+        later = await restarted.claim(opened("k1"))
+        assert later is not None
+        assert later.state is CommandState.UNKNOWN
+
+
+async def test_an_end_that_cannot_be_recorded_is_tried_again_and_then_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("busway.apps.fleet.key_table.RECORD_AGAIN", (0.0, 0.0, 0.0))
+    shared = Shared()
+    table = MemoryTable(shared)
+    tries: list[int] = []
+    async with KeyTable(table, "west") as west:
+        assert await west.claim(opened("k1")) is None
+
+        async def second_time() -> None:
+            tries.append(1)
+            table.fails = None if len(tries) == 2 else CoordinatorDown("it is away")
+
+        table.before, table.is_made = second_time, False
+        await west.finish(DONE)
+        assert len(tries) == 2
+        assert west.known(opened("k1")) == DONE
+        await west.finish(DONE)
+        assert len(tries) == 5
+
+
+async def test_a_table_with_an_entry_that_this_program_cannot_read_refuses() -> None:
+    shared = Shared()
+    shared.entries[slot_of("k1")] = Entry(slot_of("k1"), b"{}", 1)
+    async with KeyTable(MemoryTable(shared), "west") as west:
+        await asyncio.sleep(0)
+        with pytest.raises(KeysUnavailable, match="cannot be read by this program"):
+            await west.claim(opened("k1"))
+        assert west.known(opened("k1")) is None
