@@ -7,7 +7,7 @@ Pure: knows no coordinator and no clock.
 2. `REMEMBERED` is longer than a command may wait (`LONGEST_SECONDS`): one that says until when it may be sent has
    expired before its key is forgotten.
 3. Results are kept up to `MOST_BYTES`, the newest. A key without its result is refused.
-4. Keys that a collector makes itself are no more than their results: nobody can give them again.
+4. Keys that a collector makes itself are no more than their results: no caller can give them again.
 5. What cannot be read is an error, never an empty memory.
 """
 
