@@ -9,7 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
-from fleet_devices import METER, TIMES, FleetDevice, devices_of, plant
+from fleet_devices import METER, FleetDevice, devices_of, plant
 from waiting import until
 
 from busway.apps.collector.commands.inputs import CommandReceiver, InputMessage, InputRights
@@ -18,11 +18,14 @@ from busway.apps.collector.configuration import parse_collector
 from busway.apps.fleet.coordinator import CoordinatorDown, OutcomeUnknown
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
+from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.web.access import AccessToken, PageAccessRules, Role
 from busway.apps.web.collector_page import CollectorPage
 
 pytestmark = pytest.mark.real_time
 
+TIMES = LeaseTimes(ttl=100.0, renew=0.4, guard=1.0, answer=20.0)
+"""Links move because they are handed on: no lease lapses here, however busy the machine is."""
 TOKEN = "the-token-of-the-operator"
 SETPOINT = """
 [[unit.point]]
@@ -42,7 +45,7 @@ class Zone:
 
     @contextlib.asynccontextmanager
     async def collector(self, name: str) -> AsyncIterator[FleetCollector]:
-        text = plant(self.folder / name, self._devices)
+        text = plant(self.folder / name, self._devices, "timeout = 10\nconnect_timeout = 10")
         (self.folder / "meter.toml").write_text(METER + SETPOINT)
         coordinator = await open_coordinator(f"local:{self.folder}/zone", "hall")
         try:
