@@ -31,6 +31,7 @@ def unit(plant):
 def expect(locator):
     from playwright.sync_api import expect as expect_
 
+    expect_.set_options(timeout=60_000)  # a guard against a hang
     return expect_(locator)
 
 
@@ -315,6 +316,34 @@ def test_trends_are_drawn_of_the_points_that_are_chosen(page, keep):
     keep(page, "trends")
     page.click("#chosen li:first-child button")
     expect(page.locator("#chosen li")).to_have_count(1)
+
+
+BOILER = """
+[[unit]]
+unit = 3
+name = "boiler"
+point = [
+    { name = "flow", address = "3x1", value = 7, unit_of_measure = "l/s" },
+    { name = "heat", address = "3x2", value = 60, unit_of_measure = "°C" },
+    { name = "pressure", address = "3x3", value = 2, unit_of_measure = "bar" },
+]
+"""
+
+
+def test_by_touch_three_points_get_three_axes_and_the_name_of_their_unit_is_told(new_page, keep):
+    with watched(BOILER) as running:
+        page = new_page(running.page.url, viewport={"width": 390, "height": 800}, has_touch=True)
+        for key in ("3/flow", "3/heat", "3/pressure"):
+            expect(row(page, key).locator(".c-name small")).to_contain_text(", boiler")
+            row(page, key).tap()
+            expect(page.locator("#point-facts")).to_contain_text("3, boiler")
+            page.tap("#point-trend")
+            expect(page.locator("#point-trend")).to_have_attribute("aria-pressed", "true")
+            page.tap("#point-close")
+        page.tap("#tab-trends")
+        expect(page.locator("#chart .u-axis")).to_have_count(4)  # of time, and of each unit of measure
+        assert page.locator("#chart .u-over").bounding_box()["width"] >= 150
+        keep(page, "trends-narrow")
 
 
 def test_the_server_shows_indicators_connections_and_counters(page, unit, keep):

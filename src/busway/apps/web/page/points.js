@@ -6,6 +6,7 @@
 
 import { byId, colour, eachFrame, element, numberOf, setText, valueText } from "./dom.js";
 import { ask, pointPath } from "./link.js";
+import { FULL } from "./trends.js";
 
 const COURSE = 60; // values of a course
 const SPARE = 4; // rows above and below what can be seen
@@ -36,17 +37,18 @@ export class PointTable {
 
   async load() {
     this.points = [];
+    const units = (await ask("GET", "/api/units")).units.filter((one) => one.points);
+    const names = new Map(units.map((one) => [one.unit, one.name]));
     for (;;) {
       const part = await ask("GET", `/api/points?limit=${PAGE}&skip=${this.points.length}`);
-      this.points.push(...part.points.map(known));
+      this.points.push(...part.points.map((point) => known(point, names.get(point.unit) ?? "")));
       if (this.points.length >= part.total || part.points.length === 0) break;
     }
     this.byKey = new Map(this.points.map((point) => [point.key, point]));
     this.followsAll = this.points.length <= MOST;
-    const units = [...new Set(this.points.map((point) => point.unit))];
     byId("unit").replaceChildren(
       element("option", { value: "" }, "All units"),
-      ...units.map((unit) => element("option", { value: unit }, `Unit ${unit}`)),
+      ...units.map(({ unit, name }) => element("option", { value: unit }, name ? `Unit ${unit}, ${name}` : `Unit ${unit}`)),
     );
     byId("unit-choice").hidden = units.length < 2;
     this.filter();
@@ -215,11 +217,12 @@ export class PointTable {
 }
 
 /** A point as it came, with what the page keeps of it. */
-function known(point) {
+function known(point, unitName) {
   return {
     ...point,
+    unitName,
     labels: new Map(Object.entries(point.enumeration).map(([name, number]) => [number, name])),
-    text: `${point.key} ${point.address} ${point.description} ${point.unit_of_measure} ${point.table}`.toLowerCase(),
+    text: `${point.key} ${unitName} ${point.address} ${point.description} ${point.unit_of_measure} ${point.table}`.toLowerCase(),
     course: new Float64Array(COURSE).fill(NaN),
     next: 0,
   };
@@ -262,7 +265,7 @@ class Row {
     this.isFresh = true;
     this.move(at, height);
     this.label.data = point.key;
-    this.where.textContent = point.address;
+    this.where.textContent = point.unitName ? `${point.address}, ${point.unitName}` : point.address;
     this.measure.textContent = point.unit_of_measure ? ` ${point.unit_of_measure}` : "";
     this.element.title = point.description;
     this.set.setAttribute("aria-label", `Set ${point.key}`);
@@ -333,6 +336,7 @@ class PointDialog {
     byId("point-close").addEventListener("click", () => this.box.close());
     byId("point-back").addEventListener("click", () => this.step(undefined));
     byId("point-release").addEventListener("click", () => this.release());
+    byId("point-trend").addEventListener("click", () => this.toggleTrend());
     byId("point-form").addEventListener("submit", (event) => {
       event.preventDefault();
       this.submit();
@@ -348,6 +352,7 @@ class PointDialog {
     setText(byId("point-name"), point.key);
     setText(byId("point-description"), point.description);
     const facts = [
+      ["Unit", point.unitName ? `${point.unit}, ${point.unitName}` : String(point.unit)],
       ["Address", `${point.address}, ${point.table.replace("_", " ")}`],
       ["Type", [point.type, point.order && point.type !== "bit" ? point.order : "", point.scale !== 1 ? `× ${point.scale}` : ""].filter(Boolean).join(" ")],
       ["Modbus may", point.access === "read-write" ? "read and write" : "read"],
@@ -377,7 +382,17 @@ class PointDialog {
     setText(byId("point-value"), withMeasure(valueText(point.value, point), point));
     setText(byId("point-raw"), point.raw);
     setText(this.writer, point.last_writer + (point.held ? ", held" : ""));
+    byId("point-trend").setAttribute("aria-pressed", this.table.trends.has(point));
+    byId("point-trend").hidden = this.asked !== undefined;
     byId("point-release").hidden = !(point.held && point.behaviour) || this.asked !== undefined;
+  }
+
+  toggleTrend() {
+    const trends = this.table.trends;
+    const fits = trends.has(this.point) || !trends.isFull;
+    setText(byId("point-error"), fits ? "" : FULL);
+    if (fits) trends.toggle(this.point);
+    this.refresh();
   }
 
   /** Ask for a value (undefined), or for its confirmation. */

@@ -1,14 +1,18 @@
 // The course of chosen points, drawn by uPlot.
 //
 // 1. A row is kept for each moment at which one of the points changed; the others stand there as they were.
-// 2. It is drawn at most five times a second, and only while it can be seen.
+// 2. Each unit of measure has an axis: the first on the left, the others on the right.
+// 3. It is drawn at most five times a second, and only while it can be seen.
 
 import uPlot from "/uplot/uPlot.esm.js";
 import { byId, clockSeconds, colour, element, setText } from "./dom.js";
 
 const MOST_POINTS = 8;
+export const FULL = `At most ${MOST_POINTS} points fit into the chart.`;
 const MOST_ROWS = 20000;
 const PAUSE = 200;
+const AXIS = 58; // pixels of an axis with its label; all axes together take at most half of the width
+const TICKS = 40;
 const LIGHT = ["#0f6e84", "#b3541e", "#5b4ab8", "#1c7a45", "#a8326e", "#7a6a00", "#3f6fd1", "#666d72"];
 const DARK = ["#55bfd6", "#f2a065", "#a99bff", "#6ed29a", "#f08fc0", "#dccb55", "#86aefc", "#b7c0c6"];
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3], [5, 5], [12, 5], [3, 6], [6, 2]];
@@ -52,8 +56,8 @@ export class Trends {
     if (at >= 0) {
       this.points.splice(at, 1);
       this.columns.splice(at, 1);
-    } else if (this.points.length >= MOST_POINTS) {
-      setText(byId("trend-message"), `At most ${MOST_POINTS} points fit into the chart.`);
+    } else if (this.isFull) {
+      setText(byId("trend-message"), FULL);
       return;
     } else {
       this.points.push(point);
@@ -89,6 +93,11 @@ export class Trends {
 
   changed(point, number, time) {
     if (this.points.includes(point)) this.row(time);
+  }
+
+  /** Whether one more point fits. */
+  get isFull() {
+    return this.points.length >= MOST_POINTS;
   }
 
   /** Keep how all chosen points stand at a moment. */
@@ -154,13 +163,22 @@ export class Trends {
     const line = colour("--line");
     const axis = { stroke: colour("--soft"), grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1 } };
     const measures = [...new Set(this.points.map((point) => point.unit_of_measure))];
+    const most = Math.max(Math.floor(place.clientWidth / 2 / AXIS), 2);
     const options = {
       width: place.clientWidth,
       height: Math.max(place.clientHeight - 40, 160),
       scales: { x: { time: true } },
       axes: [
         { ...axis, values: (_, moments) => moments.map(clockSeconds), space: 80 },
-        ...measures.slice(0, 2).map((measure, at) => ({ ...axis, scale: `y-${measure}`, label: measure || undefined, side: at ? 1 : 3, grid: at ? { show: false } : axis.grid })),
+        ...measures.slice(0, most).map((measure, at) => ({
+          ...axis,
+          scale: `y-${measure}`,
+          label: measure || (measures.length > 1 ? "no unit" : undefined),
+          labelSize: AXIS - TICKS,
+          size: TICKS,
+          side: at ? 1 : 3,
+          grid: at ? { show: false } : axis.grid,
+        })),
       ],
       series: [
         { label: "Time", value: (_, moment) => (moment === null ? "–" : clockSeconds(moment)) },
