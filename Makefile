@@ -73,6 +73,10 @@ help: ## this list
 demo: $(VENV)/.installed-demo ## a small plant, a gateway, a collector and its page on 127.0.0.1 for a minute
 	@$(RUN)/busway collect demo $(DEMO_FLAGS)
 
+.PHONY: fleet-demo
+fleet-demo: $(VENV)/.installed-fleet-demo ## three collectors that share a plant, one of them is killed; needs nats-server
+	@$(RUN)/busway fleet demo $(DEMO_FLAGS)
+
 # --- what developers run ----------------------------------------------------------------------------------------------
 
 .PHONY: test
@@ -176,10 +180,15 @@ $(VENV)/.installed-demo: pyproject.toml | $(VENV)/bin/python
 	@$(RUN)/python $(PIP) --editable '.[serial,cli,files,store,web]'
 	@touch $@
 
+$(VENV)/.installed-fleet-demo: pyproject.toml | $(VENV)/bin/python
+	@echo "== $(VENV): the project with its commands, its store, its pages and its fleet"
+	@$(RUN)/python $(PIP) --editable '.[serial,cli,files,store,web,fleet]'
+	@touch $@
+
 $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 	@echo "== $(VENV): the project and what its development needs"
 	@$(RUN)/python $(PIP) --editable '.[dev]'
-	@touch $@ $(VENV)/.installed-demo
+	@touch $@ $(VENV)/.installed-demo $(VENV)/.installed-fleet-demo
 
 # The stamp names the packages, so a changed pin reinstalls.
 $(PEERS)/.installed: Makefile | $(VENV)/bin/python

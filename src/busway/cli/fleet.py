@@ -3,8 +3,9 @@
 1. ``apply`` checks a collector file as ``collect`` does, and writes it to the coordinator only if nothing is wrong.
 2. ``run`` is one collector of the zone; its configuration is the coordinator's, and followed while it runs.
 3. ``run --stream`` sends samples into a stream, from which ``sink`` takes them (`fleet_sinks`).
-4. ``status`` asks the coordinator alone: it also shows a zone none of whose collectors lives.
-4. ``restore`` is for a coordinator that has lost its entries, or has older ones; not while a collector lives.
+4. ``demo`` starts a plant, a nats-server and three collectors of its own (`fleet_demo`).
+5. ``status`` asks the coordinator alone: it also shows a zone none of whose collectors lives.
+6. ``restore`` is for a coordinator that has lost its entries, or has older ones; not while a collector lives.
 """
 
 import asyncio
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """\b
 Examples:
+  busway fleet demo
   busway fleet apply plant.toml --coordinator nats://10.0.0.7 --zone hall
   busway fleet run --coordinator nats://10.0.0.7 --zone hall --name west --store /var/lib/busway/west
   busway fleet run --stream --coordinator nats://10.0.0.7 --zone hall --name east --store /var/lib/busway/east
@@ -47,7 +49,7 @@ Examples:
 The coordinator may also be local:FOLDER (one machine) or postgresql://user@host/database; BUSWAY_FLEET_PASSWORD holds
 the password of --user, BUSWAY_FLEET the coordinator.
 """
-ACTIONS = ("apply", "run", "sink", "status", "drain", "restore")
+ACTIONS = ("demo", "apply", "run", "sink", "status", "drain", "restore")
 LOOK = 4.0
 """Seconds after which a collector that has not renewed its entry is shown as silent: it renews every three."""
 
@@ -55,7 +57,7 @@ LOOK = 4.0
 def fleet(
     words: list[str] = typer.Argument(
         ...,
-        metavar="apply FILE|run|sink NAME|status|drain NAME|restore",
+        metavar="demo|apply FILE|run|sink NAME|status|drain NAME|restore",
         help="A collector file, or the name of a sink of it, or of a collector.",
     ),
     coordinator: str | None = typer.Option(
@@ -71,6 +73,7 @@ def fleet(
     replicas: str = typer.Option("1", "--replicas", metavar="N", help="Servers that must keep each entry: 1."),
     stream: bool = typer.Option(False, "--stream", help="run: send samples into a stream, for sinks (NATS)."),
     undo: bool = typer.Option(False, "--undo", help="drain: let the collector take part again."),
+    lasts: str | None = typer.Option(None, "--for", metavar="TIME", help="demo: end after this time: 2m."),
     status_every: str = typer.Option(
         "60s", "--status-every", metavar="TIME", help="run, sink: print a status so often."
     ),
@@ -82,6 +85,10 @@ def fleet(
     from ..apps.fleet.coordinators.opening import CoordinatorOptions
 
     action, about = _action(words)
+    if lasts is not None and action != "demo":
+        raise ConfigError("is for demo", key="--for")
+    if action == "demo":
+        return _demo(seconds(lasts or "2m", "--for", low=0.1), verbose)
     url = coordinator or os.environ.get("BUSWAY_FLEET")
     if not url:
         raise ConfigError("is needed: nats://host:4222, local:FOLDER or postgresql://user@host/db", key="--coordinator")
@@ -131,9 +138,19 @@ def _action(words: list[str]) -> tuple[str, str]:
     needs = 2 if words[0] in ("apply", "sink", "drain") else 1
     if words[0] not in ACTIONS or len(words) != needs:
         raise ConfigError(
-            f"must be apply FILE, run, sink NAME, status, drain NAME or restore, not {' '.join(words)}", key="ACTION"
+            f"must be demo, apply FILE, run, sink NAME, status, drain NAME or restore, not {' '.join(words)}",
+            key="ACTION",
         )
     return words[0], words[-1]
+
+
+def _demo(limit: float, verbose: int) -> int:
+    from ..server.loops import run
+    from .fleet_demo import fleet_demo
+
+    show_traffic(verbose)
+    run(fleet_demo(limit))
+    return ExitCode.DONE
 
 
 async def _with_coordinator(url: str, zone: str, options: "CoordinatorOptions", work: Any) -> None:
