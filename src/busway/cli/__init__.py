@@ -14,6 +14,7 @@
 `exits`           The exit codes of all commands, and which error ends with which code
 `files`           Files that commands read, and capture files that they write for Wireshark
 `fleet`           `busway fleet`: several collectors share the links of a plant, as a coordinator says
+`fleet_demo`      `busway fleet demo`: a plant of 200 devices, three collectors that share it, and one of them is killed
 `fleet_sinks`     `busway fleet run --stream` and `busway fleet sink`: samples of a zone through a stream of NATS
 `gateway`         `busway gateway`: forwards client requests to serial lines or other servers, until Ctrl-C or SIGTERM
 `identify`        `busway identify`: shows how a device identifies itself
