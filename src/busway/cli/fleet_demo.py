@@ -220,7 +220,7 @@ class FleetDemo:
         process.kill()
         await process.wait()
         begun = time.monotonic()
-        say(f"{KILLED} is killed; nobody else may poll its links before its leases end")
+        say(f"{KILLED} is killed; no other collector may poll its links before its leases end")
         await self._until_shared(watch, set(COLLECTORS) - {KILLED})
         say(f"after {time.monotonic() - begun:.1f} s the others poll all links (a lease holds for 15 s)")
 
