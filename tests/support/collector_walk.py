@@ -44,6 +44,9 @@ from busway.apps.collector.samples import Reason
 
 SUPPORT = Path(__file__).parent
 LIMIT = 60.0
+SILENCE = 150.0
+"""Seconds after which devices that were all silent for a while, on a busy machine, are asked again: the bound that the
+documentation states, a minute and twenty timeouts for each, and as much again for the machine."""
 AGAIN = "read again"
 
 
@@ -175,7 +178,7 @@ class Walk:
     def _do(self, deed: Callable[[], None]) -> None:
         if self.is_up():
             self._is_down = False
-            self._world.wait_for_answers(self.chance.choice((5, 50, 150)))
+            self._world.wait_for_answers(self.chance.choice((5, 50, 150)), SILENCE)
         else:
             time.sleep(self.chance.uniform(0, 0.5))  # any moment of its start; nothing tells of each
         print(f"{time.monotonic() - self._began:8.2f} {deed.__name__}", flush=True)
