@@ -157,9 +157,17 @@ peers: $(PEERS)/.installed ## the foreign programs of the interop tests
 .PHONY: bench-peers
 bench-peers: $(BENCH_PEERS)/.installed ## the foreign programs of the benchmark
 
+.PHONY: release
+release: $(VENV)-release/.installed ## sdist, wheel, SBOM and checksums of the last commit in dist, each extra tried
+	@$(VENV)-release/bin/python scripts/release.py $(RELEASE_FLAGS)
+
+.PHONY: publish
+publish: $(VENV)-release/.installed ## uploads what `make release` has made, when a person types the version
+	@$(VENV)-release/bin/python scripts/release.py --publish
+
 .PHONY: clean
 clean: ## removes everything that these targets made
-	rm -rf $(VENV) $(VENV)-3.* $(PEERS) dist build bench/build bench/results tests/interop/build
+	rm -rf $(VENV) $(VENV)-3.* $(VENV)-release $(PEERS) dist build bench/build bench/results tests/interop/build
 	rm -rf .cache .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find src tests bench scripts -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -189,6 +197,11 @@ $(VENV)/.installed-dev: pyproject.toml | $(VENV)/bin/python
 	@echo "== $(VENV): the project and what its development needs"
 	@$(RUN)/python $(PIP) --editable '.[dev]'
 	@touch $@ $(VENV)/.installed-demo $(VENV)/.installed-fleet-demo
+
+$(VENV)-release/.installed: pyproject.toml | $(VENV)/bin/python
+	@echo "== $(VENV)-release: what makes a release"
+	@$(RUN)/python -m venv $(VENV)-release && $(VENV)-release/bin/python $(PIP) '.[release]'
+	@touch $@
 
 # The stamp names the packages, so a changed pin reinstalls.
 $(PEERS)/.installed: Makefile | $(VENV)/bin/python
