@@ -54,7 +54,7 @@ def main(arguments: list[str]) -> int:
 def make(*, quick: bool) -> None:
     """Build, check, describe."""
     version, date = newest_section((ROOT / "CHANGELOG.md").read_text(encoding="utf-8"))
-    written = re.search(r'"(.+)"', (ROOT / "src/busway/version.py").read_text(encoding="utf-8"))
+    written = re.search(r'__version__ = "(.+)"', (ROOT / "src/busway/version.py").read_text(encoding="utf-8"))
     if written is None or written[1] != version:
         raise NoRelease(f"src/busway/version.py and the newest section of CHANGELOG.md ({version}) differ")
     if run("git", "status", "--porcelain"):
