@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import re
 import signal
 import time
 from collections.abc import AsyncIterator, Callable
@@ -74,6 +75,7 @@ async def test_every_sample_of_two_collectors_reaches_the_sink_although_one_is_k
             while 0 in shares or len(shares) != 2:
                 status = await asyncio.to_thread(run, "fleet", "status", "--json", *at)
                 shares = [len(each["shards"]) for each in json.loads(status.out)["collectors"]]
+                assert json.loads(status.out)["sinks"]["lines"]["messages_behind"] >= 0
             west.process.kill()
             west.process.wait()
             again = await stack.enter_async_context(collector("west"))  # its store still has what the stream has not
@@ -93,6 +95,8 @@ async def test_every_sample_of_two_collectors_reaches_the_sink_although_one_is_k
                 program.process.send_signal(signal.SIGTERM)
                 await asyncio.to_thread(program.process.wait, 60)
                 assert program.process.returncode == 0
+            status = await asyncio.to_thread(run, "fleet", "status", *at)
+            assert re.search(r"^lines +\d+$", status.out, re.MULTILINE), status.out
 
 
 @pytest.mark.parametrize(

@@ -123,7 +123,7 @@ def fleet(
             as_json=as_json,
         ),
         "sink": lambda table: run_sink(table, zone, about, options.replicas, every, as_json=as_json),
-        "status": lambda table: _show_status(table, as_json=as_json),
+        "status": lambda table: _show_status(table, zone, as_json=as_json),
         "drain": lambda table: _drain(table, about, undo=undo),
         "restore": _restore,
     }
@@ -276,12 +276,13 @@ async def _run(
                         warn(f"warning: {member.refused}")
 
 
-async def _show_status(table: "Coordinator", *, as_json: bool) -> None:
+async def _show_status(table: "Coordinator", zone: str, *, as_json: bool) -> None:
     from ..apps.fleet.fleet_status import zone_status
 
     status = await zone_status(table, LOOK)
+    lags = await _sink_lags(table, zone)
     if as_json:
-        _print_json(status)
+        _print_json(status, lags)
         return
     print(
         f"configuration: revision {status.revision}, {status.configuration}" if status.revision else "no configuration"
@@ -303,9 +304,19 @@ async def _show_status(table: "Coordinator", *, as_json: bool) -> None:
                 ),
             ]
         )
+    if lags:
+        print_aligned([["sink", "messages behind"], *([name, str(behind)] for name, behind in lags.items())])
 
 
-def _print_json(status: "ZoneStatus") -> None:
+async def _sink_lags(table: "Coordinator", zone: str) -> dict[str, int]:
+    """Return by sink how many messages of the zone's stream wait for it; nothing where there is no stream."""
+    from ..apps.fleet.streams import sink_lags
+
+    client = getattr(table, "client", None)
+    return {} if client is None else await sink_lags(client, table, zone)
+
+
+def _print_json(status: "ZoneStatus", lags: dict[str, int]) -> None:
     print_json(
         {
             "configuration": status.configuration,
@@ -315,6 +326,7 @@ def _print_json(status: "ZoneStatus") -> None:
                  "revision": each.record.revision, "load": round(each.load, 6), "shards": list(each.shards)}
                 for each in status.members.values()
             ],
+            "sinks": {name: {"messages_behind": behind} for name, behind in lags.items()},
             "shards": {
                 shard: {"owner": each.owner if each.held else None, "epoch": str(each.epoch) if each.epoch else None}
                 for shard, each in status.leases.items()

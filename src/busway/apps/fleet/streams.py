@@ -206,6 +206,10 @@ class CursorBook:
         """Return the commits up to which one sink has samples, and the revision of its entry, 0 without one."""
         return self._cursors.get(sink), self._revisions.get(sink, 0)
 
+    def positions(self) -> dict[str, int]:
+        """Return by sink the number of the last message of the stream that it has taken."""
+        return {name: each.sequence for name, each in sorted(self._cursors.items())}
+
     async def watch(self, coordinator: Coordinator, told: Callable[[], None] = lambda: None) -> None:
         """Follow the shared table until cancelled; ``told`` is called once all existing entries are known."""
         async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
@@ -213,6 +217,34 @@ class CursorBook:
                 if entry is SNAPSHOT_ENDS:
                     told()
                 self.take(entry)
+
+
+async def sink_lags(client: Any, coordinator: Coordinator, zone: str) -> dict[str, int]:
+    """Return by sink how many messages of the stream it has not taken; empty where the zone has no stream.
+
+    Args:
+        client: of nats-py, connected.
+        coordinator: the coordinator of the zone.
+        zone: its name.
+
+    Raises:
+        StreamDown: the server does not answer.
+    """
+    nats, errors = import_module("nats"), import_module("nats.js.errors")
+    try:
+        info = await client.jetstream(timeout=10.0).stream_info(f"busway-samples-{zone}")
+    except errors.NotFoundError:
+        return {}
+    except (nats.errors.Error, OSError, TimeoutError) as error:
+        raise StreamDown(f"the stream of the zone does not answer: {error or type(error).__name__}") from error
+    book = CursorBook()
+    async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
+        async for entry in entries:
+            if entry is SNAPSHOT_ENDS:
+                break
+            book.take(entry)
+    newest = int(info.state.last_seq)
+    return {name: max(0, newest - sequence) for name, sequence in book.positions().items()}
 
 
 class SinkProgress:
