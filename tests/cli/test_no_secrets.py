@@ -1,9 +1,12 @@
 """No command shows a secret that a collector file names; `apps/collector/test_no_secrets.py` has everything else."""
 
+import os
+import signal
+import threading
 from pathlib import Path
 
 import pytest
-from program import Busway
+from waiting import wait_until
 
 SECRETS = {"file": "in-a-file-7d3k", "variable": "in-the-environment-4p9s"}
 PLANT = """\
@@ -31,7 +34,9 @@ token_variable = "BUSWAY_TEST_TOKEN"
 """
 
 
-def test_no_command_shows_a_secret(run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_command_shows_a_secret(
+    run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.setenv("BUSWAY_TEST_TOKEN", SECRETS["variable"])
     secret, file = tmp_path / "secret", tmp_path / "plant.toml"
     secret.write_text(SECRETS["file"])
@@ -47,9 +52,23 @@ def test_no_command_shows_a_secret(run, tmp_path: Path, monkeypatch: pytest.Monk
         result = run(*command)
         assert result.out + result.err, command
         told.append(result.out + result.err)
-    with Busway("collect", str(file), "-vvv", "--status-every", "100ms") as program:
-        lines = [program.wait_for("sink ") for _ in range(2)]
-        told += [*lines, *program.stop()]
+    has_ended = threading.Event()
+
+    def end_when_both_sinks_are_down() -> None:
+        said = [f"sink {name} is down" for name in ("broker", "history")]
+        wait_until(lambda: has_ended.is_set() or all(text in caplog.text for text in said))
+        if not has_ended.is_set():
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    ending = threading.Thread(target=end_when_both_sinks_are_down)
+    ending.start()
+    try:
+        result = run("collect", str(file), "-vvv", "--status-every", "100ms")
+    finally:
+        has_ended.set()
+        ending.join()
+    assert "sink broker: 0 samples sent" in result.out
+    told += [result.out, result.err, caplog.text]
     secret.chmod(0o644)
     refused = run("collect", str(file))
     assert "can be read by others" in refused.err
