@@ -92,6 +92,7 @@ def runs(plant: Plant) -> dict[str, list[list[str]]]:
         "identify": [[url, *how] for how in ([], ["--json"], ["--csv"])],
         "scan": [[url, "--units", "1-2", "--timeout", "200ms", *how] for how in ([], ["--json"])],
         "counters": [[url, "-u", "1", *how] for how in ([], ["--json"])],
+        "check": [[url, "-u", "1", "--only", "A10", "--timeout", "10s"]],
         "simulate": [["--list-faults"], [str(folder / "plant.toml"), "--check"]],
         "gateway": [["tcp://127.0.0.1:0", url, "--systemd-unit"]],
         "status": [[plant.status], [plant.status, "--json"]],

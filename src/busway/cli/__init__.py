@@ -3,6 +3,7 @@
 ================  ======================================================================================================
 `arguments`       Options that several commands share, and the conversion of their texts to checked values
 `certs`           `busway certs`: makes certificates to try Modbus/TCP Security with, and shows what certificates say
+`check`           `busway check`: asks a device what the specification asks for, and says what it does not do
 `cloning`         `busway simulate --clone`: records a live device into a simulation file
 `collect`         `busway collect`: polls devices and stores their values, until Ctrl-C or SIGTERM
 `collect_demo`    `busway collect demo`: a small plant on a serial line, a gateway in front of it

@@ -1,19 +1,20 @@
 """The exit codes of all commands, and which error ends with which code.
 
-====  ==========================================================================================
+====  =============================================================================================================
 code  meaning
-====  ==========================================================================================
+====  =============================================================================================================
 0     done
+1     ``check``: a must of the specification does not hold
 2     wrong use: an invalid argument, option, file or URL; nothing was sent
 3     no reply came, or the outcome of a write is not known
 4     the device refused with an exception code
 5     no connection, or it ended; a server that cannot listen
-6     the reply, a frame given to ``decode``, or a store given to ``store check`` is broken
+6     the reply, a frame given to ``decode``, or a store given to ``store check`` is broken; a device died at ``check``
 7     written, but ``write --verify`` did not find it: the device holds something else, or was not read back
 8     the output cannot be written: a full disk, a stream that is closed
 70    a defect of busway
 130   interrupted (Ctrl-C) before it was done
-====  ==========================================================================================
+====  =============================================================================================================
 """
 
 from enum import IntEnum
@@ -25,6 +26,7 @@ class ExitCode(IntEnum):
     """The exit codes that all commands of ``busway`` use."""
 
     DONE = 0
+    FAILED = 1
     WRONG_USE = 2
     NO_REPLY = 3
     REFUSED = 4

@@ -32,6 +32,7 @@ COMMANDS = {
     "write": "Write values to a device.",
     "identify": "Ask a device what it is.",
     "scan": "Find the units that answer on a line or behind an address.",
+    "check": "Check a device against the specification.",
     "counters": "Read the communication counters of a device.",
     "serve": "Serve one or several devices over Modbus.",
     "simulate": "Serve simulated devices that a file describes.",

@@ -1,0 +1,50 @@
+"""The checks: made for a target, in the order in which they run.
+
+=============  =====================================================================================
+`basics`       The basic checks: what every reply has to be, one facet each
+`reads`        Checks of the functions that read: 01 to 04, 07, 11, 12, 17, 20, 24 and 43
+`diagnostics`  Checks of diagnostics (08) and of functions that do not exist
+`writes`       Checks of the functions that write: 05, 06, 15, 16, 22 and 23
+`streams`      Checks of the stream of Modbus on TCP/IP and of connections
+`lines`        Checks of serial lines: damaged frames, other units, broadcasts
+`words`        Short ways to write checks: what is accepted, and PDUs from numbers
+=============  =====================================================================================
+
+Where it is decided: what is sent and what is accepted: the file of the subject, such as `reads`. In which order:
+`busway.apps.check.catalogue` itself, `checks_for`. What is a basic check: `basics`.
+"""
+
+from collections.abc import Collection
+
+from ....errors import ConfigError
+from ..check import Check, Level, Target
+from ..run import probe_of
+from .basics import basic_checks
+from .diagnostics import diagnostic_checks
+from .lines import line_checks
+from .reads import read_checks
+from .streams import stream_checks
+from .writes import write_checks
+
+
+def checks_for(target: Target, level: Level, only: Collection[str] = ()) -> list[Check]:
+    """Return the checks of a level for a target, from safe to risky.
+
+    Args:
+        target: what is checked.
+        level: the highest level of a check.
+        only: names of clauses or checks; none for all. The basic checks are always among them.
+
+    Raises:
+        ConfigError: a name in ``only`` is of no clause and no check that there is for the target.
+    """
+    probe, longer = probe_of(target), probe_of(target, 2)
+    checks = basic_checks(target, probe) + read_checks(target)
+    checks += stream_checks(target, probe) if target.framing == "mbap" else line_checks(target, probe, longer)
+    checks += diagnostic_checks(target) + write_checks(target)
+    known = {name for one in checks for name in (one.id, one.clause)}
+    unknown = sorted(set(only) - known)
+    if unknown:
+        raise ConfigError(f"no check and no clause is named {unknown[0]}", key="--only")
+    wanted = [one for one in checks if one.facet is not None or not only or {one.id, one.clause} & set(only)]
+    return sorted((one for one in wanted if one.level <= level), key=lambda one: (one.facet is None, one.level))

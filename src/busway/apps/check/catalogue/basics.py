@@ -1,0 +1,64 @@
+"""The basic checks: what every reply has to be, one facet each.
+
+Knows the target's probe; they are the first of every run, and the others rest on them.
+"""
+
+from ..check import Accepts, Ask, Check, Facet, Target
+from .words import REPLY, check
+
+_ANY = Accepts(reply=True, exceptions=frozenset(range(256)))
+
+
+def basic_checks(target: Target, probe: bytes) -> list[Check]:
+    """Return the checks of one facet each."""
+    once = Ask(probe, _ANY)
+    checks = [
+        check("answers", "A21", "answers a read of the probe in time", once, facet=Facet.ANSWERED),
+        check(
+            "answers-at-once",
+            "S6" if target.framing != "mbap" else "T30",
+            "answers the next read too, sent right behind the reply",
+            once,
+            once,
+            once,
+            facet=Facet.ANSWERED,
+        ),
+        check(
+            "nothing-else",
+            "S1" if target.framing != "mbap" else "T30",
+            "sends nothing but the reply: no other bytes, no second reply",
+            once,
+            once,
+            facet=Facet.CLEAN,
+        ),
+    ]
+    if target.framing == "mbap":
+        checks += [
+            check(
+                "transaction-echoed",
+                "T30",
+                "repeats the transaction identifier of the request",
+                once,
+                once,
+                facet=Facet.TRANSACTION,
+            ),
+            check("protocol-0", "T2", "answers with protocol identifier 0", once, facet=Facet.PROTOCOL),
+        ]
+    checks += [
+        check(
+            "unit-echoed",
+            "S2" if target.framing != "mbap" else "T30",
+            "answers as the unit that was asked",
+            once,
+            facet=Facet.UNIT,
+        ),
+        check(
+            "reply-form",
+            "A1",
+            "answers with the function and the length that the request asks for",
+            once,
+            facet=Facet.FORM,
+        ),
+        check("probe-readable", "A7", "answers a read of the probe with data", Ask(probe, REPLY), facet=Facet.CONTENT),
+    ]
+    return checks

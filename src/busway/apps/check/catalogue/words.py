@@ -1,0 +1,53 @@
+"""Short ways to write checks: what is accepted, and PDUs from numbers.
+
+Knows the form of checks; knows no check.
+"""
+
+from typing import Final
+
+from ..check import Accepts, Check, Facet, Level, Step, Word
+
+MUST: Final = Word.MUST
+SHOULD: Final = Word.SHOULD
+REPLY: Final = Accepts(reply=True)
+SILENCE: Final = Accepts(silence=True)
+
+
+def word(number: int) -> bytes:
+    """Return two bytes, the high one first."""
+    return number.to_bytes(2, "big")
+
+
+def pdu(code: int, *parts: int | bytes) -> bytes:
+    """Return a PDU: the function code, then each part, a number as two bytes."""
+    return bytes((code,)) + b"".join(part if isinstance(part, bytes) else word(part) for part in parts)
+
+
+def refused(*codes: int) -> Accepts:
+    """Return what accepts exceptions with these codes alone."""
+    return Accepts(exceptions=frozenset(codes))
+
+
+def reply_or(*codes: int) -> Accepts:
+    """Return what accepts a reply, and exceptions with these codes."""
+    return Accepts(reply=True, exceptions=frozenset(codes))
+
+
+def refused_or_silent(*codes: int) -> Accepts:
+    """Return what accepts exceptions with these codes, and silence."""
+    return Accepts(exceptions=frozenset(codes), silence=True)
+
+
+def check(
+    id: str,
+    clause: str,
+    says: str,
+    *steps: Step,
+    strength: Word = MUST,
+    level: Level = Level.READ,
+    facet: Facet | None = None,
+    function: int | None = None,
+    opens: bool = False,
+) -> Check:
+    """Return a check; its sentence begins with what the device does."""
+    return Check(id, clause, says, strength, level, steps, facet, function, opens)

@@ -1,0 +1,170 @@
+"""Reports of a run: Markdown, JSON, JUnit XML and HTML, each as one text.
+
+Knows summaries; opens no file. What a device sent is shown as hexadecimal digits and in the dissector's words.
+"""
+
+import html
+import json
+from collections.abc import Callable, Mapping
+from typing import Final
+from xml.sax.saxutils import escape, quoteattr
+
+from .check import Evidence, Outcome, Result
+from .clauses import CLAUSES
+from .summary import SCHEMA, Summary, by_clause
+
+_TOLD: Final = (Outcome.FAILED, Outcome.WARNED, Outcome.ABORTED)
+"""Outcomes whose evidence a report for people shows."""
+_LONGEST_HEX: Final = 40
+
+
+def hex_of(data: bytes) -> str:
+    """Return bytes as spaced hexadecimal digits, a long text cut."""
+    shown = data[:_LONGEST_HEX].hex(" ")
+    return shown if len(data) <= _LONGEST_HEX else f"{shown} … ({len(data)} bytes)"
+
+
+def line_of(evidence: Evidence) -> str:
+    """Return one piece of evidence as a line: direction, bytes, words."""
+    if not evidence.data:
+        return f"-- {evidence.words}"
+    return f"{'->' if evidence.sent else '<-'} {hex_of(evidence.data)}   {evidence.words}"
+
+
+def counts_line(summary: Summary) -> str:
+    """Return how many checks had each outcome, as one line."""
+    return ", ".join(f"{count} {outcome.value}" for outcome, count in summary.counts.items() if count)
+
+
+def markdown(summary: Summary) -> str:
+    """Return the report as Markdown."""
+    lines = [
+        f"# Check of {summary.endpoint}, unit {summary.unit}",
+        "",
+        f"Level {summary.level}: {counts_line(summary)}.",
+        "",
+        "| clause | check | is | outcome | what the device does if it passes |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for clause, results in by_clause(summary.results).items():
+        for one in results:
+            check = one.check
+            lines.append(f"| {clause} | {check.id} | {check.word.value} | {one.outcome.value} | {check.says} |")
+    for one in summary.results:
+        if one.outcome in _TOLD:
+            lines += [
+                "",
+                f"## {one.check.id}: {one.outcome.value}",
+                "",
+                f"{one.check.clause}, {CLAUSES[one.check.clause]}. {one.reason}.",
+            ]
+            if one.evidence:
+                lines += ["", "```", *(line_of(each) for each in one.evidence), "```"]
+    if summary.changes:
+        lines += ["", "## Changes", "", "| check | before | now |", "| --- | --- | --- |"]
+        lines += [f"| {name} | {before} | {now} |" for name, before, now in summary.changes]
+    return "\n".join(lines) + "\n"
+
+
+def as_json(summary: Summary) -> str:
+    """Return the report as JSON, which a later run can be compared with."""
+    report = {
+        "schema": SCHEMA,
+        "endpoint": summary.endpoint,
+        "unit": summary.unit,
+        "level": summary.level,
+        "counts": {outcome.value: count for outcome, count in summary.counts.items()},
+        "checks": [_json_of(one) for one in summary.results],
+    }
+    return json.dumps(report, indent=1, ensure_ascii=False) + "\n"
+
+
+def _json_of(result: Result) -> dict[str, object]:
+    check = result.check
+    return {
+        "id": check.id,
+        "clause": check.clause,
+        "word": check.word.value,
+        "level": check.level.name.lower(),
+        "says": check.says,
+        "outcome": result.outcome.value,
+        "reason": result.reason,
+        "evidence": [{"sent": one.sent, "bytes": one.data.hex(), "words": one.words} for one in result.evidence],
+    }
+
+
+def junit(summary: Summary) -> str:
+    """Return the report as JUnit XML: warnings are output, what was not decided is skipped."""
+    counts = summary.counts
+    skipped = counts[Outcome.NOT_OFFERED] + counts[Outcome.UNDECIDED]
+    name = quoteattr(f"busway check {summary.endpoint} unit {summary.unit}")
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        f'<testsuite name={name} tests="{len(summary.results)}" failures="{counts[Outcome.FAILED]}"'
+        f' errors="{counts[Outcome.ABORTED]}" skipped="{skipped}">',
+    ]
+    for one in summary.results:
+        lines.append(f"  <testcase classname={quoteattr(one.check.clause)} name={quoteattr(one.check.id)}>")
+        lines.append(f"    {_junit_outcome(one)}" if one.outcome is not Outcome.PASSED else "")
+        lines.append("  </testcase>")
+    return "\n".join(line for line in [*lines, "</testsuite>"] if line) + "\n"
+
+
+def _junit_outcome(result: Result) -> str:
+    text = escape("\n".join([result.check.says, *(line_of(one) for one in result.evidence)]))
+    message = quoteattr(result.reason or result.outcome.value)
+    if result.outcome is Outcome.FAILED:
+        return f"<failure message={message}>{text}</failure>"
+    if result.outcome is Outcome.ABORTED:
+        return f"<error message={message}>{text}</error>"
+    if result.outcome is Outcome.WARNED:
+        return f"<system-out>{escape('warning: ' + result.reason)}\n{text}</system-out>"
+    return f"<skipped message={message}/>"
+
+
+_STYLE: Final = (
+    "body{font:16px/1.5 system-ui,sans-serif;max-width:70em;margin:2em auto;padding:0 1em;color-scheme:light dark}"
+    "table{border-collapse:collapse}td,th{text-align:left;padding:.2em .8em .2em 0;vertical-align:top}"
+    "pre{overflow-x:auto}"
+)
+
+
+def as_html(summary: Summary) -> str:
+    """Return the report as one HTML page, without scripts and without anything loaded from elsewhere."""
+    title = html.escape(f"Check of {summary.endpoint}, unit {summary.unit}")
+    parts = [
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>',
+        f"<style>{_STYLE}</style></head>",
+        f"<body><h1>{title}</h1>",
+        f"<p>Level {html.escape(summary.level)}: {html.escape(counts_line(summary))}.</p>",
+    ]
+    for clause, results in by_clause(summary.results).items():
+        parts.append(f"<h2>{clause}: {html.escape(CLAUSES[clause])}</h2>\n<table>")
+        parts += [_html_row(one) for one in results]
+        parts.append("</table>")
+    return "\n".join([*parts, "</body></html>"]) + "\n"
+
+
+def _html_row(result: Result) -> str:
+    check = result.check
+    told = ""
+    if result.reason:
+        told = f"<br>{html.escape(result.reason)}"
+    if result.outcome in _TOLD and result.evidence:
+        lines = html.escape("\n".join(line_of(one) for one in result.evidence))
+        told += f"<details><summary>bytes</summary><pre>{lines}</pre></details>"
+    cells = (result.outcome.value, check.word.value, check.id)
+    return (
+        "<tr>"
+        + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells)
+        + f"<td>{html.escape(check.says)}{told}</td></tr>"
+    )
+
+
+REPORTS: Final[Mapping[str, Callable[[Summary], str]]] = {
+    "html": as_html,
+    "junit": junit,
+    "json": as_json,
+    "md": markdown,
+}
+"""The forms of a report by the name that ``--report`` gives them."""

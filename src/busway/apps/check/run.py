@@ -1,0 +1,545 @@
+"""Runs checks against a device, one after the other, and says what came of each.
+
+Knows wires, frames, judgements and the clock; knows no single check.
+
+1. Basic checks come first. What one of them has shown to be wrong is not held against any other check: a wrong unit is
+   overlooked, and after any other failure the rest is undecided.
+2. Then checks run from safe to risky. After each, the probe is read: a device that has died ends the run.
+3. Silence is not waited for. Behind a request that must not be answered a read of the probe is sent; what comes before
+   its reply was the answer. On a serial line the read follows after ``quiet`` seconds, since two frames need a gap.
+4. The scratch items are read before the first check that writes, written back after the last one, and read again.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+from ...codes import Table
+from ...errors import LinkDown
+from ...observe.dissect import Dissector, Framing, MessageDirection
+from ...pdu.functions import STANDARD
+from .check import (
+    Accepts,
+    Ask,
+    BesideIt,
+    Check,
+    CutOff,
+    Damage,
+    Evidence,
+    Facet,
+    Idle,
+    Items,
+    Level,
+    Outcome,
+    Reopen,
+    Result,
+    Step,
+    Target,
+    Together,
+    Word,
+)
+from .frames import Frame, encode_frame, new_search
+from .judgement import Exchange, Fault, is_refused_function, judge
+from .wire import Dialer, Wire
+
+_OVERLOOKED: Final = frozenset({Facet.UNIT, Facet.PROTOCOL})
+"""Facets that other checks can do without, once they are known to be wrong."""
+_LINES_TOO: Final = frozenset({Facet.CLEAN})
+"""The same on serial lines, where the search for frames overcomes junk."""
+_REVIVALS: Final = 3
+_READS: Final = {Table.COILS: 1, Table.DISCRETE_INPUTS: 2, Table.HOLDING_REGISTERS: 3, Table.INPUT_REGISTERS: 4}
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """Times of a run, in seconds.
+
+    Attributes:
+        timeout: the longest wait for a reply.
+        quiet: silence between two frames on a serial line, where the first is not answered.
+        idle: how long a connection is left alone by the checks about that.
+    """
+
+    timeout: float = 1.0
+    quiet: float = 0.05
+    idle: float = 2.0
+
+
+class _DiedError(Exception):
+    """The device does not answer the probe any more."""
+
+
+class _Conversation:
+    """One connection to the device, and what was said on it since evidence was last taken."""
+
+    def __init__(self, dialer: Dialer, target: Target, pace: Pace) -> None:
+        self._dialer = dialer
+        self._target = target
+        self._pace = pace
+        self._wire: Wire | None = None
+        self._search = new_search(target.framing)
+        self._transaction = 0
+        self._evidence: list[Evidence] = []
+        self._has_echo = False
+
+    # Connection.
+
+    def open(self) -> None:
+        """Open the connection if there is none. Raises `LinkDown`."""
+        if self._wire is None:
+            self._wire = self._dialer.open()
+            self._search = new_search(self._target.framing)
+
+    def close(self) -> None:
+        """Close the connection if there is one."""
+        if self._wire is not None:
+            self._wire.close()
+            self._wire = None
+
+    def reopen(self) -> None:
+        """Close the connection and make a new one; a serial port stays open. Raises `LinkDown`."""
+        if self._dialer.has_connections:
+            self._tell("the connection is closed and made again")
+            self.close()
+        self.open()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a connection."""
+        return self._wire is not None
+
+    def idle(self) -> None:
+        """Send nothing for the idle time."""
+        self._tell(f"nothing is sent for {self._pace.idle:g} s")
+        self.open()
+        self._dialer.sleep(self._pace.idle)
+
+    def second(self) -> "_Conversation":
+        """Return another conversation with the same device, not yet open."""
+        return _Conversation(self._dialer, self._target, self._pace)
+
+    # Evidence.
+
+    def take_evidence(self) -> tuple[Evidence, ...]:
+        """Return and forget what was said."""
+        taken, self._evidence = tuple(self._evidence), []
+        return taken
+
+    def add_evidence(self, more: Sequence[Evidence]) -> None:
+        """Add what was said elsewhere, such as over a second connection."""
+        self._evidence += more
+
+    def _tell(self, words: str) -> None:
+        self._evidence.append(Evidence(True, b"", words))
+
+    def _note(self, data: bytes, *, sent: bool) -> None:
+        (first, *_) = Dissector(
+            framing=Framing(self._target.framing),
+            direction=MessageDirection.REQUEST if sent else MessageDirection.REPLY,
+        ).dissect(data)
+        self._evidence.append(Evidence(sent, data, "; ".join([first.title, *first.problems])))
+
+    # Asking.
+
+    def ask(self, ask: Ask) -> Exchange:
+        """Send one request and return what came back. Raises `LinkDown` if no connection can be made."""
+        self.open()
+        unit = self._target.unit if ask.unit is None else ask.unit
+        transaction = self._next_transaction() if ask.transaction is None else ask.transaction
+        frame = encode_frame(self._target.framing, unit, ask.pdu, transaction, ask.damage)
+        if not self._sent(frame, ask.pieces):
+            return Exchange(ask, unit, transaction, frame, (), closed=True)
+        if ask.accepts.silence:
+            return self._followed(ask, unit, transaction, frame)
+        frames, rest, closed = self._received(ask.pdu[0], self._ends(transaction, frame))
+        if len(frames) > 1 and frame.endswith(frames[0].raw) and not _is_echo_alike(frames):
+            self._has_echo = True
+        return Exchange(ask, unit, transaction, frame, tuple(frames), rest, closed)
+
+    def ask_together(self, pdus: Sequence[bytes]) -> list[Exchange]:
+        """Send several requests in one write, and return the exchange of each."""
+        self.open()
+        numbered = [(self._next_transaction(), pdu) for pdu in pdus]
+        frames = [encode_frame(self._target.framing, self._target.unit, pdu, number) for number, pdu in numbered]
+        came: list[Frame] = []
+        rest, closed = b"", True
+        if self._sent(b"".join(frames), ()):
+            waited = {number for number, _ in numbered}
+
+            def ends(found: Sequence[Frame]) -> bool:
+                return waited <= {one.transaction for one in found}
+
+            came, rest, closed = self._received(pdus[0][0], ends)
+        accepts = Accepts(reply=True, exceptions=frozenset({6}))
+        exchanges = []
+        for (number, pdu), frame in zip(numbered, frames, strict=True):
+            own = tuple(one for one in came if one.transaction == number)
+            exchanges.append(Exchange(Ask(pdu, accepts), self._target.unit, number, frame, own, b"", closed))
+        if rest:
+            exchanges[-1] = replace(exchanges[-1], rest=rest)
+        return exchanges
+
+    def cut_off(self, pdu: bytes, size: int) -> None:
+        """Send the first bytes of a request and close the connection."""
+        self.open()
+        frame = encode_frame(self._target.framing, self._target.unit, pdu, self._next_transaction())
+        self._sent(frame[:size], ())
+        self._tell("the connection is closed")
+        self.close()
+
+    def _next_transaction(self) -> int:
+        self._transaction = self._transaction % 0xFFF0 + 1
+        return self._transaction
+
+    def _sent(self, frame: bytes, pieces: tuple[int, ...]) -> bool:
+        """Send a frame, in pieces if asked for; return whether the connection took it."""
+        assert self._wire is not None
+        while self._wire.receive(0):  # what came late for an earlier request
+            pass
+        self._search.take_rest()
+        self._note(frame, sent=True)
+        cuts = (0, *pieces, len(frame))
+        try:
+            for number, (start, end) in enumerate(pairwise(cuts)):
+                if number:
+                    self._dialer.sleep(_BETWEEN_PIECES)
+                self._wire.send(frame[start:end])
+        except LinkDown:
+            self._lost()
+            return False
+        return True
+
+    def _lost(self) -> None:
+        self._evidence.append(Evidence(False, b"", "the device closed the connection"))
+        self.close()
+
+    def _ends(self, transaction: int, sent: bytes) -> Callable[[Sequence[Frame]], bool]:
+        if self._target.framing == "mbap":
+            return lambda found: any(one.transaction == transaction for one in found)
+        if self._has_echo:
+            return lambda found: len(found) > 1
+        return lambda found: any(not sent.endswith(one.raw) for one in found) or len(found) > 1 or _is_echo_alike(found)
+
+    def _received(self, function: int, ends: Callable[[Sequence[Frame]], bool]) -> tuple[list[Frame], bytes, bool]:
+        """Return the frames that come until ``ends`` says it is enough, the rest, and whether the device closed."""
+        assert self._wire is not None
+        until = self._dialer.now() + self._pace.timeout
+        frames: list[Frame] = []
+        while not ends(frames):
+            data = self._wire.receive(max(until - self._dialer.now(), 0))
+            if data is None:
+                rest = self._search.take_rest()
+                self._lost()
+                return frames, rest, True
+            came = self._search.receive(data, function) if data else self._search.finish(function)
+            for one in came:
+                self._note(one.raw, sent=False)
+                frames.append(one)
+            if not data:
+                break
+        rest = self._search.take_rest()
+        if rest:
+            self._evidence.append(Evidence(False, rest, "bytes that are in no frame"))
+        return frames, rest, False
+
+    def _followed(self, ask: Ask, unit: int, transaction: int, frame: bytes) -> Exchange:
+        """Send a read of the probe behind a request that may stay unanswered, and return what came before its reply."""
+        if self._target.framing != "mbap":
+            self._dialer.sleep(self._pace.quiet)
+        probe = probe_of(self._target)
+        number = self._next_transaction()
+        marker = encode_frame(self._target.framing, self._target.unit, probe, number)
+        assert self._wire is not None
+        early = self._wire.receive(0)
+        found: list[Frame] = []
+        if early is None:
+            self._lost()
+            return Exchange(ask, unit, transaction, frame, (), closed=True)
+        if early:
+            found = self._search.receive(early, ask.pdu[0])
+            for one in found:
+                self._note(one.raw, sent=False)
+        self._note(marker, sent=True)
+        try:
+            self._wire.send(marker)
+        except LinkDown:
+            self._lost()
+            return Exchange(ask, unit, transaction, frame, tuple(found), closed=True)
+        asked = Exchange(Ask(probe, Accepts(reply=True)), self._target.unit, number, marker, ())
+
+        def is_markers(one: Frame) -> bool:
+            if self._target.framing == "mbap":
+                return one.transaction == number
+            faults = judge(replace(asked, frames=(one,)), framing=self._target.framing)
+            return not any(fault.facet not in (Facet.UNIT, Facet.PROTOCOL) for fault in faults)
+
+        frames, _, closed = self._received(probe[0], lambda came: any(is_markers(one) for one in came))
+        came = (*found, *frames)
+        is_deaf = not closed and self._must_hear_on(ask) and not any(is_markers(one) for one in came)
+        before = tuple(one for one in came if not is_markers(one) and one.raw not in (frame, marker))
+        return Exchange(ask, unit, transaction, frame, before, b"", closed, is_deaf)
+
+    def _must_hear_on(self, ask: Ask) -> bool:
+        """Whether the read behind a request must be answered: its frame and its end are clear."""
+        if self._target.framing == "mbap":
+            return ask.damage in (None, Damage.PROTOCOL_1, Damage.PROTOCOL_FFFF)
+        return ask.damage is None and ask.pdu[0] in STANDARD
+
+
+_BETWEEN_PIECES: Final = 0.01
+
+
+def _is_echo_alike(found: Sequence[Frame]) -> bool:
+    """Whether a frame that equals the request can be its reply: some replies repeat the request."""
+    return bool(found) and found[0].pdu[0] in (5, 6, 8, 22)
+
+
+def probe_of(target: Target, count: int = 1) -> bytes:
+    """Return the PDU of a read of the probe."""
+    probe = target.probe
+    return bytes((_READS[probe.table],)) + probe.address.to_bytes(2, "big") + count.to_bytes(2, "big")
+
+
+class CheckRun:
+    """One run of checks against one device.
+
+    Args:
+        dialer: opens connections to the device.
+        target: what the checks were made for.
+        pace: times.
+    """
+
+    def __init__(self, dialer: Dialer, target: Target, pace: Pace) -> None:
+        self._target = target
+        self._talk = _Conversation(dialer, target, pace)
+        self._wrong: set[Facet] = set()
+        self._hidden_by = ""
+        self._closed_functions: dict[int, tuple[Outcome, str]] = {}
+        self.is_dead: bool = False
+
+    def results(self, checks: Sequence[Check]) -> Iterator[Result]:
+        """Run the checks in their order, and yield what came of each.
+
+        Raises:
+            LinkDown: no connection to the device can be made at the beginning. Nothing was sent.
+        """
+        self._talk.open()
+        scratch = _Scratch(self._talk, self._target)
+        try:
+            for check in checks:
+                if check.writes and self._is_worth_it and not scratch.save():
+                    reason = "the scratch items cannot be read, so nothing is written to them"
+                    yield Result(check, Outcome.UNDECIDED, reason, self._talk.take_evidence())
+                else:
+                    yield self._result(check)
+        finally:
+            fault = scratch.restore()
+            self._talk.close()
+        if scratch.is_saved:
+            yield Result(
+                RESTORED,
+                Outcome.FAILED if fault else Outcome.PASSED,
+                fault,
+                self._talk.take_evidence(),
+            )
+
+    @property
+    def _is_worth_it(self) -> bool:
+        """Whether the basic checks left anything to find out."""
+        return not self.is_dead and not self._hidden_by
+
+    # One check.
+
+    def _result(self, check: Check) -> Result:
+        if self.is_dead:
+            return Result(check, Outcome.ABORTED, "the device had died before")
+        if self._hidden_by:
+            return Result(check, Outcome.UNDECIDED, f"nothing can be said after {self._hidden_by} failed")
+        if check.function is not None and check.function in self._closed_functions:
+            outcome, reason = self._closed_functions[check.function]
+            return Result(check, outcome, reason)
+        missing = [pdu[0] for pdu in check.requests if pdu[0] in self._closed_functions]
+        if missing:
+            return Result(check, Outcome.UNDECIDED, f"it needs function {missing[0]}, which cannot be relied on")
+        evidence: tuple[Evidence, ...] = ()
+        try:
+            outcome, reason = self._judged(check)
+            evidence = self._talk.take_evidence()
+            if check.facet is None:
+                alive = self._alive(check, outcome, reason)
+                later = self._talk.take_evidence()
+                evidence += later if alive != (outcome, reason) else ()
+                outcome, reason = alive
+        except LinkDown as error:
+            self.is_dead = True
+            return Result(
+                check, Outcome.ABORTED, f"no connection any more: {error}", (*evidence, *self._talk.take_evidence())
+            )
+        except _DiedError:
+            self.is_dead = True
+            return Result(
+                check,
+                Outcome.ABORTED,
+                "the device died: it no longer answers",
+                (*evidence, *self._talk.take_evidence()),
+            )
+        self._learn(check, outcome)
+        return Result(check, outcome, reason, evidence)
+
+    def _learn(self, check: Check, outcome: Outcome) -> None:
+        """Keep what a check has shown for those behind it."""
+        failed = outcome in (Outcome.FAILED, Outcome.WARNED)
+        if check.facet is not None and failed:
+            overlooked = _OVERLOOKED | (_LINES_TOO if self._target.framing != "mbap" else frozenset())
+            self._wrong.add(check.facet)
+            if check.facet not in overlooked:
+                self._hidden_by = check.id
+        if check.opens and check.function is not None:
+            if outcome is Outcome.NOT_OFFERED:
+                self._closed_functions[check.function] = (Outcome.NOT_OFFERED, "the device answers 01")
+            elif failed:
+                self._closed_functions[check.function] = (Outcome.UNDECIDED, f"{check.id} failed before")
+
+    def _judged(self, check: Check) -> tuple[Outcome, str]:
+        """Take the steps of a check; return its outcome and the reason for it."""
+        for step in check.steps:
+            for exchange in self._taken(step):
+                is_about_one = check.function is not None and 1 not in exchange.ask.accepts.exceptions
+                if is_about_one and is_refused_function(exchange):
+                    return Outcome.NOT_OFFERED, "the device answers 01"
+                faults = judge(exchange, framing=self._target.framing)
+                outcome = self._outcome(check, faults)
+                if outcome is not None:
+                    return outcome
+        return Outcome.PASSED, ""
+
+    def _outcome(self, check: Check, faults: Sequence[Fault]) -> tuple[Outcome, str] | None:
+        """Return what faults mean for a check; None if it goes on."""
+        failure = Outcome.FAILED if check.word is Word.MUST else Outcome.WARNED
+        if check.facet is not None:
+            for fault in faults:
+                if fault.facet is check.facet:
+                    return failure, fault.words
+            return None
+        for fault in faults:
+            if fault.facet not in self._wrong:
+                return failure, fault.words
+        return None
+
+    def _taken(self, step: Step) -> Iterator[Exchange]:
+        """Take one step, and yield the exchanges to be judged."""
+        talk = self._talk
+        match step:
+            case Ask():
+                yield talk.ask(step)
+            case Together(pdus):
+                yield from talk.ask_together(pdus)
+            case Idle():
+                talk.idle()
+            case Reopen():
+                talk.reopen()
+            case CutOff(pdu, size):
+                talk.cut_off(pdu, size)
+            case BesideIt(ask):
+                yield self._asked_beside(ask)
+
+    def _asked_beside(self, ask: Ask) -> Exchange:
+        """Ask over a second connection, while the first stays open."""
+        self._talk.open()
+        second = self._talk.second()
+        try:
+            return second.ask(ask)
+        except LinkDown:
+            return Exchange(ask, self._target.unit, 0, b"", (), closed=True)
+        finally:
+            second.close()
+            self._talk.add_evidence(second.take_evidence())
+
+    # Life.
+
+    def _alive(self, check: Check, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
+        """Read the probe; return the outcome of the check, which is a failure if the device had to be revived."""
+        expects_close = any(isinstance(step, Ask) and step.accepts.closed for step in check.steps)
+        kept_open = self._talk.is_open
+        if not kept_open or (outcome is not Outcome.PASSED and outcome is not Outcome.NOT_OFFERED):
+            self._talk.reopen()
+        for attempt in range(_REVIVALS):
+            exchange = self._talk.ask(Ask(probe_of(self._target), Accepts(reply=True)))
+            if exchange.frames:
+                if attempt and outcome is Outcome.PASSED and not expects_close:
+                    failure = Outcome.FAILED if check.word is Word.MUST else Outcome.WARNED
+                    return failure, "afterwards the device did not answer the probe at first"
+                return outcome, reason
+            self._talk.reopen()
+        raise _DiedError
+
+
+# Scratch items.
+
+
+class _Scratch:
+    """The items that checks may write: saved before, restored and verified afterwards."""
+
+    def __init__(self, talk: _Conversation, target: Target) -> None:
+        self._talk = talk
+        self._items = [one for one in (target.registers, target.coils) if one is not None]
+        self._saved: list[tuple[Items, bytes]] = []
+        self.is_saved: bool = False
+
+    def save(self) -> bool:
+        """Read the items once, before the first write; return whether what they hold is known."""
+        if self.is_saved:
+            return True
+        found = [(items, self._read(items)) for items in self._items]
+        self._saved = [(items, data) for items, data in found if data is not None]
+        self.is_saved = len(self._saved) == len(self._items)
+        self._talk.take_evidence()
+        return self.is_saved
+
+    def restore(self) -> str:
+        """Write back what was read and read it again; return what is wrong, empty for nothing."""
+        try:
+            for items, data in self._saved if self.is_saved else ():
+                self._write(items, data)
+                if self._read(items) != data:
+                    return f"{items.table.label}s from {items.address} on do not hold what they held before"
+        except LinkDown as error:
+            return f"the scratch items could not be restored: {error}"
+        return ""
+
+    def _read(self, items: Items) -> bytes | None:
+        pdu = bytes((_READS[items.table],)) + items.address.to_bytes(2, "big") + items.count.to_bytes(2, "big")
+        frames = self._talk.ask(Ask(pdu, Accepts(reply=True))).frames
+        size = (items.count + 7) // 8 if items.table is Table.COILS else 2 * items.count
+        own = [one.pdu for one in frames if one.pdu[:2] == bytes((pdu[0], size)) and len(one.pdu) == 2 + size]
+        return own[0][2:] if own else None
+
+    def _write(self, items: Items, data: bytes) -> None:
+        code = 15 if items.table is Table.COILS else 16
+        span = items.address.to_bytes(2, "big") + items.count.to_bytes(2, "big")
+        self._talk.ask(Ask(bytes((code,)) + span + bytes((len(data),)) + data, Accepts(reply=True)))
+        if code == 16:  # a device may have the functions for one item only
+            for index in range(items.count):
+                address = (items.address + index).to_bytes(2, "big")
+                value = data[2 * index : 2 * index + 2]
+                if self._read(replace(items, address=items.address + index, count=1)) != value:
+                    self._talk.ask(Ask(b"\x06" + address + value, Accepts(reply=True)))
+        else:
+            for index in range(items.count):
+                on = data[index // 8] >> index % 8 & 1
+                place = replace(items, address=items.address + index, count=1)
+                if self._read(place) != bytes((on,)):
+                    address = place.address.to_bytes(2, "big")
+                    self._talk.ask(Ask(b"\x05" + address + (b"\xff\x00" if on else b"\x00\x00"), Accepts(reply=True)))
+
+
+RESTORED: Final = Check(
+    "scratch-restored",
+    "A4",
+    "the scratch items hold again what they held before",
+    Word.MUST,
+    Level.WRITE,
+    (),
+)
+"""The result that tells whether the scratch items were restored."""

@@ -1,0 +1,147 @@
+"""`busway check`: its exit codes, its reports, and its own server, which passes every check on every transport."""
+
+import contextlib
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import busway
+from busway.testing.certificates import CertificateStore
+from busway.testing.line import PacedLine
+
+ALL = ["--level", "disruptive", "--scratch", "4x101:8,0x101:8", "--idle", "50ms", "--timeout", "10s"]
+
+
+def new_device() -> busway.Device:
+    return busway.Device(
+        holding_registers=1000,
+        coils=1000,
+        input_registers=1000,
+        discrete_inputs=1000,
+        identification={0: "busway", 1: "checked", 2: "1.0"},
+    )
+
+
+def passes_all(result: Any) -> bool:
+    """Whether a run ended with nothing but passed checks, and many of them."""
+    assert len(result.out.splitlines()) == 1, result.out
+    (last,) = result.out.splitlines()
+    count, _, rest = last.partition(" checks: ")
+    return result.code == 0 and int(count) >= 120 and rest == f"{count} pass"
+
+
+@pytest.fixture
+def checked() -> Iterator[str]:
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: new_device()}) as server:
+        yield server.endpoints[0]
+
+
+def test_our_server_passes_every_check_over_tcp(run: Callable[..., Any], checked: str) -> None:
+    assert passes_all(run("check", checked, "--unit", "1", *ALL))
+
+
+def test_our_server_passes_every_check_over_tls(run: Callable[..., Any], tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    listen = f"tls://127.0.0.1:0?{store.server().query()}"
+    with busway.serve_in_thread(listen, units={1: new_device()}) as server:
+        url = f"{server.endpoints[0].partition('?')[0]}?{store.client().query()}"
+        assert passes_all(run("check", url, "--unit", "1", *ALL))
+
+
+FRAMINGS = pytest.mark.parametrize("framing", ["rtu", "ascii"])
+
+
+@FRAMINGS
+def test_our_server_is_checked_over_a_serial_port(run: Callable[..., Any], framing: str) -> None:
+    # Only what is answered: where silence is right, a busy machine may take it from between two frames.
+    with on_a_line(framing) as ours:
+        result = run("check", ours, *ALL, "--only", "A10,A14")
+    assert result.code == 0
+    assert "fail" not in result.out
+
+
+@pytest.mark.soak
+@FRAMINGS
+def test_our_server_passes_every_check_over_a_serial_line(run: Callable[..., Any], framing: str) -> None:
+    with on_a_line(framing) as ours:
+        assert passes_all(run("check", ours, *ALL))
+
+
+@contextlib.contextmanager
+def on_a_line(framing: str) -> Iterator[str]:
+    """Our server at one end of a line with the pace of 115 200 baud; gives the URL of the other end."""
+    with PacedLine(ports=2, baud=115_200, parity="none") as line:
+        ours, device = (f"{framing}://{path}?baud=115200&parity=none&data_bits=8" for path in line.paths)
+        with busway.serve_in_thread(device, units={1: new_device()}):
+            yield ours
+
+
+def test_reading_alone_is_the_default_and_says_what_it_does(run: Callable[..., Any], checked: str) -> None:
+    result = run("check", checked, "--unit", "1", "--only", "A10")
+    assert result.code == 0
+    assert "unit 1, level read" in result.err
+    assert result.out.endswith(" pass\n")
+
+
+def test_a_must_that_does_not_hold_is_exit_code_1_until_a_baseline_has_it(
+    run: Callable[..., Any], tmp_path: Path
+) -> None:
+    last, page = tmp_path / "last.json", tmp_path / "check.md"
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=1)}) as server:
+        asked = ["check", server.endpoints[0], "--unit", "2", "--only", "A10", "--report", f"json={last},md={page}"]
+        first = run(*asked)
+        again = run(*asked, "--baseline", str(last))
+    assert (first.code, again.code) == (1, 0)
+    assert "fail     A7   probe-readable: " in first.out
+    assert json.loads(last.read_text())["counts"]["fail"] == 1
+    assert page.read_text().startswith("# Check of tcp://")
+
+
+def test_no_connection_is_exit_code_5(run: Callable[..., Any]) -> None:
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: new_device()}) as server:
+        url = server.endpoints[0]
+    assert run("check", url).code == 5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--level", "all"], ["--level", "read, diag, write, disruptive"]),
+        (["--scratch", "4x101"], ["--scratch", "4x101:8"]),
+        (["--scratch", "3x1:8"], ["--scratch", "3x1:8"]),
+        (["--scratch", "4x1:1"], ["--scratch", "2…123"]),
+        (["--scratch", "4x1:8,4x101:8"], ["--scratch", "twice"]),
+        (["--scratch", "4x65530:8"], ["--scratch", "beyond"]),
+        (["--probe", "7"], ["7"]),
+        (["--class", "basic"], ["--class", "tcp"]),
+        (["--only", "A99"], ["--only", "A99"]),
+        (["--report", "pdf=x"], ["--report", "html, junit, json, md"]),
+        (["--report", "html"], ["--report"]),
+        (["--unit", "256"], ["--unit", "0…255"]),
+    ],
+)
+def test_wrong_use_is_one_sentence_and_nothing_is_sent(
+    run: Callable[..., Any], arguments: list[str], words: list[str]
+) -> None:
+    result = run("check", "tcp://127.0.0.1:1", *arguments)
+    assert result.code == 2
+    (sentence,) = result.err.splitlines()
+    for word in words:
+        assert word in sentence
+
+
+def test_a_baseline_that_is_none_is_refused(run: Callable[..., Any], tmp_path: Path) -> None:
+    wrong = tmp_path / "last.json"
+    wrong.write_text("{")
+    result = run("check", "tcp://127.0.0.1:1", "--baseline", str(wrong))
+    assert result.code == 2
+    assert "--baseline" in result.err
+
+
+def test_udp_is_refused_with_what_can_be_checked(run: Callable[..., Any]) -> None:
+    result = run("check", "udp://127.0.0.1:1")
+    assert result.code == 2
+    assert "TCP, TLS and serial ports" in result.err
