@@ -6,7 +6,8 @@ Knows wires, frames, judgements and the clock; knows no single check.
    overlooked, and after any other failure the rest is undecided.
 2. Then checks run from safe to risky. After each, the probe is read: a device that has died ends the run.
 3. Silence is not waited for. Behind a request that must not be answered a read of the probe is sent; what comes before
-   its reply was the answer. On a serial line the read follows after ``quiet`` seconds, since two frames need a gap.
+   its reply was the answer. On a serial line the read follows after ``quiet`` seconds, since two frames need a gap;
+   there, what may be answered is waited for, since no other frame may come between.
 4. The scratch items are read before the first check that writes, written back after the last one, and read again.
 """
 
@@ -246,7 +247,12 @@ class _Conversation:
     def _followed(self, ask: Ask, unit: int, transaction: int, frame: bytes) -> Exchange:
         """Send a read of the probe behind a request that may stay unanswered, and return what came before its reply."""
         if self._target.framing != "mbap":
-            self._dialer.sleep(self._pace.quiet)
+            if ask.accepts.reply or ask.accepts.exceptions:  # the device may answer: it must not be interrupted
+                frames, rest, closed = self._received(ask.pdu[0], self._ends(transaction, frame))
+                if frames or closed:
+                    return Exchange(ask, unit, transaction, frame, tuple(frames), rest, closed)
+            else:
+                self._dialer.sleep(self._pace.quiet)
         probe = probe_of(self._target)
         number = self._next_transaction()
         marker = encode_frame(self._target.framing, self._target.unit, probe, number)
