@@ -10,8 +10,8 @@
 `words`        Short ways to write checks: what is accepted, and PDUs from numbers
 =============  =====================================================================================
 
-Where it is decided: what is sent and what is accepted: the file of the subject, such as `reads`. In which order:
-`busway.apps.check.catalogue` itself, `checks_for`. What is a basic check: `basics`.
+Where it is decided: what is sent and what is accepted: the file of the subject, such as `reads`. In which order checks
+run: here. What is a basic check: `basics`.
 """
 
 from collections.abc import Collection
