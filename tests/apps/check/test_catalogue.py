@@ -7,7 +7,7 @@ import pytest
 from checked_device import target_of
 
 from busway.apps.check.catalogue import checks_for
-from busway.apps.check.check import Level, Word
+from busway.apps.check.check import Level, Strength
 from busway.apps.check.clauses import CLAUSES
 from busway.errors import ConfigError
 
@@ -28,7 +28,7 @@ def test_clauses_are_those_of_the_documentation_and_a_must_is_one_there_too(fram
     for one in checks_for(target_of(framing), Level.DISRUPTIVE):
         assert one.clause in CLAUSES
         # A function that a device may have must be right where it has it.
-        if one.word is Word.MUST and one.function is None:
+        if one.word is Strength.MUST and one.function is None:
             assert WORDS[one.clause] == "must", one.id
 
 

@@ -29,7 +29,7 @@ class Level(IntEnum):
     """Also what may stop a device, reset its counters, or write beyond the scratch items if it is careless."""
 
 
-class Word(Enum):
+class Strength(Enum):
     """How strongly the documents ask for something."""
 
     MUST = "must"
@@ -59,7 +59,7 @@ class Facet(Enum):
     CONTENT = "content"
 
 
-class Damage(Enum):
+class FrameDamage(Enum):
     """How the frame of a request is damaged on purpose."""
 
     PROTOCOL_1 = "protocol identifier 1"
@@ -135,7 +135,7 @@ class Ask:
     accepts: Accepts
     unit: int | None = None
     transaction: int | None = None
-    damage: Damage | None = None
+    damage: FrameDamage | None = None
     pieces: tuple[int, ...] = ()
 
 
@@ -193,7 +193,7 @@ class Check:
     id: str
     clause: str
     says: str
-    word: Word
+    word: Strength
     level: Level
     steps: tuple[Step, ...]
     facet: Facet | None = None

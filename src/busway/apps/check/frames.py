@@ -20,7 +20,7 @@ from ...framing.mbap import HEAD, FrameKind, MbapReceiver, encode_mbap
 from ...framing.rtu import encode_rtu
 from ...pdu.functions import STANDARD
 from ...pdu.message import UNKNOWN_LENGTH
-from .check import Damage
+from .check import FrameDamage
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,53 +180,53 @@ def _with_crc(body: bytes) -> bytes:
 
 
 def _ascii_damaged(change: _Damager) -> _Damager:
-    """Damage the content of an ASCII frame, LRC included, and keep colon and end."""
+    """FrameDamage the content of an ASCII frame, LRC included, and keep colon and end."""
     return lambda frame: b":" + change(frame[1:-2]) + frame[-2:]
 
 
-_MBAP: Final[Mapping[Damage, _Damager]] = {
-    Damage.PROTOCOL_1: lambda frame: frame[:2] + b"\x00\x01" + frame[4:],
-    Damage.PROTOCOL_FFFF: lambda frame: frame[:2] + b"\xff\xff" + frame[4:],
-    Damage.LENGTH_0: _with_length(0),
-    Damage.LENGTH_1: _with_length(1),
-    Damage.LENGTH_255: _with_length(255),
-    Damage.LENGTH_FFFF: _with_length(0xFFFF),
-    Damage.LENGTH_SHORT: lambda frame: frame[:4] + (len(frame) - 7).to_bytes(2, "big") + frame[6:],
+_MBAP: Final[Mapping[FrameDamage, _Damager]] = {
+    FrameDamage.PROTOCOL_1: lambda frame: frame[:2] + b"\x00\x01" + frame[4:],
+    FrameDamage.PROTOCOL_FFFF: lambda frame: frame[:2] + b"\xff\xff" + frame[4:],
+    FrameDamage.LENGTH_0: _with_length(0),
+    FrameDamage.LENGTH_1: _with_length(1),
+    FrameDamage.LENGTH_255: _with_length(255),
+    FrameDamage.LENGTH_FFFF: _with_length(0xFFFF),
+    FrameDamage.LENGTH_SHORT: lambda frame: frame[:4] + (len(frame) - 7).to_bytes(2, "big") + frame[6:],
 }
-_RTU: Final[Mapping[Damage, _Damager]] = {
-    Damage.NO_END: lambda frame: frame[:-3],
-    Damage.CHECK_FLIPPED: lambda frame: frame[:-2] + bytes((frame[-2] ^ 1, frame[-1])),
-    Damage.CHECK_SWAPPED: lambda frame: frame[:-2] + frame[:-3:-1],
-    Damage.CHECK_ZERO: lambda frame: frame[:-2] + b"\x00\x00",
-    Damage.CONTENT_FLIPPED: lambda frame: frame[:2] + bytes((frame[2] ^ 0x80,)) + frame[3:],
-    Damage.NO_CHECK: lambda frame: frame[:-2],
-    Damage.TOO_LONG: lambda frame: _with_crc(frame[:-2] + bytes(RTU_ADU_LIMIT)),
-    Damage.TINY: lambda frame: frame[:3],
+_RTU: Final[Mapping[FrameDamage, _Damager]] = {
+    FrameDamage.NO_END: lambda frame: frame[:-3],
+    FrameDamage.CHECK_FLIPPED: lambda frame: frame[:-2] + bytes((frame[-2] ^ 1, frame[-1])),
+    FrameDamage.CHECK_SWAPPED: lambda frame: frame[:-2] + frame[:-3:-1],
+    FrameDamage.CHECK_ZERO: lambda frame: frame[:-2] + b"\x00\x00",
+    FrameDamage.CONTENT_FLIPPED: lambda frame: frame[:2] + bytes((frame[2] ^ 0x80,)) + frame[3:],
+    FrameDamage.NO_CHECK: lambda frame: frame[:-2],
+    FrameDamage.TOO_LONG: lambda frame: _with_crc(frame[:-2] + bytes(RTU_ADU_LIMIT)),
+    FrameDamage.TINY: lambda frame: frame[:3],
 }
-_ASCII: Final[Mapping[Damage, _Damager]] = {
-    Damage.NO_END: lambda frame: frame[:-2],
-    Damage.CHECK_FLIPPED: _ascii_damaged(lambda text: text[:-1] + b"%X" % (int(text[-1:], 16) ^ 1)),
-    Damage.CHECK_ZERO: _ascii_damaged(lambda text: text[:-2] + b"00"),
-    Damage.CONTENT_FLIPPED: _ascii_damaged(lambda text: text[:5] + b"%X" % (int(text[5:6], 16) ^ 1) + text[6:]),
-    Damage.NO_CHECK: _ascii_damaged(lambda text: text[:-2]),
-    Damage.TOO_LONG: _ascii_damaged(lambda text: text + b"0" * ASCII_ADU_LIMIT),
-    Damage.TINY: lambda frame: b":FF\r\n",
-    Damage.NOT_HEX: _ascii_damaged(lambda text: text[:-3] + b"G" + text[-2:]),
-    Damage.ODD_DIGITS: _ascii_damaged(lambda text: text[:-1]),
-    Damage.NO_COLON: lambda frame: frame[1:],
-    Damage.NO_CR: lambda frame: frame[:-2] + b"\n",
-    Damage.RESTARTED: lambda frame: frame[:7] + frame,
-    Damage.JUNK_BEFORE: lambda frame: b"0123\r\nXYZ" + frame,
-    Damage.LOWER_CASE: lambda frame: frame.lower(),
+_ASCII: Final[Mapping[FrameDamage, _Damager]] = {
+    FrameDamage.NO_END: lambda frame: frame[:-2],
+    FrameDamage.CHECK_FLIPPED: _ascii_damaged(lambda text: text[:-1] + b"%X" % (int(text[-1:], 16) ^ 1)),
+    FrameDamage.CHECK_ZERO: _ascii_damaged(lambda text: text[:-2] + b"00"),
+    FrameDamage.CONTENT_FLIPPED: _ascii_damaged(lambda text: text[:5] + b"%X" % (int(text[5:6], 16) ^ 1) + text[6:]),
+    FrameDamage.NO_CHECK: _ascii_damaged(lambda text: text[:-2]),
+    FrameDamage.TOO_LONG: _ascii_damaged(lambda text: text + b"0" * ASCII_ADU_LIMIT),
+    FrameDamage.TINY: lambda frame: b":FF\r\n",
+    FrameDamage.NOT_HEX: _ascii_damaged(lambda text: text[:-3] + b"G" + text[-2:]),
+    FrameDamage.ODD_DIGITS: _ascii_damaged(lambda text: text[:-1]),
+    FrameDamage.NO_COLON: lambda frame: frame[1:],
+    FrameDamage.NO_CR: lambda frame: frame[:-2] + b"\n",
+    FrameDamage.RESTARTED: lambda frame: frame[:7] + frame,
+    FrameDamage.JUNK_BEFORE: lambda frame: b"0123\r\nXYZ" + frame,
+    FrameDamage.LOWER_CASE: lambda frame: frame.lower(),
 }
 
 
-def damages_of(framing: str) -> Mapping[Damage, _Damager]:
+def damages_of(framing: str) -> Mapping[FrameDamage, _Damager]:
     """Return what can be damaged in a frame of this framing."""
     return {"mbap": _MBAP, "rtu": _RTU, "ascii": _ASCII}[framing]
 
 
-def encode_frame(framing: str, unit: int, pdu: bytes, transaction: int, damage: Damage | None = None) -> bytes:
+def encode_frame(framing: str, unit: int, pdu: bytes, transaction: int, damage: FrameDamage | None = None) -> bytes:
     """Return the frame of a PDU, damaged if that is asked for."""
     if framing == "mbap":
         frame = encode_mbap(transaction, unit, pdu)

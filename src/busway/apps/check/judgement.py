@@ -21,7 +21,7 @@ _NO_MATTER = (0, 255)
 
 
 @dataclass(frozen=True, slots=True)
-class Exchange:
+class CheckedExchange:
     """What was sent for one request, and what came back before the time was over.
 
     Attributes:
@@ -45,37 +45,37 @@ class Exchange:
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class Finding:
     """One facet of an exchange that is wrong, and how."""
 
     facet: Facet
     words: str
 
 
-def judge(exchange: Exchange, *, framing: str) -> list[Fault]:
+def judge(exchange: CheckedExchange, *, framing: str) -> list[Finding]:
     """Return what is wrong with an exchange; an empty list if all of it is accepted."""
     accepts = exchange.ask.accepts
     if exchange.is_deaf:
-        return [Fault(Facet.ANSWERED, "the read behind the request was not answered")]
+        return [Finding(Facet.ANSWERED, "the read behind the request was not answered")]
     frames, faults = _without_strangers(exchange, framing)
     if not frames:
         return faults or _nothing_came(exchange, accepts)
     frame = frames[0]
     if frame.protocol:
-        faults.append(Fault(Facet.PROTOCOL, f"the protocol identifier of the reply is {frame.protocol}, not 0"))
+        faults.append(Finding(Facet.PROTOCOL, f"the protocol identifier of the reply is {frame.protocol}, not 0"))
     asked_any = framing == "mbap" and exchange.unit in _NO_MATTER
     if frame.unit != exchange.unit and not asked_any:
-        faults.append(Fault(Facet.UNIT, f"unit {frame.unit} answers where unit {exchange.unit} was asked"))
+        faults.append(Finding(Facet.UNIT, f"unit {frame.unit} answers where unit {exchange.unit} was asked"))
     return faults + _of_pdu(exchange.ask.pdu, frame.pdu, accepts)
 
 
-def is_refused_function(exchange: Exchange) -> bool:
+def is_refused_function(exchange: CheckedExchange) -> bool:
     """Whether the device answered that it has not this function, exception 01."""
     own = [one for one in exchange.frames if one.transaction in (0, exchange.transaction)]
     return bool(own) and own[0].pdu == bytes((exchange.ask.pdu[0] | 0x80, 1))
 
 
-def _without_strangers(exchange: Exchange, framing: str) -> tuple[Sequence[Frame], list[Fault]]:
+def _without_strangers(exchange: CheckedExchange, framing: str) -> tuple[Sequence[Frame], list[Finding]]:
     """Return the frames that can be the reply, and faults for what else came."""
     faults = []
     frames = list(exchange.frames)
@@ -83,50 +83,50 @@ def _without_strangers(exchange: Exchange, framing: str) -> tuple[Sequence[Frame
         strange = [one for one in frames if one.transaction != exchange.transaction]
         if strange:
             words = f"a reply has the transaction identifier {strange[0].transaction}, not {exchange.transaction}"
-            faults.append(Fault(Facet.TRANSACTION, words))
+            faults.append(Finding(Facet.TRANSACTION, words))
         frames = [one for one in frames if one.transaction == exchange.transaction]
     elif len(frames) > 1 and exchange.sent.endswith(frames[0].raw):
-        faults.append(Fault(Facet.CLEAN, "the bytes of the request came back before the reply"))
+        faults.append(Finding(Facet.CLEAN, "the bytes of the request came back before the reply"))
         frames = frames[1:]
     if exchange.rest and frames:
-        faults.append(Fault(Facet.CLEAN, f"{len(exchange.rest)} bytes came that are in no frame"))
+        faults.append(Finding(Facet.CLEAN, f"{len(exchange.rest)} bytes came that are in no frame"))
     elif len(frames) > 1:
-        faults.append(Fault(Facet.CLEAN, f"{len(frames)} replies came to one request"))
+        faults.append(Finding(Facet.CLEAN, f"{len(frames)} replies came to one request"))
     return frames, faults
 
 
-def _nothing_came(exchange: Exchange, accepts: Accepts) -> list[Fault]:
+def _nothing_came(exchange: CheckedExchange, accepts: Accepts) -> list[Finding]:
     if exchange.closed:
         if accepts.closed:
             return []
-        return [Fault(Facet.ANSWERED, f"the device closed the connection, where {accepts} is right")]
+        return [Finding(Facet.ANSWERED, f"the device closed the connection, where {accepts} is right")]
     if exchange.rest:
-        return [Fault(Facet.FORM, f"{len(exchange.rest)} bytes came, which are no whole frame")]
-    return [] if accepts.silence else [Fault(Facet.ANSWERED, f"no reply came in time, where {accepts} is right")]
+        return [Finding(Facet.FORM, f"{len(exchange.rest)} bytes came, which are no whole frame")]
+    return [] if accepts.silence else [Finding(Facet.ANSWERED, f"no reply came in time, where {accepts} is right")]
 
 
-def _of_pdu(asked: bytes, pdu: bytes, accepts: Accepts) -> list[Fault]:
+def _of_pdu(asked: bytes, pdu: bytes, accepts: Accepts) -> list[Finding]:
     if asked[0] < 0x80 and pdu[0] & 0x7F != asked[0]:
-        return [Fault(Facet.FORM, f"the reply has function code {pdu[0]:02X}, where {asked[0]:02X} was asked")]
+        return [Finding(Facet.FORM, f"the reply has function code {pdu[0]:02X}, where {asked[0]:02X} was asked")]
     if pdu[0] & 0x80:
         return _of_exception(pdu, accepts)
     if not accepts.reply:
-        return [Fault(Facet.CONTENT, f"the request was executed, where {accepts} is right")]
+        return [Finding(Facet.CONTENT, f"the request was executed, where {accepts} is right")]
     wrong = _wrong_form(asked, pdu)
     if wrong:
-        return [Fault(Facet.FORM, wrong)]
+        return [Finding(Facet.FORM, wrong)]
     if accepts.exact is not None and pdu != accepts.exact:
-        return [Fault(Facet.CONTENT, f"the reply is {pdu.hex(' ')}, where {accepts.exact.hex(' ')} is right")]
+        return [Finding(Facet.CONTENT, f"the reply is {pdu.hex(' ')}, where {accepts.exact.hex(' ')} is right")]
     wrong = accepts.wrong_with(pdu) if accepts.wrong_with is not None else ""
-    return [Fault(Facet.CONTENT, wrong)] if wrong else []
+    return [Finding(Facet.CONTENT, wrong)] if wrong else []
 
 
-def _of_exception(pdu: bytes, accepts: Accepts) -> list[Fault]:
+def _of_exception(pdu: bytes, accepts: Accepts) -> list[Finding]:
     if len(pdu) != 2:
-        return [Fault(Facet.FORM, f"the exception reply has {len(pdu)} bytes, not 2")]
+        return [Finding(Facet.FORM, f"the exception reply has {len(pdu)} bytes, not 2")]
     if pdu[1] in accepts.exceptions:
         return []
-    return [Fault(Facet.CONTENT, f"exception {pdu[1]:02X} came, where {accepts} is right")]
+    return [Finding(Facet.CONTENT, f"exception {pdu[1]:02X} came, where {accepts} is right")]
 
 
 def _wrong_form(asked: bytes, pdu: bytes) -> str:

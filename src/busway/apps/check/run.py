@@ -26,9 +26,9 @@ from .check import (
     BesideIt,
     Check,
     CutOff,
-    Damage,
     Evidence,
     Facet,
+    FrameDamage,
     Idle,
     Items,
     Level,
@@ -36,12 +36,12 @@ from .check import (
     Reopen,
     Result,
     Step,
+    Strength,
     Target,
     Together,
-    Word,
 )
 from .frames import Frame, encode_frame, new_search
-from .judgement import Exchange, Fault, is_refused_function, judge
+from .judgement import CheckedExchange, Finding, is_refused_function, judge
 from .wire import Dialer, Wire
 
 _OVERLOOKED: Final = frozenset({Facet.UNIT, Facet.PROTOCOL})
@@ -143,22 +143,22 @@ class _Conversation:
 
     # Asking.
 
-    def ask(self, ask: Ask) -> Exchange:
+    def ask(self, ask: Ask) -> CheckedExchange:
         """Send one request and return what came back. Raises `LinkDown` if no connection can be made."""
         self.open()
         unit = self._target.unit if ask.unit is None else ask.unit
         transaction = self._next_transaction() if ask.transaction is None else ask.transaction
         frame = encode_frame(self._target.framing, unit, ask.pdu, transaction, ask.damage)
         if not self._sent(frame, ask.pieces):
-            return Exchange(ask, unit, transaction, frame, (), closed=True)
+            return CheckedExchange(ask, unit, transaction, frame, (), closed=True)
         if ask.accepts.silence:
             return self._followed(ask, unit, transaction, frame)
         frames, rest, closed = self._received(ask.pdu[0], self._ends(transaction, frame))
         if len(frames) > 1 and frame.endswith(frames[0].raw) and not _is_echo_alike(frames):
             self._has_echo = True
-        return Exchange(ask, unit, transaction, frame, tuple(frames), rest, closed)
+        return CheckedExchange(ask, unit, transaction, frame, tuple(frames), rest, closed)
 
-    def ask_together(self, pdus: Sequence[bytes]) -> list[Exchange]:
+    def ask_together(self, pdus: Sequence[bytes]) -> list[CheckedExchange]:
         """Send several requests in one write, and return the exchange of each."""
         self.open()
         numbered = [(self._next_transaction(), pdu) for pdu in pdus]
@@ -176,7 +176,7 @@ class _Conversation:
         exchanges = []
         for (number, pdu), frame in zip(numbered, frames, strict=True):
             own = tuple(one for one in came if one.transaction == number)
-            exchanges.append(Exchange(Ask(pdu, accepts), self._target.unit, number, frame, own, b"", closed))
+            exchanges.append(CheckedExchange(Ask(pdu, accepts), self._target.unit, number, frame, own, b"", closed))
         if rest:
             exchanges[-1] = replace(exchanges[-1], rest=rest)
         return exchanges
@@ -244,13 +244,13 @@ class _Conversation:
             self._evidence.append(Evidence(False, rest, "bytes that are in no frame"))
         return frames, rest, False
 
-    def _followed(self, ask: Ask, unit: int, transaction: int, frame: bytes) -> Exchange:
+    def _followed(self, ask: Ask, unit: int, transaction: int, frame: bytes) -> CheckedExchange:
         """Send a read of the probe behind a request that may stay unanswered, and return what came before its reply."""
         if self._target.framing != "mbap":
             if ask.accepts.reply or ask.accepts.exceptions:  # the device may answer: it must not be interrupted
                 frames, rest, closed = self._received(ask.pdu[0], self._ends(transaction, frame))
                 if frames or closed:
-                    return Exchange(ask, unit, transaction, frame, tuple(frames), rest, closed)
+                    return CheckedExchange(ask, unit, transaction, frame, tuple(frames), rest, closed)
             else:
                 self._dialer.sleep(self._pace.quiet)
         probe = probe_of(self._target)
@@ -261,7 +261,7 @@ class _Conversation:
         found: list[Frame] = []
         if early is None:
             self._lost()
-            return Exchange(ask, unit, transaction, frame, (), closed=True)
+            return CheckedExchange(ask, unit, transaction, frame, (), closed=True)
         if early:
             found = self._search.receive(early, ask.pdu[0])
             for one in found:
@@ -271,8 +271,8 @@ class _Conversation:
             self._wire.send(marker)
         except LinkDown:
             self._lost()
-            return Exchange(ask, unit, transaction, frame, tuple(found), closed=True)
-        asked = Exchange(Ask(probe, Accepts(reply=True)), self._target.unit, number, marker, ())
+            return CheckedExchange(ask, unit, transaction, frame, tuple(found), closed=True)
+        asked = CheckedExchange(Ask(probe, Accepts(reply=True)), self._target.unit, number, marker, ())
 
         def is_markers(one: Frame) -> bool:
             if self._target.framing == "mbap":
@@ -284,12 +284,12 @@ class _Conversation:
         came = (*found, *frames)
         is_deaf = not closed and self._must_hear_on(ask) and not any(is_markers(one) for one in came)
         before = tuple(one for one in came if not is_markers(one) and one.raw not in (frame, marker))
-        return Exchange(ask, unit, transaction, frame, before, b"", closed, is_deaf)
+        return CheckedExchange(ask, unit, transaction, frame, before, b"", closed, is_deaf)
 
     def _must_hear_on(self, ask: Ask) -> bool:
         """Whether the read behind a request must be answered: its frame and its end are clear."""
         if self._target.framing == "mbap":
-            return ask.damage in (None, Damage.PROTOCOL_1, Damage.PROTOCOL_FFFF)
+            return ask.damage in (None, FrameDamage.PROTOCOL_1, FrameDamage.PROTOCOL_FFFF)
         return ask.damage is None and ask.pdu[0] in STANDARD
 
 
@@ -420,9 +420,9 @@ class CheckRun:
                     return outcome
         return Outcome.PASSED, ""
 
-    def _outcome(self, check: Check, faults: Sequence[Fault]) -> tuple[Outcome, str] | None:
+    def _outcome(self, check: Check, faults: Sequence[Finding]) -> tuple[Outcome, str] | None:
         """Return what faults mean for a check; None if it goes on."""
-        failure = Outcome.FAILED if check.word is Word.MUST else Outcome.WARNED
+        failure = Outcome.FAILED if check.word is Strength.MUST else Outcome.WARNED
         if check.facet is not None:
             for fault in faults:
                 if fault.facet is check.facet:
@@ -433,7 +433,7 @@ class CheckRun:
                 return failure, fault.words
         return None
 
-    def _taken(self, step: Step) -> Iterator[Exchange]:
+    def _taken(self, step: Step) -> Iterator[CheckedExchange]:
         """Take one step, and yield the exchanges to be judged."""
         talk = self._talk
         match step:
@@ -450,14 +450,14 @@ class CheckRun:
             case BesideIt(ask):
                 yield self._asked_beside(ask)
 
-    def _asked_beside(self, ask: Ask) -> Exchange:
+    def _asked_beside(self, ask: Ask) -> CheckedExchange:
         """Ask over a second connection, while the first stays open."""
         self._talk.open()
         second = self._talk.second()
         try:
             return second.ask(ask)
         except LinkDown:
-            return Exchange(ask, self._target.unit, 0, b"", (), closed=True)
+            return CheckedExchange(ask, self._target.unit, 0, b"", (), closed=True)
         finally:
             second.close()
             self._talk.add_evidence(second.take_evidence())
@@ -474,7 +474,7 @@ class CheckRun:
             exchange = self._talk.ask(Ask(probe_of(self._target), Accepts(reply=True)))
             if exchange.frames:
                 if attempt and outcome is Outcome.PASSED and not expects_close:
-                    failure = Outcome.FAILED if check.word is Word.MUST else Outcome.WARNED
+                    failure = Outcome.FAILED if check.word is Strength.MUST else Outcome.WARNED
                     return failure, "afterwards the device did not answer the probe at first"
                 return outcome, reason
             self._talk.reopen()
@@ -544,7 +544,7 @@ RESTORED: Final = Check(
     "scratch-restored",
     "A4",
     "the scratch items hold again what they held before",
-    Word.MUST,
+    Strength.MUST,
     Level.WRITE,
     (),
 )

@@ -5,30 +5,33 @@ answered, so that their replies cannot be taken for that to the read behind them
 """
 
 from ....codes import BROADCAST_UNIT
-from ..check import Accepts, Ask, Check, Damage, Level, Target, Word
+from ..check import Accepts, Ask, Check, FrameDamage, Level, Strength, Target
 from ..frames import damages_of
 from .words import REPLY, SHOULD, SILENCE, check
 
 _DAMAGES = {
-    Damage.CHECK_FLIPPED: ("check-flipped", "S9", Word.MUST),
-    Damage.CHECK_SWAPPED: ("check-swapped", "S9", Word.MUST),
-    Damage.CHECK_ZERO: ("check-zero", "S9", Word.MUST),
-    Damage.CONTENT_FLIPPED: ("content-flipped", "S6", Word.MUST),
-    Damage.NO_CHECK: ("no-check", "S9", Word.MUST),
-    Damage.NO_END: ("no-end", "S8", Word.MUST),
-    Damage.TINY: ("tiny", "S6", Word.MUST),
-    Damage.NOT_HEX: ("not-hex", "S12", Word.MUST),
-    Damage.ODD_DIGITS: ("odd-digits", "S12", Word.MUST),
-    Damage.NO_COLON: ("no-colon", "S12", Word.MUST),
-    Damage.NO_CR: ("no-cr", "S12", Word.SHOULD),
-    Damage.TOO_LONG: ("too-long", "S8", Word.MUST),
+    FrameDamage.CHECK_FLIPPED: ("check-flipped", "S9", Strength.MUST),
+    FrameDamage.CHECK_SWAPPED: ("check-swapped", "S9", Strength.MUST),
+    FrameDamage.CHECK_ZERO: ("check-zero", "S9", Strength.MUST),
+    FrameDamage.CONTENT_FLIPPED: ("content-flipped", "S6", Strength.MUST),
+    FrameDamage.NO_CHECK: ("no-check", "S9", Strength.MUST),
+    FrameDamage.NO_END: ("no-end", "S8", Strength.MUST),
+    FrameDamage.TINY: ("tiny", "S6", Strength.MUST),
+    FrameDamage.NOT_HEX: ("not-hex", "S12", Strength.MUST),
+    FrameDamage.ODD_DIGITS: ("odd-digits", "S12", Strength.MUST),
+    FrameDamage.NO_COLON: ("no-colon", "S12", Strength.MUST),
+    FrameDamage.NO_CR: ("no-cr", "S12", Strength.SHOULD),
+    FrameDamage.TOO_LONG: ("too-long", "S8", Strength.MUST),
 }
 """Damages after which a frame must not be answered: name, clause, word."""
 _ASCII_CLAUSES = {"S9": "S13", "S8": "S12"}
 _HEALED = {
-    Damage.RESTARTED: ("restarted", "takes the frame that a second colon begins", Word.MUST),
-    Damage.JUNK_BEFORE: ("junk-before", "takes a frame behind characters of no frame", Word.MUST),
+    FrameDamage.RESTARTED: ("restarted", "takes the frame that a second colon begins", Strength.MUST),
+    FrameDamage.JUNK_BEFORE: ("junk-before", "takes a frame behind characters of no frame", Strength.MUST),
 }
+
+
+_ANY_WAY = Accepts(reply=True, exceptions=frozenset({2}), silence=True)
 
 
 def line_checks(target: Target, probe: bytes, longer: bytes) -> list[Check]:
@@ -110,7 +113,9 @@ def line_checks(target: Target, probe: bytes, longer: bytes) -> list[Check]:
                 "lower-case",
                 "S12",
                 "takes no digits in lower case, or takes them all",
-                Ask(longer, Accepts(reply=True, exceptions=frozenset({2}), silence=True), damage=Damage.LOWER_CASE),
+                Ask(
+                    longer, Accepts(reply=True, exceptions=frozenset({2}), silence=True), damage=FrameDamage.LOWER_CASE
+                ),
                 ask,
                 level=Level.DIAG,
                 strength=SHOULD,

@@ -5,7 +5,7 @@ Knows headers and connections; the requests inside are reads of the probe.
 
 from typing import Final
 
-from ..check import Accepts, Ask, BesideIt, Check, CutOff, Damage, Idle, Level, Reopen, Target, Together
+from ..check import Accepts, Ask, BesideIt, Check, CutOff, FrameDamage, Idle, Level, Reopen, Target, Together
 from .words import REPLY, SHOULD, check
 
 _CLOSED_OR_SILENT: Final = Accepts(silence=True, closed=True)
@@ -89,10 +89,10 @@ def stream_checks(target: Target, probe: bytes) -> list[Check]:
         ),
         check("idle", "T7", "keeps a connection open between requests", Reopen(), ask, Idle(), ask, strength=SHOULD),
     ]
-    for damage in (Damage.PROTOCOL_1, Damage.PROTOCOL_FFFF):
+    for damage in (FrameDamage.PROTOCOL_1, FrameDamage.PROTOCOL_FFFF):
         checks.append(
             check(
-                f"protocol-{'1' if damage is Damage.PROTOCOL_1 else 'ffff'}",
+                f"protocol-{'1' if damage is FrameDamage.PROTOCOL_1 else 'ffff'}",
                 "T28",
                 f"discards a request with {damage.value}",
                 Ask(probe, _CLOSED_OR_SILENT, damage=damage),
@@ -100,10 +100,10 @@ def stream_checks(target: Target, probe: bytes) -> list[Check]:
             )
         )
     for name, damage in (
-        ("0", Damage.LENGTH_0),
-        ("1", Damage.LENGTH_1),
-        ("255", Damage.LENGTH_255),
-        ("ffff", Damage.LENGTH_FFFF),
+        ("0", FrameDamage.LENGTH_0),
+        ("1", FrameDamage.LENGTH_1),
+        ("255", FrameDamage.LENGTH_255),
+        ("ffff", FrameDamage.LENGTH_FFFF),
     ):
         checks.append(
             check(
@@ -119,7 +119,7 @@ def stream_checks(target: Target, probe: bytes) -> list[Check]:
             "length-short",
             "T28",
             "does not execute a frame whose length leaves out its last byte",
-            Ask(probe, Accepts(exceptions=frozenset({3}), silence=True, closed=True), damage=Damage.LENGTH_SHORT),
+            Ask(probe, Accepts(exceptions=frozenset({3}), silence=True, closed=True), damage=FrameDamage.LENGTH_SHORT),
             Reopen(),
             ask,
             level=Level.DIAG,

@@ -5,10 +5,10 @@ Knows the form of checks; knows no check.
 
 from typing import Final
 
-from ..check import Accepts, Check, Facet, Level, Step, Word
+from ..check import Accepts, Check, Facet, Level, Step, Strength
 
-MUST: Final = Word.MUST
-SHOULD: Final = Word.SHOULD
+MUST: Final = Strength.MUST
+SHOULD: Final = Strength.SHOULD
 REPLY: Final = Accepts(reply=True)
 SILENCE: Final = Accepts(silence=True)
 
@@ -43,7 +43,7 @@ def check(
     clause: str,
     says: str,
     *steps: Step,
-    strength: Word = MUST,
+    strength: Strength = MUST,
     level: Level = Level.READ,
     facet: Facet | None = None,
     function: int | None = None,
