@@ -14,7 +14,10 @@ class FrameWorker extends EventTarget {
       this.window.document.open();
       this.window.document.write("<!doctype html><body></body>");
       this.window.document.close();
-      this.window.postMessage = (data) => setTimeout(() => this.deliver(data));
+      this.window.postMessage = (data) => {
+        const copy = structuredClone(data); // as between a worker and its page: neither sees what the other changes
+        setTimeout(() => this.deliver(copy));
+      };
       this.window.importScripts = (...names) =>
         names.reduce((before, name) => before.then(() => this.load(name)), Promise.resolve());
       this.load(url).then(resolve);
@@ -38,7 +41,8 @@ class FrameWorker extends EventTarget {
   }
 
   postMessage(data) {
-    this.ready.then(() => this.window.dispatchEvent(new MessageEvent("message", { data })));
+    const copy = structuredClone(data);
+    this.ready.then(() => this.window.dispatchEvent(new MessageEvent("message", { data: copy })));
   }
 
   terminate() {
