@@ -131,7 +131,7 @@ def test_a_defect_of_upkeep_that_says_nothing_is_told_by_its_name(
 ) -> None:
     monkeypatch.setattr(commit_thread, "UPKEEP", 0.01)
 
-    def seal_closed(writer: StoreWriter) -> int:
+    def seal_closed(writer: StoreWriter, most: int | None = None) -> int:
         raise AssertionError
 
     with monkeypatch.context() as patched:
@@ -305,3 +305,26 @@ def test_names_change_in_their_place_after_a_disk_was_full(tmp_path: Path) -> No
     committer.close()
     assert len(Store(tmp_path).read("pump-1/rpm")) == 401
     assert [point.point for point in Store(tmp_path).points()] == ["rpm"]
+
+
+def test_an_error_of_upkeep_is_over_with_the_first_segment_that_is_sealed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(commit_thread, "UPKEEP", 0.001)
+    writer = StoreWriter(tmp_path, now=NOON)
+    told: list[str | None] = []
+    is_made = threading.Event()
+
+    def seal_closed(most: int | None = None) -> int:
+        assert is_made.wait(60)
+        told.append(committer.status().upkeep_error)
+        if len(told) == 1:
+            raise OSError("no room")
+        return int(len(told) < 4)
+
+    monkeypatch.setattr(writer, "seal_closed", seal_closed)
+    committer = Committer(writer, now=lambda: NOON)
+    is_made.set()
+    wait_until(lambda: len(told) >= 4)
+    committer.close()
+    assert told[:4] == [None, "no room", None, None]

@@ -443,7 +443,8 @@ class Committer:
         while not self._ended.wait(UPKEEP):
             try:
                 self.writer.apply_retention(self._now())
-                self.writer.seal_closed()
+                while self.writer.seal_closed(most=1):
+                    self._upkeep_error = None  # what was wrong is over, however many segments wait
             except Exception as error:  # also what pyarrow raises: collecting goes on, and it is tried again
                 if self._upkeep_error is None:
                     _log.exception("parts of the store could not be sealed or dropped")

@@ -335,16 +335,17 @@ class StoreWriter:
 
     # Upkeep, in another thread
 
-    def seal_closed(self) -> int:
-        """Turn finished segment files into Parquet; returns how many there were. Without pyarrow they stay."""
+    def seal_closed(self, most: int | None = None) -> int:
+        """Turn finished segment files into Parquet, ``most`` at most; returns how many. Without pyarrow they stay."""
         if not self.options.seals or not can_seal():
             return 0
         with self._files:
             parts = self.manifest.parts()
             closed = [part for part in parts if part.kind == "closed" and not self._is_to_be_mended(part)]
-            for part in closed:
+            wanted = closed[:most]
+            for part in wanted:
                 seal(self.folder, self.manifest, part, self._step)
-            return len(closed)
+            return len(wanted)
 
     def apply_retention(self, now: int) -> list[StorePart]:
         """Delete the files that are too old or too many, and return them."""
