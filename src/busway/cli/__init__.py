@@ -17,6 +17,7 @@
 `fleet`           `busway fleet`: several collectors share the links of a plant, as a coordinator says
 `fleet_demo`      `busway fleet demo`: a plant of 200 devices, three collectors that share it, and one of them is killed
 `fleet_sinks`     `busway fleet run --stream` and `busway fleet sink`: samples of a zone through a stream of NATS
+`fleet_write`     ``busway fleet write``: writes a value to a point of a zone by the collector that owns its link
 `gateway`         `busway gateway`: forwards client requests to serial lines or other servers, until Ctrl-C or SIGTERM
 `identify`        `busway identify`: shows how a device identifies itself
 `output`          How commands print values on stdout: a table on a terminal, aligned lines elsewhere

@@ -4,8 +4,9 @@
 2. ``run`` is one collector of the zone; its configuration is the coordinator's, and followed while it runs.
 3. ``run --stream`` sends samples into a stream, from which ``sink`` takes them (`fleet_sinks`).
 4. ``demo`` starts a plant, a nats-server and three collectors of its own (`fleet_demo`).
-5. ``status`` asks the coordinator alone: it also shows a zone none of whose collectors lives.
-6. ``restore`` is for a coordinator that has lost its entries, or has older ones; not while a collector lives.
+5. ``write`` asks the collector that owns a link to write a value to a point (`fleet_write`).
+6. ``status`` asks the coordinator alone: it also shows a zone none of whose collectors lives.
+7. ``restore`` is for a coordinator that has lost its entries, or has older ones; not while a collector lives.
 """
 
 import asyncio
@@ -21,10 +22,11 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError, ModbusError
-from .arguments import JSON, VERBOSE, seconds, show_traffic, whole_number
+from .arguments import JSON, QUIET, VERBOSE, seconds, show_traffic, whole_number
 from .collect_status import open_page, print_status
 from .exits import ExitCode
 from .fleet_sinks import open_stream, print_stream_status, run_sink
+from .fleet_write import write_point
 from .output import print_aligned, print_json, say, warn
 from .signals import stop_event
 
@@ -42,6 +44,7 @@ Examples:
   busway fleet run --stream --coordinator nats://10.0.0.7 --zone hall --name east --store /var/lib/busway/east
   busway fleet sink broker --coordinator nats://10.0.0.7 --zone hall
   busway fleet status --coordinator nats://10.0.0.7 --zone hall
+  busway fleet write meter-7 setpoint 20 --key order-4711 --coordinator nats://10.0.0.7 --zone hall
   busway fleet drain west --coordinator nats://10.0.0.7 --zone hall
   busway fleet drain west --undo --coordinator nats://10.0.0.7 --zone hall
   busway fleet restore --coordinator nats://10.0.0.7 --zone hall
@@ -49,7 +52,8 @@ Examples:
 The coordinator may also be local:FOLDER (one machine) or postgresql://user@host/database; BUSWAY_FLEET_PASSWORD holds
 the password of --user, BUSWAY_FLEET the coordinator.
 """
-ACTIONS = ("demo", "apply", "run", "sink", "status", "drain", "restore")
+ACTIONS = {"demo": 1, "apply": 2, "run": 1, "sink": 2, "write": 4, "status": 1, "drain": 2, "restore": 1}
+"""Words of each action, with the action itself."""
 LOOK = 4.0
 """Seconds after which a collector that has not renewed its entry is shown as silent: it renews every three."""
 
@@ -57,8 +61,8 @@ LOOK = 4.0
 def fleet(
     words: list[str] = typer.Argument(
         ...,
-        metavar="demo|apply FILE|run|sink NAME|status|drain NAME|restore",
-        help="A collector file, or the name of a sink of it, or of a collector.",
+        metavar="demo|apply FILE|run|sink NAME|write DEVICE POINT VALUE|status|drain NAME|restore",
+        help="A collector file, or the name of a sink of it, or of a collector; or a value for a point.",
     ),
     coordinator: str | None = typer.Option(
         None, "--coordinator", metavar="URL", help="nats://host:4222, local:FOLDER."
@@ -72,19 +76,23 @@ def fleet(
     ca: str | None = typer.Option(None, "--ca", metavar="FILE", help="Certificates to check the coordinator by."),
     replicas: str = typer.Option("1", "--replicas", metavar="N", help="Servers that must keep each entry: 1."),
     stream: bool = typer.Option(False, "--stream", help="run: send samples into a stream, for sinks (NATS)."),
+    key: str | None = typer.Option(None, "--key", metavar="KEY", help="write: sent once for each key; a new one."),
+    by: str | None = typer.Option(None, "--by", metavar="NAME", help="write: who writes; the account."),
+    within: str = typer.Option("30s", "--within", metavar="TIME", help="write: send it by then, or never: 30s."),
     undo: bool = typer.Option(False, "--undo", help="drain: let the collector take part again."),
     lasts: str | None = typer.Option(None, "--for", metavar="TIME", help="demo: end after this time: 2m."),
     status_every: str = typer.Option(
         "60s", "--status-every", metavar="TIME", help="run, sink: print a status so often."
     ),
     as_json: bool = JSON,
+    quiet: bool = QUIET,
     verbose: int = VERBOSE,
 ) -> int:
     """Share the links of a plant among several collectors."""
     from ..apps.fleet.coordinators import open_coordinator
     from ..apps.fleet.coordinators.opening import CoordinatorOptions
 
-    action, about = _action(words)
+    action, *about = _action(words)
     if lasts is not None and action != "demo":
         raise ConfigError("is for demo", key="--for")
     if action == "demo":
@@ -98,6 +106,8 @@ def fleet(
         raise ConfigError("is for run", key="--stream")
     if (name or folder) and action != "run":
         raise ConfigError("is for run", key="--name" if name else "--store")
+    if (key or by) and action != "write":
+        raise ConfigError("is for write", key="--key" if key else "--by")
     options = CoordinatorOptions(
         user=user,
         password=os.environ.get("BUSWAY_FLEET_PASSWORD"),
@@ -107,9 +117,10 @@ def fleet(
     )
     count = whole_number(shards, "--shards", 1, 1024)
     every = seconds(status_every, "--status-every", low=0.1)
+    limit = seconds(within, "--within")
     show_traffic(verbose)
     works: dict[str, Any] = {
-        "apply": lambda table: _apply(table, about),
+        "apply": lambda table: _apply(table, about[0]),
         "run": lambda table: _run(
             table,
             name,
@@ -122,26 +133,26 @@ def fleet(
             options.replicas,
             as_json=as_json,
         ),
-        "sink": lambda table: run_sink(table, zone, about, options.replicas, every, as_json=as_json),
+        "sink": lambda table: run_sink(table, zone, about[0], options.replicas, every, as_json=as_json),
+        "write": lambda table: write_point(table, zone, about, key=key, by=by, seconds=limit, as_json=as_json),
         "status": lambda table: _show_status(table, zone, as_json=as_json),
-        "drain": lambda table: _drain(table, about, undo=undo),
+        "drain": lambda table: _drain(table, about[0], undo=undo),
         "restore": _restore,
     }
     from ..server.loops import run
 
-    run(_with_coordinator(url, zone, options, works[action]))
-    return ExitCode.DONE
+    return run(_with_coordinator(url, zone, options, works[action])) or ExitCode.DONE
 
 
-def _action(words: list[str]) -> tuple[str, str]:
-    """Return what to do, and the file or collector that it is about."""
-    needs = 2 if words[0] in ("apply", "sink", "drain") else 1
-    if words[0] not in ACTIONS or len(words) != needs:
+def _action(words: list[str]) -> list[str]:
+    """Return what to do, and the words that it is about: a file, a name, or device, point and value."""
+    if len(words) != ACTIONS.get(words[0]):
         raise ConfigError(
-            f"must be demo, apply FILE, run, sink NAME, status, drain NAME or restore, not {' '.join(words)}",
+            "must be demo, apply FILE, run, sink NAME, write DEVICE POINT VALUE, status, drain NAME or restore, "
+            f"not {' '.join(words)}",
             key="ACTION",
         )
-    return words[0], words[-1]
+    return words
 
 
 def _demo(limit: float, verbose: int) -> int:
@@ -153,13 +164,14 @@ def _demo(limit: float, verbose: int) -> int:
     return ExitCode.DONE
 
 
-async def _with_coordinator(url: str, zone: str, options: "CoordinatorOptions", work: Any) -> None:
+async def _with_coordinator(url: str, zone: str, options: "CoordinatorOptions", work: Any) -> int | None:
+    """Do the work of one action with an open coordinator; returns its exit code, None for done."""
     from ..apps.fleet.coordinators import open_coordinator
 
     table = await open_coordinator(url, zone, options)
     try:
-        doing: Coroutine[Any, Any, None] = work(table)
-        await doing
+        doing: Coroutine[Any, Any, int | None] = work(table)
+        return await doing
     finally:
         await table.close()
 

@@ -19,7 +19,7 @@ from busway.apps.fleet.control_entries import (
 from busway.apps.fleet.coordinator import Coordinator
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
-from busway.apps.fleet.records import ZoneRecord
+from busway.apps.fleet.records import ZONE, ZoneRecord
 from busway.errors import ConfigError
 
 pytestmark = pytest.mark.real_time
@@ -127,3 +127,19 @@ async def test_a_collector_with_another_number_of_shards_than_its_zone_is_refuse
             async with other:
                 raise AssertionError("it must not start")
         assert ZoneRecord(2, TIMES.ttl, TIMES.guard).encode() == (await read_entries(table, "zone"))["zone"].value
+
+
+async def test_a_file_is_checked_against_the_leases_that_the_zone_has(tmp_path: Path) -> None:
+    file = tmp_path / "plant.toml"
+    file.write_text(plant(tmp_path / "one", [FleetDevice("link-0", 502)], "timeout = 2\nconnect_timeout = 2"))
+    table = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    try:
+        first = await apply_configuration(table, str(file))
+        await table.create(ZONE, ZoneRecord(8, 5.0, 0.5).encode())
+        with pytest.raises(ConfigError, match=r"a lease of 5 s leaves 2\.5 s"):
+            await apply_configuration(table, str(file))
+        shared = await read_configuration(table)
+        assert shared is not None
+        assert shared.revision == first
+    finally:
+        await table.close()

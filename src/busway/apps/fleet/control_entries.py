@@ -84,6 +84,20 @@ async def read_configuration(coordinator: Coordinator) -> SharedConfiguration | 
     return decode_configuration(entry) if entry is not None and entry.value else None
 
 
+async def recorded_times(coordinator: Coordinator) -> LeaseTimes:
+    """Return the times of leases that the collectors of a zone have; the usual ones where no collector has joined yet.
+
+    How often leases are renewed is not recorded: as often, for their length, as the usual ones.
+    """
+    usual = LeaseTimes()
+    entry = (await read_entries(coordinator, ZONE)).get(ZONE)
+    zone = None if entry is None else decode_zone(entry.value)
+    if zone is None:
+        return usual
+    part = zone.ttl / usual.ttl
+    return LeaseTimes(zone.ttl, part * usual.renew, zone.guard, part * usual.answer)
+
+
 async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseTimes | None = None) -> int:
     """Check a collector file and make it the configuration of the zone; returns its revision.
 
@@ -94,7 +108,7 @@ async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseT
         OutcomeUnknown: it may hold.
     """
     seen = (await read_entries(coordinator, CONFIGURATION)).get(CONFIGURATION)
-    shared = await asyncio.to_thread(_checked, path, times or LeaseTimes())
+    shared = await asyncio.to_thread(_checked, path, times or await recorded_times(coordinator))
     packed = zlib.compress(json.dumps([shared.name, shared.text]).encode())
     if len(packed) > LONGEST_VALUE or len(shared.text) > _LONGEST_TEXT // 8:
         raise ConfigError(f"is too long for the fleet: {len(packed)} bytes packed, {LONGEST_VALUE} at most", file=path)

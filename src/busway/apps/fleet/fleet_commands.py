@@ -1,7 +1,7 @@
 """Commands to a fleet by NATS request and reply, on a subject of the link: the collector that owns it executes them.
 
-Knows subjects and the collector; which request a command is, its rules, its key and the wire are the collector's own.
-Works with nats-server 2.9.
+Knows subjects and the collector, and how another program asks (`send_command`); which request a command is, its rules,
+its key and the wire are the collector's own. Works with nats-server 2.9.
 
 1. A command is a request on ``busway.<zone>.command.<link>``: JSON with key, device, point, value, by and expires. Only
    the link's owner listens there, so a link without an owner answers nothing and nothing is sent.
@@ -22,7 +22,7 @@ from importlib import import_module
 from types import TracebackType
 from typing import Any, Final, Self
 
-from ...errors import InvalidRequest
+from ...errors import ConfigError, InvalidRequest, LinkDown, WriteOutcomeUnknown
 from ..collector.commands.audit import command_line
 from ..collector.commands.command import USUAL_SECONDS, CommandResult, CommandState, PointCommand
 from ..collector.commands.message_tasks import MessageTasks
@@ -44,6 +44,41 @@ _log = logging.getLogger("busway.fleet")
 def command_subject(zone: str, link: str) -> str:
     """Return the subject on which the owner of a link takes commands."""
     return f"busway.{zone}.command.{subject_token(link)}"
+
+
+async def send_command(client: Any, zone: str, link: str, content: dict[str, Any], seconds: float) -> dict[str, Any]:
+    """Ask the owner of a link to write a value to a point, once, and return its answer.
+
+    Args:
+        client: of nats-py, connected.
+        zone, link: names of the zone and the link.
+        content: the command, as rule 1 says.
+        seconds: for which the answer is waited for.
+
+    Returns:
+        The answer: ``state`` and ``reason``, and further keys of `CommandResult.content`.
+
+    Raises:
+        LinkDown: no collector owns the link now, or there is no connection; nothing was sent.
+        ConfigError: the credentials do not permit it; nothing was sent.
+        WriteOutcomeUnknown: no answer came. The same command with the same key may be sent again: it is written once.
+    """
+    errors = import_module("nats.errors")
+    subject = command_subject(zone, link)
+    if not client.is_connected:
+        raise LinkDown("the connection to the coordinator is lost; nothing was sent")
+    try:
+        reply = await client.request(subject, json.dumps(content).encode(), timeout=seconds)
+        answer = json.loads(reply.data)
+    except errors.NoRespondersError as error:
+        raise LinkDown(f"no collector of zone {zone} owns link {link} now; nothing was sent") from error
+    except (errors.Error, OSError, TimeoutError, ValueError) as error:
+        if subject in client.cause and "permissions" in client.cause.lower():
+            raise ConfigError(f"the credentials do not permit commands: {client.cause}", key="coordinator") from error
+        raise WriteOutcomeUnknown(f"no answer to command {content['key']} came: {error or 'in time'}") from error
+    if not isinstance(answer, dict) or answer.get("state") not in set(CommandState):
+        raise WriteOutcomeUnknown(f"the answer to command {content['key']} is none")
+    return answer
 
 
 class FleetCommands:

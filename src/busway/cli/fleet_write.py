@@ -1,0 +1,117 @@
+"""``busway fleet write``: writes a value to a point of a zone by the collector that owns its link.
+
+1. Links of devices are those of the zone's configuration; all checks are the collector's.
+2. A write has a key, that of ``--key`` or a new one, and is sent once. Where no answer came, the same command with the
+   same key may be given again.
+3. The exit code says what became of it: 0 done, 2 refused (nothing was sent), 3 unknown, or too late, 4 failed, 7 the
+   device holds another value, 5 no collector owns the link.
+"""
+
+import getpass
+import json
+import secrets
+import time
+import tomllib
+from typing import TYPE_CHECKING, Any, Final
+
+from ..errors import ConfigError, WriteOutcomeUnknown
+from .exits import ExitCode
+from .output import print_json, say, shown_value, warn
+
+if TYPE_CHECKING:
+    from ..apps.fleet.coordinator import Coordinator
+
+MORE_SECONDS: Final = 30.0
+"""Seconds after the expiry of a command in which its answer may come: it may be read back, and recorded."""
+_CODES: Final = {
+    "done": ExitCode.DONE,
+    "refused": ExitCode.WRONG_USE,
+    "unknown": ExitCode.NO_REPLY,
+    "expired": ExitCode.NO_REPLY,
+    "failed": ExitCode.REFUSED,
+}
+_STATES: Final = {"on": True, "off": False}
+
+
+async def write_point(
+    table: "Coordinator",
+    zone: str,
+    words: list[str],
+    *,
+    key: str | None,
+    by: str | None,
+    seconds: float,
+    as_json: bool,
+) -> int:
+    """Write a value to a point, print what became of it, and return the exit code.
+
+    Args:
+        table: the coordinator of the zone.
+        zone: its name.
+        words: device, point and value.
+        key: names the write for ever; None for a new one.
+        by: who writes; None for the account of this process.
+        seconds: within which it may be sent to the device.
+        as_json: whether to print the answer as JSON.
+
+    Raises:
+        ConfigError: the coordinator takes no commands, or the zone has no such device; nothing was sent.
+        LinkDown: no collector owns the link; nothing was sent.
+        WriteOutcomeUnknown: no answer came.
+    """
+    from ..apps.fleet.control_entries import read_configuration
+    from ..apps.fleet.fleet_commands import send_command
+
+    client = getattr(table, "client", None)
+    if client is None:
+        raise ConfigError(
+            "commands go over NATS (nats://host:4222); with another coordinator write by the page or the HTTP API of "
+            "the collector that owns the link",
+            key="--coordinator",
+        )
+    shared = await read_configuration(table)
+    if shared is None:
+        raise ConfigError("the zone has no configuration yet: busway fleet apply FILE", key="--zone")
+    device, point, text = words
+    link = link_of(shared.text, device)
+    key = key or f"write-{secrets.token_hex(12)}"
+    content = {"key": key, "device": device, "point": point, "value": value_of(text)}
+    content |= {"by": by or getpass.getuser(), "expires": time.time() + seconds}
+    say(f"key {key}")
+    try:
+        answer = await send_command(client, zone, link, content, seconds + MORE_SECONDS)
+    except WriteOutcomeUnknown as error:
+        raise WriteOutcomeUnknown(f"{error.message}; ask again with --key {key}") from error
+    return print_answer({**content, **answer}, as_json=as_json)
+
+
+def link_of(text: str, device: str) -> str:
+    """Return the link of a device in the text of a collector file. Raises `ConfigError`."""
+    links = {each["name"]: each["link"] for each in tomllib.loads(text).get("device", ())}
+    if device not in links:
+        there = ", ".join(sorted(links)[:10]) + (", …" if len(links) > 10 else "")
+        raise ConfigError(f"the zone has no device {device}; there are {there or 'none'}", key="DEVICE")
+    return str(links[device])
+
+
+def value_of(text: str) -> Any:  # JSON
+    """Return the value that an argument means: ``on`` and ``off``, a number or other JSON, else a text."""
+    if text in _STATES:
+        return _STATES[text]
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def print_answer(answer: dict[str, Any], *, as_json: bool) -> int:
+    """Print what became of a write, and return the exit code."""
+    state = answer["state"]
+    holds_another = state == "failed" and answer.get("read_back") is not None
+    if as_json:
+        print_json(answer)
+    else:
+        print(f"{answer['device']}/{answer['point']}  {shown_value(answer['value'])}  {state}", flush=True)
+    if answer.get("reason"):
+        warn(f"{answer['device']}/{answer['point']}: {shown_value(answer['reason'])}")
+    return ExitCode.NOT_VERIFIED if holds_another else _CODES[state]
