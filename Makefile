@@ -154,6 +154,22 @@ bench-quick: $(VENV)/.installed-dev bench-peers ## the same in under a minute
 .PHONY: peers
 peers: $(PEERS)/.installed ## the foreign programs of the interop tests
 
+.PHONY: check-peers
+check-peers: $(VENV)/.installed-dev peers $(PEERS)/.check-installed ## busway check of other libraries' servers, and its page
+	@cc -O1 -o $(PEERS)/libmodbus_server tests/interop/peers/libmodbus_server.c $$(pkg-config --cflags --libs libmodbus)
+	@$(RUN)/python scripts/check_peers.py \
+		"libmodbus=$$(pkg-config --modversion libmodbus)=$(PEERS)/libmodbus_server tcp 0" \
+		"pymodbus=3.16.1=$(PEERS)/bin/python tests/interop/peers/pymodbus_server.py tcp 0" \
+		"pyModbusTCP=0.3.1=$(PEERS)/bin/python tests/interop/peers/pymodbustcp_server.py 0" \
+		"tmodbus=1.1.0=$(PEERS)/check/bin/python tests/interop/peers/tmodbus_server.py 0" \
+		"uModbus=1.0.4=$(PEERS)/check/bin/python tests/interop/peers/umodbus_server.py 0"
+
+# tmodbus needs Python 3.12, where the other peers run on the Python of the project.
+$(PEERS)/.check-installed: Makefile | $(PEERS)/.installed
+	@interpreter=$$(scripts/find-python 3.12) || { echo "error: tmodbus needs Python 3.12" >&2; exit 1; }; \
+	"$$interpreter" -m venv $(PEERS)/check && $(PEERS)/check/bin/python $(PIP) tmodbus==1.1.0 umodbus==1.0.4
+	@touch $@
+
 .PHONY: bench-peers
 bench-peers: $(BENCH_PEERS)/.installed ## the foreign programs of the benchmark
 
