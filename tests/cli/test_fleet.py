@@ -1,6 +1,7 @@
 """``busway fleet``: a file is applied, a collector runs by it, is shown and drained; wrong use is one sentence."""
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -56,7 +57,8 @@ def test_a_collector_runs_by_what_was_applied_and_is_shown(run: Callable[..., An
         west.stop()
     status = json.loads(run("fleet", "status", "--json", *at).out)
     assert status["collectors"][0]["state"] in ("ended", "silent"), "silent where a busy machine took too long to end"
-    assert "west" in run("fleet", "status", *at).out
+    assert (status["collectors"][0]["commits_behind"], status["collectors"][0]["problem"]) == (0, "")
+    assert re.search(r"^west .* 0 +1$", run("fleet", "status", *at).out, re.MULTILINE), "no commit behind, revision 1"
 
 
 def test_restore_raises_the_generation_and_each_time_further(run: Callable[..., Any], tmp_path: Path) -> None:

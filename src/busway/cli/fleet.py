@@ -301,11 +301,11 @@ async def _show_status(table: "Coordinator", zone: str, *, as_json: bool) -> Non
     )
     rows = [
         [each.record.name, each.record.host, each.state, str(len(each.shards)), f"{each.load:.3f}",
-         str(each.record.revision)]
+         str(each.record.behind), str(each.record.revision)]
         for each in status.members.values()
     ]  # fmt: skip
     if rows:
-        print_aligned([["collector", "host", "state", "shards", "load", "revision"], *rows])
+        print_aligned([["collector", "host", "state", "shards", "load", "commits behind", "revision"], *rows])
     if status.leases:
         print_aligned(
             [
@@ -335,7 +335,8 @@ def _print_json(status: "ZoneStatus", lags: dict[str, int]) -> None:
             "revision": status.revision,
             "collectors": [
                 {"name": each.record.name, "host": each.record.host, "state": each.state,
-                 "revision": each.record.revision, "load": round(each.load, 6), "shards": list(each.shards)}
+                 "revision": each.record.revision, "load": round(each.load, 6), "commits_behind": each.record.behind,
+                 "problem": each.record.problem, "shards": list(each.shards)}
                 for each in status.members.values()
             ],
             "sinks": {name: {"messages_behind": behind} for name, behind in lags.items()},
