@@ -107,12 +107,12 @@ async def test_every_sample_of_two_collectors_reaches_a_sink_that_was_away_and_a
                 sending(tmp_path, server, "one", devices) as one,
                 sending(tmp_path, server, "two", devices) as two,
             ):
-                await until(lambda: handed.taken > 40 and one.collector.loads() and two.collector.loads(), 30)
+                await until(lambda: handed.taken > 40 and one.collector.loads() and two.collector.loads(), 90)
                 sink.is_up = False
                 await asyncio.sleep(0.5)  # samples wait in the stream meanwhile
                 sink.is_up = True
                 server.stop()
-                await until(lambda: all(each.outbox and each.outbox.status().error for each in (one, two)), 30)
+                await until(lambda: all(each.outbox and each.outbox.status().error for each in (one, two)), 90)
                 server.start()
                 taken = handed.taken
                 await until(lambda: handed.taken > taken + 40, 60)
