@@ -54,6 +54,7 @@ def test_our_server_passes_every_check_over_tls(run: Callable[..., Any], tmp_pat
 FRAMINGS = pytest.mark.parametrize("framing", ["rtu", "ascii"])
 
 
+@pytest.mark.real_time
 @FRAMINGS
 def test_our_server_is_checked_over_a_serial_port(run: Callable[..., Any], framing: str) -> None:
     # Only what is answered: where silence is right, a busy machine may take it from between two frames.
@@ -64,6 +65,7 @@ def test_our_server_is_checked_over_a_serial_port(run: Callable[..., Any], frami
 
 
 @pytest.mark.soak
+@pytest.mark.real_time
 @FRAMINGS
 def test_our_server_passes_every_check_over_a_serial_line(run: Callable[..., Any], framing: str) -> None:
     with on_a_line(framing) as ours:
