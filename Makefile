@@ -158,6 +158,7 @@ peers: $(PEERS)/.installed ## the foreign programs of the interop tests
 check-peers: $(VENV)/.installed-dev peers $(PEERS)/.check-installed ## busway check of other libraries' servers, and its page
 	@cc -O1 -o $(PEERS)/libmodbus_server tests/interop/peers/libmodbus_server.c $$(pkg-config --cflags --libs libmodbus)
 	@$(RUN)/python scripts/check_peers.py \
+		"busway=$$($(RUN)/python -c 'import busway; print(busway.__version__)')=$(RUN)/python tests/interop/peers/busway_server.py 0" \
 		"libmodbus=$$(pkg-config --modversion libmodbus)=$(PEERS)/libmodbus_server tcp 0" \
 		"pymodbus=3.16.1=$(PEERS)/bin/python tests/interop/peers/pymodbus_server.py tcp 0" \
 		"pyModbusTCP=0.3.1=$(PEERS)/bin/python tests/interop/peers/pymodbustcp_server.py 0" \

@@ -28,9 +28,10 @@ LIMIT = 600.0
 HEAD = """\
 # Other servers, checked
 
-What [`busway check`](../how-to/check-a-device.md) says of servers made of other libraries, at the level `write`, over
-TCP. `make check-peers` runs it and writes this page; its figures are of the run of {date}.
-A server that fails a check may serve well for years: most checks send what no right client sends.
+What [`busway check`](../how-to/check-a-device.md) says of servers made of busway and of other libraries, at the level
+`write`, over TCP. `make check-peers` runs it and writes this page; its figures are of the run of {date}.
+A server may fail checks against the specification and serve well for years: most checks send what no right client
+sends.
 
 Each server has four tables of 1000 items. A function that a library has, and that its server here does not use, counts
 as not offered.

@@ -1,6 +1,7 @@
 """Writes the table of README.md that compares busway with others. With ``--check``: only compares.
 
-Knows two pages and the rows it takes from them; every figure is one of docs/performance.md or docs/serial.md.
+Knows three pages and the rows it takes from them; every figure is one of docs/performance.md, docs/serial.md or
+docs/reference/check-peers.md. A program without a figure on these pages has none here.
 """
 
 import re
@@ -10,54 +11,47 @@ from marked import ROOT, replaced, update
 
 SPEED: Final = "docs/performance.md"
 LINES: Final = "docs/serial.md"
-RATIOS: Final = (
-    (
-        "server, 16 connections with 16 requests in flight each",
-        "16 x 16 x 10: busway / {}, rate",
-        "pymodbus",
-        "libmodbus",
-    ),
-    ("server, 16 connections, one request at a time", "16 x 1 x 10: busway / {}, rate", "libmodbus"),
-    ("server over TLS", "16 x 16 over TLS: busway / {}, rate", "pymodbus"),
-    ("asyncio client, 16 calls at once on one connection", "await, 1 x 16: busway / {}, rate", "pymodbus"),
-    ("blocking client", "blocking: busway / {}, rate", "pyModbusTCP"),
+CHECKS: Final = "docs/reference/check-peers.md"
+PROGRAMS: Final = ("busway", "pymodbus", "pyModbusTCP", "minimalmodbus", "libmodbus")
+RATES: Final = (
+    ("server speed: replies a second, 16 connections with 16 requests each", "Servers: FC03", "16 x 16 x 10"),
+    ("server speed: replies a second, 16 connections with one request each", "Servers: FC03", "16 x 1 x 10"),
+    ("server speed over TLS", "Servers over TLS: FC03 x 10 registers", "16 x 16"),
+    ("asyncio client speed, 16 calls at once", "Clients against the floor server: FC03 x 10 registers", "await 1 x 16"),
+    ("blocking client speed", "Clients against the floor server: FC03 x 10 registers", "blocking"),
 )
-"""What is compared, the goal of docs/performance.md that has the figure, and the programs it is compared with."""
-MASTERS: Final = ("pymodbus", "minimalmodbus", "libmodbus")
+"""What is compared, and the table of docs/performance.md and the beginning of its rows."""
 
 
 def render() -> str:
     """The table."""
-    speed, lines = ((ROOT / page).read_text(encoding="utf-8") for page in (SPEED, LINES))
-    wrong = {name: wrong_values(lines, name) for name in ("busway", *MASTERS)}
-    others = ", ".join(f"{name} {wrong[name]}" for name in MASTERS)
-    rows = [
-        "| | busway | others |",
-        "| --- | --- | --- |",
-        f"| wrong values in 500 reads of a slave that is [late at times]({LINES}#other-masters-on-the-same-slave)"
-        f" | {wrong['busway']} | {others} |",
-    ]
-    for what, goal, *programs in RATIOS:
-        ratios = [(ratio_of(speed, goal.format(program)), program) for program in programs]
-        shown = ", ".join(f"{ratio} × {program}" for ratio, program in ratios)
-        rows.append(f"| [speed]({SPEED}): {what} | {shown} | 1 |")
+    speed, lines, checks = ((ROOT / page).read_text(encoding="utf-8") for page in (SPEED, LINES, CHECKS))
+    rows = ["| | " + " | ".join(PROGRAMS) + " |", "| --- |" + " ---: |" * len(PROGRAMS)]
+    wrong = [first(rf"^\| {name}(?: [\d.]+)? \| \d+ \| (\d+) \|", lines) for name in PROGRAMS]
+    rows.append(row("wrong values in 500 reads of a slave with late replies", f"{LINES}#{MASTERS}", wrong))
+    for what, table, case in RATES:
+        part = speed.partition(f"### {table}\n")[2].partition("\n### ")[0]
+        rates = [first(rf"^\| {case} {name}(?: \(C\))? \| ([\d,]+) \|", part) for name in PROGRAMS]
+        if rates[0] == "–":
+            raise SystemExit(f"{SPEED} has no row {case} busway below {table!r}")
+        rows.append(row(what, SPEED, rates))
+    failed = [first(rf"^\| {name} [\d.]+ \| \d+ \| (\d+) \|", checks) for name in PROGRAMS]
+    rows.append(row("checks of a server against the specification that fail", CHECKS, failed))
     return "\n".join(rows)
 
 
-def ratio_of(page: str, goal: str) -> str:
-    """What a goal of docs/performance.md reached."""
-    found = re.search(rf"^\| \w+ \| {re.escape(goal)} \| ([\d.]+) x \|", page, re.MULTILINE)
-    if found is None:
-        raise SystemExit(f"{SPEED} has no goal {goal!r}")
-    return found[1]
+MASTERS: Final = "other-masters-on-the-same-slave"
 
 
-def wrong_values(page: str, master: str) -> str:
-    """How many wrong values a master of docs/serial.md gave."""
-    found = re.search(rf"^\| {master}(?: [\d.]+)? \| \d+ \| (\d+) \|", page, re.MULTILINE)
-    if found is None:
-        raise SystemExit(f"{LINES} has no row of {master}")
-    return found[1]
+def row(what: str, page: str, figures: list[str]) -> str:
+    """A row: its words are the link to the page that has the figures."""
+    return f"| [{what}]({page}) | {' | '.join(figures)} |"
+
+
+def first(pattern: str, page: str) -> str:
+    """The figure that a pattern finds on a page; a dash if there is none."""
+    found = re.search(pattern, page, re.MULTILINE)
+    return found[1] if found else "–"
 
 
 if __name__ == "__main__":

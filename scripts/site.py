@@ -7,8 +7,11 @@ Knows the pages, `mkdocs.yml` and the public names of busway; knows no program t
 2. The reference of the public names comes from docstrings: a page for each room that `_ROOMS` names, all names on it.
 3. A warning of the builder is an error, and so is a link without its page or heading, in whatever was built.
 4. A built page loads nothing from another host.
+5. The search knows the pages that answer questions: neither the README nor the changelog.
+   Hand-written pages come before the reference of the public names where both fit alike; a question may be a sentence.
 """
 
+import json
 import re
 import shutil
 import subprocess
@@ -34,6 +37,7 @@ _COPIED: Final = {
     "bench/README.md": "project/benchmark.md",
 }
 """Pages outside ``docs`` that are pages of the site too."""
+_NOT_SEARCHED: Final = ("project/readme.md", "project/changes.md")
 _ROOMS: Final = {
     "clients": "Clients",
     "servers": "Servers and devices",
@@ -60,6 +64,7 @@ def main() -> int:
     """Build the site; print what is wrong."""
     stage()
     problems = [*build(), *localize(), *broken_links()]
+    tune_search()
     sys.stdout.write("".join(f"{problem}\n" for problem in problems))
     if not problems:
         sys.stdout.write(f"{(SITE / 'index.html').relative_to(ROOT)}\n")
@@ -150,6 +155,20 @@ def localize() -> list[str]:
         loaded += re.findall(r'<link[^>]*rel="?(?:stylesheet|preconnect)[^>]*href="?(https?:[^"\s>]+)', text)
         problems += [f"{page.relative_to(SITE)} loads {address}" for address in loaded]
     return problems
+
+
+def tune_search() -> None:
+    """Make the search as rule 5 says, in the index that is fetched and in the one for pages opened as files."""
+    index = json.loads((SITE / "search.json").read_text(encoding="utf-8"))
+    left_out = tuple(place.replace(".md", ".html") for place in _NOT_SEARCHED)
+    items = [item for item in index["items"] if not item["location"].startswith(left_out)]
+    index["items"] = sorted(items, key=lambda item: item["location"].startswith("reference/api/"))
+    text = json.dumps(index, separators=(",", ":"), ensure_ascii=False)
+    (SITE / "search.json").write_text(text, encoding="utf-8")
+    (SITE / "search.js").write_text(f"var __index = {text};", encoding="utf-8")
+    [worker] = SITE.glob("assets/javascripts/workers/search.*.js")
+    ours = (DOCS / "site" / "plain_questions.js").read_text(encoding="utf-8")
+    worker.write_text(f"{worker.read_text(encoding='utf-8')}\n{ours}", encoding="utf-8")
 
 
 class _Anchors(HTMLParser):
