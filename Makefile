@@ -97,6 +97,10 @@ check: $(VENV)/.installed-dev ## format, lint, types, the way imports point, and
 docs: $(VENV)/.installed-dev ## the documentation as a site, in build/site; needs no network
 	@$(RUN)/python scripts/site.py
 
+.PHONY: screenshots
+screenshots: $(VENV)/.installed-dev ## the pictures of README and start page, in docs/figures; needs chromium
+	@$(RUN)/python scripts/screenshots.py
+
 .PHONY: test-unit
 test-unit: $(VENV)/.installed-dev ## unit tests, side by side
 	@echo "== unit tests"

@@ -9,6 +9,7 @@ Knows the pages, `mkdocs.yml` and the public names of busway; knows no program t
 4. A built page loads nothing from another host.
 5. The search knows the pages that answer questions: neither the README nor the changelog.
    Hand-written pages come before the reference of the public names where both fit alike; a question may be a sentence.
+6. Code blocks below comments `<!-- tab: NAME -->` are tabs of the site, and stand one below the other elsewhere.
 """
 
 import json
@@ -57,6 +58,7 @@ _ROOM_OF: Final = {
     "extras": "errors",
 }
 """The page of a public name by the room that defines it; the others are on ``applications``."""
+_TAB: Final = re.compile(r"^<!-- tab: ([^\n]+) -->\n\n(```.*?^```)$", re.DOTALL | re.MULTILINE)
 _LINK: Final = re.compile(r"\[([^\]\n]*)\]\(([^)\s]+)\)")
 
 
@@ -101,8 +103,15 @@ def site_text(source: Path, target: Path) -> str:
         relative = Path("../" * len(target.parent.relative_to(PAGES).parts)) / place
         return f"[{words}]({relative}{'#' + heading if heading else ''})"
 
-    parts = re.split(r"(^```.*?^```$)", source.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    text = _TAB.sub(tabbed, source.read_text(encoding="utf-8"))
+    parts = re.split(r"(^```.*?^```$)", text, flags=re.DOTALL | re.MULTILINE)
     return "".join(part if part.startswith("```") else _LINK.sub(moved, part) for part in parts)
+
+
+def tabbed(match: re.Match[str]) -> str:
+    """A code block as a tab."""
+    name, block = match.groups()
+    return f'=== "{name}"\n\n' + "".join(f"    {line}\n" if line else "\n" for line in block.split("\n"))
 
 
 def place_of(file: Path) -> Path | None:

@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 WRITTEN_ENDPOINT = "tcp://127.0.0.1:5020"
 CODE_FOLDERS = ("how-to", "reference", "tutorial")
 PAGES_WITH_CODE = sorted(page for folder in CODE_FOLDERS for page in (ROOT / "docs" / folder).glob("*.md"))
+PAGES_WITH_CODE.append(ROOT / "docs" / "index.md")
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "bench" / "README.md"])
 
 

@@ -1,5 +1,6 @@
 """The README: its example runs, its table is that of the pages, and it fits one screen."""
 
+import runpy
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,3 +33,19 @@ def test_the_two_commands_and_the_limits_are_named() -> None:
     assert "make demo" in text
     assert "make test" in text
     assert "never run" in text
+
+
+def test_the_pictures_of_readme_and_start_page_are_there_and_small() -> None:
+    names = runpy.run_path(str(ROOT / "scripts" / "screenshots.py"))["PICTURES"]
+    sizes = {name: (ROOT / "docs" / "figures" / name).stat().st_size for name in names}
+    assert all(0 < size < 100_000 for size in sizes.values()), sizes
+    pages = [README, ROOT / "docs" / "index.md", ROOT / "docs" / "simulator.md"]
+    shown = "".join(page.read_text(encoding="utf-8") for page in pages)
+    assert [name for name in names if f"figures/{name})" not in shown] == []
+
+
+@pytest.mark.soak
+def test_the_pictures_are_made_anew(tmp_path: Path) -> None:
+    script = runpy.run_path(str(ROOT / "scripts" / "screenshots.py"))
+    script["main"](tmp_path)
+    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(script["PICTURES"])

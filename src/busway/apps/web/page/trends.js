@@ -164,6 +164,7 @@ export class Trends {
     const axis = { stroke: colour("--soft"), grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1 } };
     const measures = [...new Set(this.points.map((point) => point.unit_of_measure))];
     const most = Math.max(Math.floor(place.clientWidth / 2 / AXIS), 2);
+    const spare = Math.min(Math.max(place.clientWidth / 2 / measures.length - AXIS, 0), 12); // keeps figures off the label
     const options = {
       width: place.clientWidth,
       height: Math.max(place.clientHeight - 40, 160),
@@ -175,7 +176,7 @@ export class Trends {
           scale: `y-${measure}`,
           label: measure || (measures.length > 1 ? "no unit" : undefined),
           labelSize: AXIS - TICKS,
-          size: TICKS,
+          size: TICKS + spare,
           side: at ? 1 : 3,
           grid: at ? { show: false } : axis.grid,
         })),
