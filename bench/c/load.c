@@ -21,10 +21,14 @@
  *    and counts that are drawn once from a fixed seed. Each reply must have the function and the length that its
  *    request calls for, and echo what a write echoes.
  *
- * Use: load HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS [FUNCTION]
+ * 8. Over UDP each request is a datagram of its own, and each reply is one; requests that became due together leave in
+ *    one system call. A datagram that is lost is an error: loopback loses none while the buffers hold all in flight.
+ * 9. RTU over TCP has no identifiers: replies come in the order of the requests, and each CRC is computed and checked.
+ *
+ * Use: load HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS [FUNCTION [tcp|udp|rtu]]
  *      load_tls HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS FUNCTION CERTIFICATE KEY AUTHORITY
  *      IN_FLIGHT 1…256, REGISTERS 1…125 (of a write 1…123), FUNCTION 3, 6 or 16, 3 when left out, 0 for mixed traffic
- *      (REGISTERS is then the most that one request is about, 1…100); prints one line of JSON:
+ *      (REGISTERS is then the most that one request is about, 1…100); udp and rtu go with FUNCTION 3; prints one line of JSON:
  *      transactions, seconds, rate (per second), p50/p99/p99.9 (µs) of the counted part; all_transactions since the
  *      first byte (to divide the CPU time of the server by); cpu (seconds, of this process); errors.
  */
@@ -78,6 +82,7 @@ struct slot {
 
 struct connection {
     int socket;
+    unsigned next; /* slot of the oldest request, of RTU */
 #ifdef TLS
     SSL *secure;
 #endif
@@ -86,7 +91,9 @@ struct connection {
     struct slot slots[SLOTS];
 };
 
-static int registers, function = 3;
+enum transport { TCP, UDP, RTU };
+static enum transport transport = TCP;
+static int registers, function = 3, in_flight;
 static const uint8_t unit = 1;
 static size_t reply_size;
 #ifdef TLS
@@ -255,6 +262,124 @@ static int fits(const uint8_t *frame, unsigned slot, const struct prepared *one)
     return frame[11] == (function == 6 ? (uint8_t)slot : registers);
 }
 
+#ifndef TLS
+static uint16_t crc_table[256];
+
+static void prepare_crc(void) {
+    for (unsigned byte = 0; byte < 256; byte++) {
+        unsigned crc = byte;
+        for (int bit = 0; bit < 8; bit++) crc = crc & 1 ? crc >> 1 ^ 0xA001 : crc >> 1;
+        crc_table[byte] = (uint16_t)crc;
+    }
+}
+
+static unsigned crc_of(const uint8_t *bytes, size_t size) {
+    unsigned crc = 0xFFFF;
+    while (size--) crc = crc >> 8 ^ crc_table[(crc ^ *bytes++) & 0xFF];
+    return crc;
+}
+
+/* An RTU frame for the request of a slot; the transaction identifier stays with the slot. */
+static uint8_t *put_rtu(uint8_t *at, struct connection *link, unsigned slot) {
+    uint8_t mbap[LONGEST_REQUEST];
+    put_request(mbap, link, slot);
+    memcpy(at, mbap + 6, 6);
+    unsigned crc = crc_of(at, 6);
+    at[6] = (uint8_t)crc;
+    at[7] = (uint8_t)(crc >> 8);
+    return at + 8;
+}
+
+/* Marks the request of a slot as answered. */
+static void answered(struct slot *slot, uint64_t arrived) {
+    slot->outstanding = 0;
+    slot->identifier = (uint16_t)(slot->identifier + SLOTS);
+    all_transactions++;
+    if (counting) {
+        counted++;
+        histogram[cell_of(arrived - slot->sent)]++;
+    }
+}
+
+static void turn_rtu(struct connection *link) {
+    static uint8_t incoming[LONGEST_FRAME + READ_SIZE], outgoing[SLOTS * 8];
+    memcpy(incoming, link->rest, (size_t)link->kept);
+    ssize_t got = recv(link->socket, incoming + link->kept, READ_SIZE, 0);
+    if (got == 0) fail("the server closed a connection");
+    if (got < 0) {
+        if (errno == EAGAIN || errno == EINTR) return;
+        fail("a read failed: %s", strerror(errno));
+    }
+    const uint64_t arrived = now();
+    const size_t size = (size_t)(link->kept + got), whole = 5 + 2 * (size_t)registers;
+    size_t at = 0;
+    uint8_t *end = outgoing;
+    for (; size - at >= whole; at += whole) {
+        const uint8_t *frame = incoming + at;
+        struct slot *slot = &link->slots[link->next];
+        if (!slot->outstanding) fail("a reply answers nothing");
+        if (frame[0] != unit || frame[1] != 3 || frame[2] != 2 * registers) fail("a reply does not fit its request");
+        if (crc_of(frame, whole)) fail("a reply has a bad CRC");
+        answered(slot, arrived);
+        slot->sent = arrived;
+        end = put_rtu(end, link, link->next);
+        link->next = (link->next + 1) % (unsigned)in_flight;
+    }
+    link->kept = (int)(size - at);
+    if (link->kept > LONGEST_FRAME) fail("a reply is longer than a frame");
+    memcpy(link->rest, incoming + at, (size_t)link->kept);
+    if (end != outgoing) send_all(link, outgoing, (size_t)(end - outgoing));
+}
+
+static void send_datagrams(struct connection *link, const unsigned *due, unsigned count) {
+    static uint8_t bytes[SLOTS][REQUEST];
+    static struct iovec parts[SLOTS];
+    static struct mmsghdr messages[SLOTS];
+    uint64_t sent = now();
+    for (unsigned index = 0; index < count; index++) {
+        put_request(bytes[index], link, due[index]);
+        link->slots[due[index]].sent = sent;
+        parts[index] = (struct iovec){bytes[index], REQUEST};
+        messages[index].msg_hdr = (struct msghdr){.msg_iov = &parts[index], .msg_iovlen = 1};
+    }
+    for (unsigned at = 0; at < count;) {
+        int done = sendmmsg(link->socket, messages + at, count - at, 0);
+        if (done < 0) fail("a write failed: %s", strerror(errno));
+        at += (unsigned)done;
+    }
+}
+
+static void turn_udp(struct connection *link) {
+    static uint8_t bytes[SLOTS][LONGEST_FRAME];
+    static struct iovec parts[SLOTS];
+    static struct mmsghdr messages[SLOTS];
+    unsigned due[SLOTS];
+    for (unsigned index = 0; index < SLOTS; index++) {
+        parts[index] = (struct iovec){bytes[index], LONGEST_FRAME};
+        messages[index].msg_hdr = (struct msghdr){.msg_iov = &parts[index], .msg_iovlen = 1};
+    }
+    int got = recvmmsg(link->socket, messages, SLOTS, MSG_DONTWAIT, NULL);
+    if (got < 0) {
+        if (errno == EAGAIN || errno == EINTR) return;
+        fail("a read failed: %s", strerror(errno));
+    }
+    uint64_t arrived = now();
+    for (int index = 0; index < got; index++) {
+        const uint8_t *frame = bytes[index];
+        unsigned identifier = (unsigned)(frame[0] << 8 | frame[1]), slot = identifier % SLOTS;
+        if (messages[index].msg_len != reply_size) fail("a reply has %u bytes", messages[index].msg_len);
+        if (!link->slots[slot].outstanding || link->slots[slot].identifier != identifier)
+            fail("a reply carries transaction identifier %u, which is not outstanding", identifier);
+        if (frame[2] | frame[3] | frame[4] || frame[5] != reply_size - 6 || frame[6] != unit || frame[7] != 3 ||
+            frame[8] != 2 * registers)
+            fail("a reply does not fit its request");
+        answered(&link->slots[slot], arrived);
+        due[index] = slot;
+    }
+    send_datagrams(link, due, (unsigned)got);
+}
+#endif
+
 /* Takes what arrived on one connection and sends as many new requests as replies came. */
 static void turn(struct connection *link) {
     static uint8_t incoming[LONGEST_FRAME + READ_SIZE];
@@ -262,6 +387,16 @@ static void turn(struct connection *link) {
     unsigned due[SLOTS];
     int due_count = 0;
 
+#ifndef TLS
+    if (transport == RTU) {
+        turn_rtu(link);
+        return;
+    }
+    if (transport == UDP) {
+        turn_udp(link);
+        return;
+    }
+#endif
     memcpy(incoming, link->rest, (size_t)link->kept);
     ssize_t got = receive(link, incoming + link->kept, READ_SIZE);
     if (got == 0) fail("the server closed a connection");
@@ -312,10 +447,10 @@ static void turn(struct connection *link) {
 
 static int dial(const struct addrinfo *address) {
     int on = 1;
-    int socket_ = socket(address->ai_family, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    int socket_ = socket(address->ai_family, (transport == UDP ? SOCK_DGRAM : SOCK_STREAM) | SOCK_CLOEXEC, 0);
     if (socket_ < 0) fail("no socket: %s", strerror(errno));
     if (connect(socket_, address->ai_addr, address->ai_addrlen)) fail("connect: %s", strerror(errno));
-    setsockopt(socket_, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
+    if (transport != UDP) setsockopt(socket_, IPPROTO_TCP, TCP_NODELAY, &on, sizeof on);
     return socket_;
 }
 
@@ -349,10 +484,14 @@ int main(int argc, char **argv) {
         fail("use: load_tls HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS FUNCTION CERTIFICATE KEY AUTHORITY");
     agree_on_credentials(argv[8], argv[9], argv[10]);
 #else
-    if (argc < 7 || argc > 8) fail("use: load HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS [FUNCTION]");
+    if (argc < 7 || argc > 9)
+        fail("use: load HOST PORT CONNECTIONS IN_FLIGHT REGISTERS SECONDS [FUNCTION [tcp|udp|rtu]]");
+    if (argc == 9) transport = !strcmp(argv[8], "udp") ? UDP : !strcmp(argv[8], "rtu") ? RTU : TCP;
+    if (argc == 9 && transport == TCP && strcmp(argv[8], "tcp")) fail("TRANSPORT is %s, not tcp, udp or rtu", argv[8]);
+    prepare_crc();
 #endif
     int connections = (int)number(argv[3], "CONNECTIONS", 1, 60000);
-    int in_flight = (int)number(argv[4], "IN_FLIGHT", 1, SLOTS);
+    in_flight = (int)number(argv[4], "IN_FLIGHT", 1, SLOTS);
     registers = (int)number(argv[5], "REGISTERS", 1, 125);
     double seconds = strtod(argv[6], NULL);
     if (!(seconds > 0 && seconds <= 3600)) fail("SECONDS is %s, allowed are 0…3600", argv[6]);
@@ -360,6 +499,7 @@ int main(int argc, char **argv) {
     if (function && function != 3 && function != 6 && function != 16)
         fail("FUNCTION is %d, allowed are 0, 3, 6 and 16", function);
     if (!function && registers > 100) fail("REGISTERS is %d, mixed traffic takes 1…100", registers);
+    if (transport != TCP && function != 3) fail("udp and rtu go with FUNCTION 3, not %d", function);
     if (!function) prepare_mixed();
     if (function == 16 && registers > 123) fail("REGISTERS is %d, a write takes 1…123", registers);
     reply_size = function == 3 ? (size_t)(HEADER + 2 * registers) : REQUEST;
@@ -369,7 +509,7 @@ int main(int argc, char **argv) {
     files.rlim_cur = files.rlim_max;
     setrlimit(RLIMIT_NOFILE, &files);
 
-    struct addrinfo wanted = {.ai_socktype = SOCK_STREAM}, *address;
+    struct addrinfo wanted = {.ai_socktype = transport == UDP ? SOCK_DGRAM : SOCK_STREAM}, *address;
     int problem = getaddrinfo(argv[1], argv[2], &wanted, &address);
     if (problem) fail("%s: %s", argv[1], gai_strerror(problem));
     struct connection *links = calloc((size_t)connections, sizeof *links);
@@ -391,8 +531,20 @@ int main(int argc, char **argv) {
         for (unsigned slot = 0; slot < (unsigned)in_flight; slot++) {
             links[index].slots[slot].identifier = (uint16_t)slot;
             links[index].slots[slot].sent = sent;
-            end = put_request(end, &links[index], slot);
+#ifndef TLS
+            if (transport == RTU) end = put_rtu(end, &links[index], slot);
+            else
+#endif
+            if (transport == TCP) end = put_request(end, &links[index], slot);
         }
+#ifndef TLS
+        if (transport == UDP) {
+            unsigned due[SLOTS];
+            for (unsigned slot = 0; slot < (unsigned)in_flight; slot++) due[slot] = slot;
+            send_datagrams(&links[index], due, (unsigned)in_flight);
+            continue;
+        }
+#endif
         send_all(&links[index], first, (size_t)(end - first));
     }
 

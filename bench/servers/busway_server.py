@@ -1,7 +1,7 @@
 """A busway server on TCP or TLS with 65 536 holding registers for unit 1, register n holding n.
 
 Run from `bench/`: python -m servers.busway_server [--uvloop] [--trace-memory] [--policy] [--audit FILE]
-                   [--all-tables] [--tls CERTIFICATE KEY AUTHORITY]
+                   [--all-tables] [--scheme tcp|udp|rtu+tcp] [--tls CERTIFICATE KEY AUTHORITY]
 --policy: twelve rules, of which some are about the table that is asked; --audit: writes go into a log;
 --all-tables: coils, discrete inputs and input registers too.
 """
@@ -27,7 +27,7 @@ async def main(asked: argparse.Namespace) -> None:
     bits, registers = [False] * 65536, [0] * 65536
     others = {"coils": bits, "discrete_inputs": bits, "input_registers": registers} if asked.all_tables else {}
     device = busway.Device(holding_registers=list(range(65536)), **others)
-    url = "tcp://127.0.0.1:0"
+    url = f"{asked.scheme}://127.0.0.1:0"
     if asked.tls:
         url = f"tls://127.0.0.1:0?{urlencode(dict(zip(('certificate', 'key', 'authority'), asked.tls, strict=True)))}"
     audit = busway.AuditLog(asked.audit) if asked.audit else None
@@ -44,6 +44,7 @@ parser.add_argument("--trace-memory", action="store_true")
 parser.add_argument("--policy", action="store_true")
 parser.add_argument("--all-tables", action="store_true")
 parser.add_argument("--audit")
+parser.add_argument("--scheme", default="tcp")
 parser.add_argument("--tls", nargs=3)
 asked = parser.parse_args()
 if asked.trace_memory:

@@ -29,7 +29,9 @@ class Entry:
 TABLES = {
     "server": Entry("tables.server", 92, 12),
     "mixed": Entry("tables.mixed", 20),
+    "networks": Entry("tables.networks", 10),
     "client": Entry("tables.client", 68, 11, rounds=3),
+    "typed": Entry("tables.typed", 12),
     "policy": Entry("tables.policy", 20, 5),
     "tls": Entry("tables.tls", 22, 6),
     "gateway": Entry("tables.gateway", 26, 4),

@@ -4,10 +4,15 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import busway
 from busway.client.read_many import read_together
 from busway.errors import InvalidRequest
+from busway.pdu.bits import pack_bits
+from busway.pdu.read_items import ReadCoils
+from busway.values import value_type
 
 WANTED: dict[str, Any] = {
     "temperature": ("4x3", "float32"),
@@ -117,3 +122,66 @@ def test_what_cannot_be_names_the_name_and_nothing_is_sent(wanted: Any, sentence
 def test_wide_registers_are_refused() -> None:
     with pytest.raises(InvalidRequest, match="needs registers of 2 bytes, not of 4"):
         next(read_together({"a": "4x1"}, "ABCD", 4))
+
+
+KINDS = ["int16", "uint16", "float32", "int32", "uint64", "bit:0", "bit:3", "bit:12", "bits", "string:3", "int8:high"]
+ORDERS = ["ABCD", "BADC", "CDAB", "DCBA"]
+MEMORY = bytes(value * 37 % 95 + 32 for value in range(400))
+"""200 registers; each byte is a character, so that strings can be decoded."""
+
+
+@st.composite
+def wanted_values(draw: st.DrawFn) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for number in range(draw(st.integers(1, 25))):
+        at = draw(st.integers(1, 90))
+        if draw(st.integers(0, 9)) == 0:
+            found[f"coil {number}"] = (f"0x{at}", None, draw(st.none() | st.integers(1, 20)))
+        else:
+            order = draw(st.sampled_from(ORDERS))
+            found[f"value {number}"] = (
+                f"4x{at}",
+                value_type(draw(st.sampled_from(KINDS)), order),
+                draw(st.none() | st.integers(1, 5)),
+            )
+    return found
+
+
+def values_of(asked: dict[str, Any]) -> dict[str, Any]:
+    """What `read_many` makes of a device whose registers and coils are `MEMORY`."""
+    steps = read_together(asked, "ABCD")
+    requests = next(steps)
+    coils = [bool(byte & 1) for byte in MEMORY]
+    replies = [
+        type(one).Reply(pack_bits(coils[one.address : one.address + one.count]))
+        if isinstance(one, ReadCoils)
+        else type(one).Reply(MEMORY[2 * one.address : 2 * (one.address + one.count)])
+        for one in requests
+    ]
+    with pytest.raises(StopIteration) as ended:
+        steps.send(replies)
+    return dict(ended.value.value)
+
+
+@given(wanted_values())
+def test_values_read_together_are_those_read_one_by_one(asked: dict[str, Any]) -> None:
+    expected: dict[str, Any] = {}
+    for name, (address, form, count) in asked.items():
+        at, number = int(address[2:]) - 1, count or 1
+        if form is None:
+            found = [bool(byte & 1) for byte in MEMORY[at : at + number]]
+        else:
+            found = form.decode(MEMORY[2 * at : 2 * (at + number * form.registers)])
+        expected[name] = found[0] if count is None else found
+    for _ in range(2):  # the second time the requests are known
+        assert repr(values_of(asked)) == repr(expected)  # repr: a float may be no number
+
+
+def test_names_that_are_asked_again_with_another_address_or_order_are_read_there() -> None:
+    first = {"a": ("4x1", "uint16"), "b": "4x2"}
+    assert values_of(first) != values_of(first | {"b": "4x3"})
+    assert values_of({"a": ("4x1", "uint32")}) != values_of({"a": ("4x1", value_type("uint32", "DCBA"))})
+    changed = dict(first)
+    values_of(changed)
+    changed["a"] = ("4x5", "uint16")
+    assert values_of(changed)["a"] == int.from_bytes(MEMORY[8:10], "big")

@@ -1,6 +1,7 @@
 """UDP listeners and RTU and ASCII over networks, with our own clients."""
 
 import asyncio
+import contextlib
 import socket
 from urllib.parse import urlsplit
 
@@ -211,6 +212,22 @@ async def test_no_datagram_is_answered_by_more_than_the_reply_of_its_request() -
             sender.socket.setblocking(False)
             with pytest.raises(BlockingIOError):
                 sender.socket.recv(2048)
+
+
+@pytest.mark.parametrize("scheme", ["udp", "rtu+udp"])
+async def test_datagrams_that_wait_together_are_each_answered_to_their_own_sender(scheme: str) -> None:
+    async with busway.serve(f"{scheme}://127.0.0.1:0", units={1: device()}) as server:
+        with contextlib.ExitStack() as senders:
+            asking = [senders.enter_context(Sender(server.endpoints[0])) for _ in range(5)]
+            for number in range(10):  # more than are answered in one go; one in ten is no frame
+                for first, sender in enumerate(asking):
+                    pdu = ReadHoldingRegisters(first, 1).encode()
+                    sender.socket.send(frame_of(scheme, 1, pdu) + bytes(2000 if number == 4 else 0))
+            for first, sender in enumerate(asking):
+                expected = frame_of(scheme, 1, bytes((3, 2, 0, first)))
+                for _ in range(9):
+                    assert await asyncio.to_thread(sender.socket.recv, 2048) == expected
+        assert server.status().counters.discarded_frames == 5
 
 
 @pytest.mark.clause("T38")

@@ -220,6 +220,18 @@ class RtuReceiver:
             self._quiet = True
         return found
 
+    def skip_requests(self, now: float) -> bool:
+        """Take note of whole requests to own units that were read at ``now`` and are dealt with already.
+
+        False, and nothing is noted, where bytes before them are undecided, so that they may not be what they seem.
+        """
+        if self._undecided or not self._in_step or self.echo.mode is not Echo.OFF:
+            return False
+        self.conversation.due = None
+        self._last = max(self._last, now)
+        self._quiet = False
+        return True
+
     def clear_at(self) -> float:
         """Return the earliest time at which a frame may be sent: t3.5 after the last byte on the line (S8, S10)."""
         return max(self._last, self._sent_until) + self.timing.t3_5

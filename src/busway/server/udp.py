@@ -15,8 +15,9 @@ Knows datagrams and peers; knows nothing of what they say.
 
 import asyncio
 import contextlib
+import socket
 import time
-from typing import Any, cast
+from typing import Any, Final, cast
 
 from ..framing.datagram import WHOLE
 from ..observe.line_trace import ConnectionTrace, trace_for
@@ -32,6 +33,11 @@ from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
 from .rtu_over_tcp import Session
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
+
+_MOST_AT_ONCE: Final = 16
+"""Most datagrams that are answered before the loop looks at other connections."""
+_LONGEST: Final = 1024
+"""Bytes that are read of a datagram: more than any frame has, so one that is cut is not whole either."""
 
 
 class UdpListener:
@@ -62,7 +68,7 @@ class UdpListener:
             undo.callback(self.close)
             for one in bound:
                 set_buffers(one, self._parameters)
-                made = _Socket(self)
+                made = _Socket(self, one)
                 await listener_context.loop.create_datagram_endpoint(lambda made=made: made, sock=one)  # type: ignore[misc]
                 self._sockets.append(made)
             undo.pop_all()
@@ -180,8 +186,9 @@ class _Socket(asyncio.DatagramProtocol):
         closed: done when it is.
     """
 
-    def __init__(self, listener: UdpListener) -> None:
+    def __init__(self, listener: UdpListener, bound: socket.socket) -> None:
         self._listener = listener
+        self._bound = bound
         self._transport: asyncio.DatagramTransport | None = None
         self._is_full = False
         self.closed: asyncio.Future[None] = listener.listener_context.loop.create_future()
@@ -196,7 +203,18 @@ class _Socket(asyncio.DatagramProtocol):
         self._listener.listener_context.diagnosis.is_open = True
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
-        """Find the peer that sent a datagram, and answer it."""
+        """Answer a datagram, and those that wait behind it: the loop would wake up for each of them."""
+        self._answer(data, addr)
+        for _ in range(_MOST_AT_ONCE - 1):
+            if self._transport is None or self._transport.is_closing():
+                return
+            try:
+                data, addr = self._bound.recvfrom(_LONGEST)
+            except OSError:
+                return  # no more; or an error of one peer, which does not concern the others
+            self._answer(data, addr)
+
+    def _answer(self, data: bytes, addr: Any) -> None:
         now = time.monotonic()
         peer = self._listener.peer_of(self, data, addr, now)
         if peer is not None:

@@ -30,12 +30,13 @@ class LineFraming:
         send_gap: seconds of silence before a frame of ours.
     """
 
-    __slots__ = ("_ascii", "receiver", "send_gap", "timing")
+    __slots__ = ("_ascii", "_rtu", "receiver", "send_gap", "timing")
 
     def __init__(self, receiver: SerialReceiver, timing: SerialTiming) -> None:
         self.receiver: SerialReceiver = receiver
         self.timing: SerialTiming = timing
         self._ascii = receiver if isinstance(receiver, AsciiReceiver) else None
+        self._rtu = receiver if isinstance(receiver, RtuReceiver) else None
         self.send_gap: float = 0.0 if self._ascii is not None or not timing.character else timing.t3_5
 
     @property
@@ -48,6 +49,10 @@ class LineFraming:
         if self._ascii is not None:
             return encode_ascii(unit, pdu, self._ascii.delimiter)
         return encode_rtu(unit, pdu)
+
+    def skip_requests(self, now: float) -> bool:
+        """As `RtuReceiver.skip_requests`; False with ASCII and with strict timing."""
+        return self._rtu is not None and self._rtu.skip_requests(now)
 
     def delimit_by(self, character: int) -> None:
         """Set the character, 0…127, that ends ASCII frames from now on; no effect with RTU."""

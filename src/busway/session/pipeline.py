@@ -214,15 +214,17 @@ class FastPath:
         reads: how reads of registers are answered, by the ten bytes after the transaction: a poller repeats them.
         functions: by the two bytes of unit and function, what computes the reply PDU (`busway.pdu.fast_answers`); None
             where all requests take the generic path.
-        forwards: reads that a gateway forwards, by the same ten bytes.
+        frames: likewise for RTU frames that come over a network, by their eight bytes: a known frame needs no CRC.
+        forwards: reads that a gateway forwards, by the ten bytes of ``reads``.
     """
 
-    __slots__ = ("_responder", "_rights", "forwards", "functions", "reads")
+    __slots__ = ("_responder", "_rights", "forwards", "frames", "functions", "reads")
 
     def __init__(self, responder: Responder, rights: ClientRights | None) -> None:
         self._responder = responder
         self._rights = rights
         self.reads: dict[bytes, ReadPlan] = {}
+        self.frames: dict[bytes, ReadPlan] = {}
         self.functions: dict[bytes, Answer | None] = {}
         self.forwards: ForwardPlans = ForwardPlans()
 
@@ -246,13 +248,17 @@ class FastPath:
         """Store the bytes of a read just answered, to recognise it next time. Returns whether there is
         room for more.
         """
-        unit, pdu = adu[6], adu[7:]
-        served, kind = self._direct(unit, pdu[0])
-        if served is not None and served.device is not None and kind is not None:
-            plan = kind.plan(served.device, unit, pdu)
-            if plan is not None and self._permits(unit, served, pdu):
-                self.reads[adu[2:]] = plan
+        plan = self._plan(adu[6], adu[7:])
+        if plan is not None:
+            self.reads[adu[2:]] = plan
         return len(self.reads) < MOST_READS
+
+    def learn_frame(self, frame: bytes) -> None:
+        """Store the eight bytes of an RTU frame with a read just answered, to recognise it next time."""
+        if len(self.frames) < MOST_READS:
+            plan = self._plan(frame[0], frame[1:-2])
+            if plan is not None:
+                self.frames[frame] = plan
 
     def can_forward(self, forwarder: ReadForwarder, context: RequestContext, adu: bytes) -> bool:
         """Find out how a new read is forwarded. Returns whether such reads are forwarded undecoded from now on."""
@@ -264,6 +270,13 @@ class FastPath:
             plan = forwarder.forward_plan(context, adu[7:])
         self.forwards.learn(key, plan)
         return plan is not None
+
+    def _plan(self, unit: int, pdu: bytes) -> ReadPlan | None:
+        served, kind = self._direct(unit, pdu[0])
+        if served is None or served.device is None or kind is None:
+            return None
+        plan = kind.plan(served.device, unit, pdu)
+        return plan if plan is not None and self._permits(unit, served, pdu) else None
 
     def _direct(self, unit: int, function: int) -> tuple[ServedUnit | None, type[Request] | None]:
         """Return unit and request class of a function code if the unit's device can answer it from bytes; else None."""

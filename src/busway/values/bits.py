@@ -70,6 +70,12 @@ class BitCodec:
         self._swaps = order.swaps
         self.expects: str = f"one of {', '.join(_STATES)}"
 
+    @property
+    def place(self) -> tuple[int, int]:
+        """The byte of the register as it is sent, 0 or 1, and the mask of the bit in it."""
+        is_low = self._bit < 8
+        return int(is_low is not bool(self._swaps)), 1 << (self._bit & 7)
+
     def decode(self, data: Wire) -> list[Any]:
         """Return one bit, the same one, of each register as ``bool``."""
         whole = swapped(data, self._swaps)

@@ -146,6 +146,11 @@ class ValueType(Generic[Value]):
         """Whether a value occupies only a part of its register; `merge` keeps the other bits."""
         return isinstance(self._codec, BitCodec | FieldCodec)
 
+    @property
+    def bit_place(self) -> tuple[int, int] | None:
+        """The byte of its register as it is sent, 0 or 1, and the mask of the bit in it; None if it is not one bit."""
+        return self._codec.place if isinstance(self._codec, BitCodec) else None
+
     def merge(self, value: object, held: Wire) -> bytes:
         """Return the registers with one value written, and the bits that do not belong to it unchanged.
 
