@@ -6,7 +6,9 @@
 3. ``tcp://127.0.0.1:5020`` stands for what was started: the port is replaced by the real one. A page whose code asks
    that endpoint and that starts nothing fails.
 4. What ``print(…)  # text`` says it prints is compared.
-5. In ``console`` blocks the lines that begin with ``$ busway`` are run, and what stands below is compared.
+5. In ``console`` blocks the lines that begin with ``$ busway`` are run, and what stands below is compared; what goes to
+   stderr is not shown there.
+6. A block whose first line is ``# NAME.toml`` (``.yaml``, ``.conf``) is the file of that name.
 """
 
 import re
@@ -37,6 +39,7 @@ class Page:
         program: all other Python of the page.
         expected: what its ``print`` calls say they print.
         commands: command lines, each with what it says it prints.
+        files: the files that the page has its reader write.
     """
 
     path: Path
@@ -44,6 +47,7 @@ class Page:
     program: str
     expected: list[str]
     commands: list[tuple[str, str]]
+    files: dict[str, str]
 
 
 def read_page(path: Path) -> Page:
@@ -63,7 +67,8 @@ def read_page(path: Path) -> Page:
             elif command.startswith("busway "):
                 commands.append((command, output.strip()))
     assert len(servers) <= 1, f"{path.name}: two servers"
-    return Page(path, servers[0] if servers else [], program, expected, commands)
+    files = dict(re.findall(r"^```\w+\n# ([\w-]+\.(?:toml|yaml|conf))\n(.*?)^```$", text, re.DOTALL | re.MULTILINE))
+    return Page(path, servers[0] if servers else [], program, expected, commands, files)
 
 
 @contextmanager
@@ -100,6 +105,8 @@ def run_page(tmp_path: Path) -> RunPage:
 
     def run(path: Path) -> None:
         page = read_page(path)
+        for name, text in page.files.items():
+            (tmp_path / name).write_text(text, encoding="utf-8")
         with serving(page, tmp_path) as endpoint:
             if page.program:
                 program = page.program.replace(WRITTEN_ENDPOINT, endpoint)

@@ -41,6 +41,14 @@ QUESTIONS = {
     "alarms": "how-to/alarms.html",
     "How do I migrate from pymodbus?": "how-to/migrate-from-pymodbus.html",
     "How do I migrate from minimalmodbus?": "how-to/migrate-from-minimalmodbus.html",
+    "How do I migrate from pyModbusTCP?": "how-to/migrate-from-pymodbustcp.html",
+    "How do I migrate from tmodbus?": "how-to/migrate-from-tmodbus.html",
+    "How do I migrate from mbpoll?": "how-to/migrate-from-mbpoll.html",
+    "How do I migrate from mbusd?": "how-to/migrate-from-mbusd.html",
+    "Home Assistant": "how-to/home-assistant.html",
+    "Telegraf": "how-to/telegraf.html",
+    "Does it run on Windows?": "how-to/windows-and-macos.html",
+    "macOS": "how-to/windows-and-macos.html",
 }
 """What readers ask, and the page that answers."""
 
