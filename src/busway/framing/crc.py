@@ -10,7 +10,6 @@ Knows bytes; knows no frame and no time.
 """
 
 import struct
-import sys
 from array import array
 from collections.abc import Iterable
 from functools import cache
@@ -41,7 +40,7 @@ def _word_table() -> "array[int]":
     row = int.from_bytes(struct.pack("<256H", *low), "little")
     ones = int.from_bytes(struct.pack("<256H", *[1] * 256), "little")
     table = array("H", b"".join((row ^ number * ones).to_bytes(512, "little") for number in high))
-    if sys.byteorder == "big":
+    if array("H", b"\1\0")[0] != 1:  # a machine that keeps the high byte first
         table.byteswap()
     return table
 
