@@ -1,4 +1,4 @@
-"""A policy around a handler: which road requests take, who shares plans, rates, late outcomes and what the log says."""
+"""A policy around a handler: which path requests take, who shares plans, rates, late outcomes and what the log says."""
 
 import asyncio
 import json

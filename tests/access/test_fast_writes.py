@@ -133,7 +133,7 @@ def test_the_line_stands_in_the_file_before_the_request_is_answered_where_that_i
     assert order == ["line", "answer"] * 2
 
 
-def test_lines_are_in_the_order_of_what_was_written_on_whatever_road(device, log):
+def test_lines_are_in_the_order_of_what_was_written_by_whatever_path(device, log):
     one = session(AuthorizedPipeline(DeviceResponder({1: device}), ZONES, log))
     adus = b""
     for value, address in enumerate([5, 5, 12, 5, 10, 5], 1):

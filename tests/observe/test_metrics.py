@@ -175,7 +175,7 @@ async def replies(reader: asyncio.StreamReader, count: int) -> list[bytes]:
 
 @given(asked=ASKED, hooked=st.booleans())
 @settings(max_examples=25, deadline=None)
-def test_every_answered_request_is_counted_exactly_once_on_whatever_road(
+def test_every_answered_request_is_counted_exactly_once_by_whatever_path(
     asked: list[tuple[int, str]], hooked: bool
 ) -> None:
     async def run() -> None:

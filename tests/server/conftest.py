@@ -6,7 +6,7 @@ import busway.server.opening
 
 
 @pytest.fixture(params=["in a crowd", "by the loop's transports"])
-def road(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Both ways for connections to wait; the second one is for event loops and systems without an epoll object."""
     name: str = request.param
     if name == "by the loop's transports":

@@ -20,7 +20,7 @@ from busway.server.turns import Turns
 from busway.session.responder import Outcome
 from busway.testing import SLOW_LORIS, golden_adu, misbehaving_client
 
-pytestmark = pytest.mark.usefixtures("road")
+pytestmark = pytest.mark.usefixtures("transport")
 
 ANY_PORT = "tcp://127.0.0.1:0"
 

@@ -22,7 +22,7 @@ from busway.server.listener import Listener
 from busway.server.status import ServedConnectionState
 from busway.testing import golden_adu
 
-pytestmark = pytest.mark.usefixtures("road")
+pytestmark = pytest.mark.usefixtures("transport")
 
 ANY_PORT = "tcp://127.0.0.1:0"
 MARKED, STRANGER = "127.0.0.2", "127.0.0.3"

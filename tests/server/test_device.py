@@ -215,7 +215,7 @@ def test_a_block_stays_right_when_a_group_replaces_what_it_holds() -> None:
 
 
 def devices() -> list[Device]:
-    """Two of each: one for each road, so that writes are compared too."""
+    """Two of each: one for each path, so that writes are compared too."""
     return [
         Device(
             holding_registers=Cells(first=3, values=list(range(40))),

@@ -22,7 +22,7 @@ from busway.server.serving import ServerThread
 from busway.server.status import SecurityStatus
 from busway.testing.certificates import CertificateFiles, CertificateStore
 
-pytestmark = pytest.mark.usefixtures("road")
+pytestmark = pytest.mark.usefixtures("transport")
 
 REGISTER = 1234
 REPLY = bytes.fromhex("0001 0000 0005 01 03 02 04D2")

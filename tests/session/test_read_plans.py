@@ -94,7 +94,7 @@ def test_plans_count_as_exchanges() -> None:
 
 
 @pytest.mark.clause("S16")
-def test_units_of_a_connection_count_their_own_on_every_road() -> None:
+def test_units_of_a_connection_count_their_own_by_every_path() -> None:
     units = {1: Device(holding_registers=10), 3: Device(holding_registers=10, coils=8)}
     diagnostics = LineDiagnostics(changes_allowed=True)
     session = TcpServerSession(

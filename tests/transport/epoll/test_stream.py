@@ -22,8 +22,8 @@ pytestmark = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this syste
 MUCH = 4 * 1024 * 1024
 """More than the system takes at once, in either direction."""
 RESET = struct.pack("ii", 1, 0)
-ROADS = ["asyncio's own", *(f"a crowd on {name}" for name in LOOPS)]
-CROWDS = ROADS[1:]
+TRANSPORTS = ["asyncio's own", *(f"a crowd on {name}" for name in LOOPS)]
+CROWDS = TRANSPORTS[1:]
 
 
 class Recorder(asyncio.BufferedProtocol):
@@ -82,7 +82,7 @@ class Recorder(asyncio.BufferedProtocol):
 
 @dataclass
 class Meeting:
-    """A client socket and the protocol of its connection, on the road under test."""
+    """A client socket and the protocol of its connection, on the transport under test."""
 
     loop: asyncio.AbstractEventLoop
     epoll_set: EpollSet | None
@@ -108,9 +108,9 @@ class Meeting:
 
 
 @contextlib.asynccontextmanager
-async def meeting(road: str) -> AsyncIterator[Meeting]:
+async def meeting(transport: str) -> AsyncIterator[Meeting]:
     loop = asyncio.get_running_loop()
-    here = Meeting(loop, None if road == ROADS[0] else epoll_set_for(loop))
+    here = Meeting(loop, None if transport == TRANSPORTS[0] else epoll_set_for(loop))
     loop.set_exception_handler(lambda loop, context: here.reported.append(context))
     with socket.socket() as listening:
         listening.setblocking(False)
@@ -129,16 +129,16 @@ async def meeting(road: str) -> AsyncIterator[Meeting]:
         assert len(here.epoll_set) == 0
 
 
-def tried(road: str, test: Callable[[Meeting, socket.socket, Recorder], Any]) -> None:
+def tried(transport: str, test: Callable[[Meeting, socket.socket, Recorder], Any]) -> None:
     """Run a test with one connection."""
 
     async def main() -> None:
-        async with meeting(road) as here:
+        async with meeting(transport) as here:
             client, protocol = await here.dial()
             with client:
                 await test(here, client, protocol)
 
-    run_on(road.rpartition(" ")[2] if road in CROWDS else "asyncio", main)
+    run_on(transport.rpartition(" ")[2] if transport in CROWDS else "asyncio", main)
 
 
 async def all_from(loop: asyncio.AbstractEventLoop, client: socket.socket, size: int | None = None) -> bytes:
@@ -155,8 +155,8 @@ async def all_from(loop: asyncio.AbstractEventLoop, client: socket.socket, size:
 # --- bytes ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_bytes_come_and_go_and_the_end_is_told_once(road: str) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_bytes_come_and_go_and_the_end_is_told_once(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol.answer = lambda data: protocol.transport.write(data[::-1])
         for said in (b"abc", b"defg"):
@@ -169,11 +169,11 @@ def test_bytes_come_and_go_and_the_end_is_told_once(road: str) -> None:
         assert protocol.heard == ["made", "bytes", "end", ("lost", type(None))]
         assert here.reported == []
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_what_the_system_does_not_take_waits_and_leaves_in_order(road: str) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_what_the_system_does_not_take_waits_and_leaves_in_order(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         data = bytes(range(256)) * (MUCH // 256)
         transport = protocol.transport
@@ -188,22 +188,22 @@ def test_what_the_system_does_not_take_waits_and_leaves_in_order(road: str) -> N
         transport.write(b"straight again")
         assert await all_from(here.loop, client, 14) == b"straight again"
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", CROWDS)
-def test_items_of_a_view_may_be_of_any_width(road: str) -> None:
+@pytest.mark.parametrize("transport", CROWDS)
+def test_items_of_a_view_may_be_of_any_width(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         data = bytes(range(256)) * (MUCH // 256)
         protocol.transport.write(memoryview(b"abcd").cast("H"))
         protocol.transport.write(memoryview(data).cast("I"))
         assert await all_from(here.loop, client, 4 + MUCH) == b"abcd" + data
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_what_is_written_while_it_resumes_goes_behind_what_waits(road: str) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_what_is_written_while_it_resumes_goes_behind_what_waits(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         def write_more() -> None:
             protocol.heard.append("resume")
@@ -214,11 +214,11 @@ def test_what_is_written_while_it_resumes_goes_behind_what_waits(road: str) -> N
         assert await all_from(here.loop, client, MUCH + 4) == bytes(MUCH) + b"more"
         assert protocol.heard == ["made", "pause", "resume"]
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_nothing_is_heard_while_reading_is_paused(road: str) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_nothing_is_heard_while_reading_is_paused(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         transport = protocol.transport
         transport.pause_reading()
@@ -231,14 +231,14 @@ def test_nothing_is_heard_while_reading_is_paused(road: str) -> None:
         assert transport.is_reading()
         await until(lambda: protocol.received == b"abc")
 
-    tried(road, test)
+    tried(transport, test)
 
 
 # --- ends -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_closing_sends_what_waits_and_reads_no_more(road: str) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_closing_sends_what_waits_and_reads_no_more(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol.transport.write(bytes(MUCH))
         protocol.transport.close()
@@ -254,12 +254,12 @@ def test_closing_sends_what_waits_and_reads_no_more(road: str) -> None:
             await asyncio.sleep(0)
         assert [one for one in protocol.heard if isinstance(one, tuple)] == [("lost", type(None))]
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
+@pytest.mark.parametrize("transport", TRANSPORTS)
 @pytest.mark.parametrize("how", ["close", "abort"])
-def test_end_that_the_protocol_wishes_is_told_in_a_later_turn(road: str, how: str) -> None:
+def test_end_that_the_protocol_wishes_is_told_in_a_later_turn(transport: str, how: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol.answer = lambda data: getattr(protocol.transport, how)()  # depth is looked at by connection_lost
         client.send(b"!")
@@ -267,11 +267,11 @@ def test_end_that_the_protocol_wishes_is_told_in_a_later_turn(road: str, how: st
         assert protocol.heard == ["made", "bytes", ("lost", type(None))]
         assert await all_from(here.loop, client) == b""
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_aborting_drops_what_waits(road: str) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_aborting_drops_what_waits(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol.transport.write(bytes(MUCH))
         protocol.transport.abort()
@@ -282,12 +282,12 @@ def test_aborting_drops_what_waits(road: str) -> None:
             assert len(await all_from(here.loop, client)) < MUCH
         assert protocol.heard == ["made", "pause", ("lost", type(None))]
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
+@pytest.mark.parametrize("transport", TRANSPORTS)
 @pytest.mark.parametrize("waiting", [False, True])
-def test_reset_ends_the_connection_with_its_reason(road: str, waiting: bool) -> None:
+def test_reset_ends_the_connection_with_its_reason(transport: str, waiting: bool) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         if waiting:
             protocol.transport.write(bytes(MUCH))
@@ -297,11 +297,11 @@ def test_reset_ends_the_connection_with_its_reason(road: str, waiting: bool) -> 
         assert [one for one in protocol.heard if isinstance(one, tuple)] == [("lost", ConnectionResetError)]
         assert here.reported == []
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_write_to_a_peer_that_has_gone_ends_the_connection_in_a_later_turn(road: str) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_write_to_a_peer_that_has_gone_ends_the_connection_in_a_later_turn(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol.transport.pause_reading()  # nothing but the write can notice
         client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
@@ -312,11 +312,11 @@ def test_write_to_a_peer_that_has_gone_ends_the_connection_in_a_later_turn(road:
         await protocol.lost.wait()
         assert len([one for one in protocol.heard if isinstance(one, tuple)]) == 1
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_peer_that_sends_no_more_may_still_be_written_to(road: str) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_peer_that_sends_no_more_may_still_be_written_to(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol.stays_after_the_end = True
         client.send(b"last words")
@@ -330,11 +330,11 @@ def test_peer_that_sends_no_more_may_still_be_written_to(road: str) -> None:
         assert await all_from(here.loop, client) == b""
         await protocol.lost.wait()
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", CROWDS)
-def test_end_is_told_once_whatever_is_paused_behind_it(road: str) -> None:
+@pytest.mark.parametrize("transport", CROWDS)
+def test_end_is_told_once_whatever_is_paused_behind_it(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol.stays_after_the_end = True
         client.shutdown(socket.SHUT_WR)
@@ -345,12 +345,12 @@ def test_end_is_told_once_whatever_is_paused_behind_it(road: str) -> None:
             await asyncio.sleep(0)
         assert protocol.heard == ["made", "end"]
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
+@pytest.mark.parametrize("transport", TRANSPORTS)
 @pytest.mark.parametrize("size", [3, MUCH])
-def test_own_end_goes_behind_what_waits_and_leaves_the_other_direction_open(road: str, size: int) -> None:
+def test_own_end_goes_behind_what_waits_and_leaves_the_other_direction_open(transport: str, size: int) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         assert protocol.transport.can_write_eof()
         protocol.transport.write(bytes(size))
@@ -362,22 +362,22 @@ def test_own_end_goes_behind_what_waits_and_leaves_the_other_direction_open(road
         client.send(b"still here")
         await until(lambda: protocol.received == b"still here")
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", CROWDS)
-def test_own_end_behind_that_of_the_connection_is_no_error(road: str) -> None:
+@pytest.mark.parametrize("transport", CROWDS)
+def test_own_end_behind_that_of_the_connection_is_no_error(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol.transport.pause_reading()
         client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
         client.close()
         protocol.transport.write_eof()
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", CROWDS)
-def test_connection_that_nothing_is_wanted_of_is_not_watched(road: str) -> None:
+@pytest.mark.parametrize("transport", CROWDS)
+def test_connection_that_nothing_is_wanted_of_is_not_watched(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         assert here.epoll_set is not None
         assert len(here.epoll_set) == 2
@@ -386,15 +386,15 @@ def test_connection_that_nothing_is_wanted_of_is_not_watched(road: str) -> None:
         protocol.transport.resume_reading()
         assert len(here.epoll_set) == 2
 
-    tried(road, test)
+    tried(transport, test)
 
 
 # --- protocols that fail ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("road", ROADS)
+@pytest.mark.parametrize("transport", TRANSPORTS)
 @pytest.mark.parametrize("where", ["get_buffer", "bytes", "end"])
-def test_protocol_that_raises_is_reported_and_loses_its_connection_alone(road: str, where: str) -> None:
+def test_protocol_that_raises_is_reported_and_loses_its_connection_alone(transport: str, where: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         other_client, other = await here.dial()
         with other_client:
@@ -408,11 +408,11 @@ def test_protocol_that_raises_is_reported_and_loses_its_connection_alone(road: s
             other_client.send(b"who else")
             await until(lambda: other.received == b"who else")
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", CROWDS)
-def test_protocol_that_fails_at_its_beginning_is_reported_and_loses_its_connection(road: str) -> None:
+@pytest.mark.parametrize("transport", CROWDS)
+def test_protocol_that_fails_at_its_beginning_is_reported_and_loses_its_connection(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         failure = ZeroDivisionError("a bug")
         here.prepare = lambda one: one.fails.update(made=failure)
@@ -422,11 +422,11 @@ def test_protocol_that_fails_at_its_beginning_is_reported_and_loses_its_connecti
             assert [one["exception"] for one in here.reported] == [failure]
             assert await all_from(here.loop, other_client) == b""
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", CROWDS)
-def test_buffer_without_room_is_a_fault_of_the_protocol_and_no_end(road: str) -> None:
+@pytest.mark.parametrize("transport", CROWDS)
+def test_buffer_without_room_is_a_fault_of_the_protocol_and_no_end(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol._buffer = bytearray()
         client.send(b"!")
@@ -434,12 +434,12 @@ def test_buffer_without_room_is_a_fault_of_the_protocol_and_no_end(road: str) ->
         assert protocol.heard == ["made", ("lost", RuntimeError)]
         assert "empty buffer" in str(here.reported[0]["exception"])
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
+@pytest.mark.parametrize("transport", TRANSPORTS)
 @pytest.mark.parametrize("where", ["pause", "resume"])
-def test_protocol_that_fails_to_pause_is_reported_and_goes_on(road: str, where: str) -> None:
+def test_protocol_that_fails_to_pause_is_reported_and_goes_on(transport: str, where: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         failure = protocol.fails[where] = ZeroDivisionError("a bug")
         protocol.transport.write(bytes(MUCH))
@@ -448,14 +448,14 @@ def test_protocol_that_fails_to_pause_is_reported_and_goes_on(road: str, where: 
         assert [one["exception"] for one in here.reported] == [failure]
         assert not protocol.transport.is_closing()
 
-    tried(road, test)
+    tried(transport, test)
 
 
 # --- what it knows ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_transport_knows_its_socket_and_both_addresses(road: str) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_transport_knows_its_socket_and_both_addresses(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         transport = protocol.transport
         assert transport.get_extra_info("peername") == client.getsockname()
@@ -464,11 +464,11 @@ def test_transport_knows_its_socket_and_both_addresses(road: str) -> None:
         assert transport.get_extra_info("cipher", "none") == "none"
         assert transport.get_protocol() is protocol
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_limits_of_what_may_wait(road: str) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_limits_of_what_may_wait(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         transport = protocol.transport
         assert transport.get_write_buffer_limits() == (16_384, 65_536)
@@ -483,11 +483,11 @@ def test_limits_of_what_may_wait(road: str) -> None:
         with pytest.raises(ValueError, match="high"):
             transport.set_write_buffer_limits(high=1, low=2)
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", ROADS)
-def test_another_protocol_may_take_over(road: str) -> None:
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_another_protocol_may_take_over(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         after = Recorder()
         after.transport = protocol.transport
@@ -499,18 +499,18 @@ def test_another_protocol_may_take_over(road: str) -> None:
         await after.lost.wait()
         protocol.lost.set()
 
-    tried(road, test)
+    tried(transport, test)
 
 
-@pytest.mark.parametrize("road", CROWDS)
-def test_what_is_no_bytes_is_refused(road: str) -> None:
+@pytest.mark.parametrize("transport", CROWDS)
+def test_what_is_no_bytes_is_refused(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         for size in (1, MUCH):
             protocol.transport.write(bytes(size))
             with pytest.raises(TypeError):
                 protocol.transport.write("text")
 
-    tried(road, test)
+    tried(transport, test)
 
 
 async def test_transport_that_nobody_closed_is_named_when_it_is_collected() -> None:
