@@ -42,6 +42,8 @@ _MOST_RIGHTS: Final = 256
 MOST_READS: Final = 4096
 """Most reads that one fast path knows by all their bytes: enough for a poller of 4096 different ranges. Other reads are
 answered by the function of their unit: 1.0 µs instead of 0.4."""
+PLANNED: Final = frozenset({int(FunctionCode.READ_HOLDING_REGISTERS), int(FunctionCode.READ_INPUT_REGISTERS)})
+"""The functions whose reads are known by all their bytes; a read of bits has to shift them."""
 _MOST_FUNCTIONS: Final = 4096
 """Most functions of units that one fast path knows."""
 

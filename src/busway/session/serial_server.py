@@ -29,9 +29,8 @@ from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
 from .diagnostics import LineDiagnostics
-from .forwarded_reads import LAST_READ
 from .line_framing import LineFraming
-from .pipeline import NO_FAST_PATH, FastPath, RequestPipeline, ResponderFailure
+from .pipeline import NO_FAST_PATH, PLANNED, FastPath, RequestPipeline, ResponderFailure
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, Outcome, RequestContext
 from .server import Deferred
 
@@ -324,7 +323,7 @@ class SerialServerSession:
         self._diagnostics.exchanged[unit] += 1
         if self._pipeline.observers:
             self._pipeline.answered(self._client, [HEAD.pack(0, 0, len(reply) + 1, unit) + reply], began)
-        if pdu[0] <= LAST_READ and len(frame.raw) == _READ_SIZE:
+        if pdu[0] in PLANNED and len(frame.raw) == _READ_SIZE:
             fast.learn_frame(frame.raw)
         return self._framing.encode(unit, reply)
 

@@ -28,7 +28,7 @@ from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostics import LineDiagnostics
 from .forwarded_reads import LAST_READ, READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
-from .pipeline import MOST_READS, NO_FAST_PATH, RequestPipeline, ResponderFailure
+from .pipeline import MOST_READS, NO_FAST_PATH, PLANNED, RequestPipeline, ResponderFailure
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext
 from .transaction_slots import TransactionSlots
 
@@ -245,7 +245,7 @@ class TcpServerSession:
                 reply = None if answer is None else answer(buffer, at + 7, end, client)
                 if reply is not None:
                     out.append(_pack(transaction, 0, len(reply) + 1, unit) + reply)
-                    if function <= LAST_READ and learns and length == 6:
+                    if learns and length == 6 and function in PLANNED:
                         learns = fast.learn_read(buffer[at:end])
                     at = end
                     continue
