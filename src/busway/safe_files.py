@@ -54,6 +54,15 @@ def read_safely(path: str | os.PathLike[str], *, most: int) -> bytes:
     return data
 
 
+def open_to_read(path: str | os.PathLike[str]) -> int:
+    """Open a regular file of any size for reading, and return its descriptor.
+
+    Raises:
+        ConfigError: it cannot be opened, is no regular file, or is reached by a link of another user; names the file.
+    """
+    return _opened(path, os.O_RDONLY)
+
+
 def open_to_append(path: str | os.PathLike[str], *, mode: int = 0o600) -> int:
     """Open a regular file for appending, and return its descriptor; created with ``mode`` if it is missing.
 

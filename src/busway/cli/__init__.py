@@ -2,6 +2,7 @@
 
 ================  ======================================================================================================
 `arguments`       Options that several commands share, and the conversion of their texts to checked values
+`captures`        What commands that read capture files share: options, opening the file, what is said about it
 `certs`           `busway certs`: makes certificates to try Modbus/TCP Security with, and shows what certificates say
 `check`           `busway check`: asks a device what the specification asks for, and says what it does not do
 `cloning`         `busway simulate --clone`: records a live device into a simulation file
@@ -10,8 +11,10 @@
 `collect_status`  What `busway collect` and its demonstration show while they run: the page, and the status on stdout
 `config`          `busway config`: explains a configuration file or its errors, and lists the options
 `counters`        `busway counters`: shows the diagnostic counters of a device, read over Modbus
-`decode`          `busway decode`: explains frames from a log or a manual, field by field
+`decode`          `busway decode`: explains frames from a log, a manual or a capture file
+`decode_capture`  `busway decode CAPTURE`: explains the Modbus frames of a capture file, field by field
 `demo`            `busway demo`: a small plant on a serial line, a gateway in front of it
+`dissection`      How commands print an explained frame: a line for each field, or an object of JSON
 `exits`           The exit codes of all commands, and which error ends with which code
 `files`           Files that commands read, and capture files that they write for Wireshark
 `fleet`           `busway fleet`: several collectors share the links of a plant, as a coordinator says

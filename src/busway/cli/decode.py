@@ -1,9 +1,10 @@
-"""``busway decode``: explains frames from a log or a manual, field by field.
+"""``busway decode``: explains frames from a log, a manual or a capture file, field by field.
 
 1. Each argument is a frame; bytes and 16-bit groups that the shell has split (``01 03 00 6b …``, ``0103 006b …``) are
    joined to one.
 2. Frames that follow each other are one conversation: a reply is compared with the request before it.
-3. A frame that is wrong is explained as far as it goes; the exit code is then 6.
+3. An argument that names a capture file stands for the frames in it (`decode_capture`).
+4. A frame that is wrong is explained as far as it goes; the exit code is then 6.
 """
 
 import re
@@ -13,8 +14,10 @@ from collections.abc import Iterable
 import typer
 
 from ..errors import ConfigError
-from ..observe.dissect import Dissection, Dissector, Framing, MessageDirection
+from ..observe.dissect import Dissector, Framing, MessageDirection
 from .arguments import JSON
+from .captures import PORT, names_capture
+from .dissection import dissection_json, show_dissection
 from .exits import ExitCode
 from .output import print_json
 
@@ -26,26 +29,35 @@ Examples:
   busway decode 03006b0003 0306022b00000064
   busway decode ':0103006B00038E'
   grep RX plant.log | cut -d' ' -f4- | busway decode -
+  busway decode site.pcapng --port 502,5020
 
 Spaces, commas, 0x, \\x and colons between bytes do not matter. Groups of one or two bytes
 are one frame; write frames that are so short one per line. - reads one frame per line
-from standard input.
+from standard input. Of a capture file (pcap, pcapng) all Modbus frames are explained.
 """
 
-_BYTES_PER_LINE = 16
 _ASCII_FRAME = re.compile(r":[^:]+", re.DOTALL)
 _SEPARATORS = re.compile(r"0[xX]|\\x|[\s,;:\-_\[\]()']+")
 
 
 def decode(
     frames: list[str] = typer.Argument(
-        ..., metavar="HEX...", help="Frames in hexadecimal, or ASCII frames with colon."
+        ..., metavar="HEX...|CAPTURE", help="Frames in hexadecimal, ASCII frames with colon, or a capture file."
     ),
     framing: str | None = typer.Option(None, "--framing", metavar="NAME", help="mbap, rtu, ascii or pdu, if known."),
     direction: str | None = typer.Option(None, "--direction", metavar="NAME", help="request or reply, if known."),
+    port: str | None = PORT,
     as_json: bool = JSON,
 ) -> int:
     """Explain frames, field by field."""
+    if len(frames) == 1 and names_capture(frames[0]):
+        from .decode_capture import decode_capture
+
+        if direction is not None:
+            raise ConfigError("is for frames without addresses; a capture has them", key="--direction")
+        return decode_capture(frames[0], ports=port, framing=framing, as_json=as_json)
+    if port is not None:
+        raise ConfigError("goes with a capture file only", key="--port")
     dissector = Dissector(
         framing=None if framing is None else Framing(_one_of(framing, "--framing", [each.value for each in Framing])),
         direction=None
@@ -64,10 +76,12 @@ def decode(
             if dissection.problems:
                 code = ExitCode.BROKEN
             if as_json:
-                print_json(_as_json(dissection))
-            else:
-                _show(dissection, is_first=is_first)
-                is_first = False
+                print_json(dissection_json(dissection))
+                continue
+            if not is_first:
+                print()
+            show_dissection(dissection)
+            is_first = False
     return code
 
 
@@ -101,42 +115,3 @@ def _bytes_of(text: str) -> bytes:
 
 def _cut(text: str) -> str:
     return text if len(text) <= 40 else f"{text[:40]}…"
-
-
-def _show(dissection: Dissection, *, is_first: bool) -> None:
-    if not is_first:
-        print()
-    print(dissection.title + (", answers the request before it" if dissection.answers else ""))
-    names = max((len(part.name) for part in dissection.parts), default=0)
-    widest = max((min(len(part.data), _BYTES_PER_LINE) for part in dissection.parts), default=0)
-    for part in dissection.parts:
-        chunks = [part.data[at : at + _BYTES_PER_LINE] for at in range(0, len(part.data), _BYTES_PER_LINE)] or [b""]
-        said = "  ".join(each for each in (part.text, f"! {part.problem}" if part.problem else "") if each)
-        line = f"  {part.offset:3}  {chunks[0].hex(' '):{3 * widest}} {part.name:{names}}  {said}"
-        print(line.rstrip())
-        for number, chunk in enumerate(chunks[1:], start=1):
-            print(f"  {part.offset + number * _BYTES_PER_LINE:3}  {chunk.hex(' ')}")
-    said_already = {f"{part.name}: {part.problem}" for part in dissection.parts}
-    for problem in dissection.problems:
-        if problem not in said_already:
-            print(f"  ! {problem}")
-
-
-def _as_json(dissection: Dissection) -> dict[str, object]:
-    return {
-        "framing": dissection.framing.value,
-        "direction": dissection.direction.value,
-        "title": dissection.title,
-        "answers": dissection.answers,
-        "fields": [
-            {
-                "offset": part.offset,
-                "bytes": part.data.hex(),
-                "name": part.name,
-                "value": part.text,
-                "problem": part.problem,
-            }
-            for part in dissection.parts
-        ],
-        "problems": list(dissection.problems),
-    }

@@ -2,6 +2,7 @@
 
 ==================  ==================================================================================================
 `capture`           Capture files for Wireshark, with the bytes of connections and the frames of lines
+`capture_files`     Reads capture files: their packets, and the Modbus frames in these
 `capture_headers`   Builds the headers around Modbus bytes in capture files
 `dissect`           Explains a frame from an unknown source: framing, direction and every field, also of broken frames
 `http`              HTTP service for the status and metrics of a program, in threads beside the program's event loop
@@ -16,6 +17,6 @@
 ==================  ==================================================================================================
 
 Where it is decided: which reply answers which request: `pairing`. In which framing a frame from an unknown source is:
-`dissect`. What is logged at which level: `trace`. What a capture file has: `capture`. Which metrics there are:
-`metrics`.
+`dissect`. What is logged at which level: `trace`. What a capture file has: `capture`; how one is read:
+`capture_files`. Which metrics there are: `metrics`.
 """

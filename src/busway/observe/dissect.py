@@ -107,6 +107,9 @@ class Dissector:
         functions: the table of functions.
         framing: the framing of all frames; None to detect it for each.
         direction: the direction of all frames; None to detect it.
+
+    Attributes:
+        direction: the direction of the frames that follow; None to detect it.
     """
 
     def __init__(
@@ -118,7 +121,7 @@ class Dissector:
     ) -> None:
         self._functions = functions
         self._framing = framing
-        self._direction = direction
+        self.direction: MessageDirection | None = direction
         self._asked: _Asked | None = None
 
     def dissect(self, data: bytes) -> list[Dissection]:
@@ -202,7 +205,7 @@ class Dissector:
         due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.code
         as_request = describe_request(frame.pdu, self._functions)
         as_reply = describe_reply(frame.pdu, self._functions, request=asked.request if asked and due else None)
-        direction = self._direction or _likelier(as_request, as_reply, frame.pdu, due=due)
+        direction = self.direction or _likelier(as_request, as_reply, frame.pdu, due=due)
         if direction is MessageDirection.REQUEST:
             return direction, as_request, False, ()
         if asked is None or not due or as_reply.problems:

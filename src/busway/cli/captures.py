@@ -1,0 +1,97 @@
+"""What commands that read capture files share: their options, opening the file, and what is said about it.
+
+Knows paths and texts; what is in a capture is known by `busway.observe.capture_files`.
+"""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Final
+
+import typer
+
+from ..errors import ConfigError
+from ..safe_files import open_to_read
+from ..values.counts import counted
+from .arguments import whole_number
+from .output import warn
+
+if TYPE_CHECKING:
+    from ..observe.capture_files.packet_file import PacketFile
+    from ..observe.capture_files.traffic import CapturedTraffic
+
+PORT = typer.Option(None, "--port", metavar="LIST", help="Of a capture: ports of Modbus servers: 502,5020. 502.")
+STDIN: Final = "-"
+_NAMES: Final = (".pcap", ".pcapng", ".cap", ".ntar")
+_FRAMINGS: Final = ("mbap", "rtu", "ascii")
+
+
+def names_capture(text: str) -> bool:
+    """Whether an argument names a capture file: by its end, or by what the file of this name begins with."""
+    from ..observe.capture_files.packet_file import is_capture_file
+
+    if text.lower().endswith(_NAMES):
+        return True
+    if not os.path.isfile(text):
+        return False
+    try:
+        with os.fdopen(open_to_read(text), "rb") as file:
+            return is_capture_file(file.read(4))
+    except (ConfigError, OSError):
+        return False
+
+
+@contextmanager
+def open_packets(name: str) -> Iterator["PacketFile"]:
+    """Context manager that opens a capture file; ``-`` is standard input.
+
+    Raises:
+        ConfigError: it cannot be opened, or read; names it.
+    """
+    from ..observe.capture_files.packet_file import PacketFile
+
+    if name == STDIN:
+        yield PacketFile(sys.stdin.buffer, "standard input")
+        return
+    with os.fdopen(open_to_read(name), "rb") as file:
+        yield PacketFile(file, name)
+
+
+def traffic_of(ports: str | None, framing: str | None) -> "CapturedTraffic":
+    """Return what finds the frames, with the options ``--port`` and ``--framing``."""
+    from ..observe.capture_files.traffic import MODBUS_PORT, CapturedTraffic
+    from ..observe.dissect import Framing
+
+    if framing is not None and framing not in _FRAMINGS:
+        raise ConfigError(f"one of {', '.join(_FRAMINGS)} is needed, not {framing!r}", key="--framing")
+    numbers = [MODBUS_PORT]
+    if ports is not None:
+        numbers = [whole_number(each.strip(), "--port", 1, 65_535) for each in ports.split(",")]
+    return CapturedTraffic(numbers, framing=Framing.MBAP if framing is None else Framing(framing))
+
+
+def time_text(time: float) -> str:
+    """Return a time of a capture (seconds since 1970) as text in UTC, with microseconds."""
+    try:
+        moment = datetime.fromtimestamp(time, UTC)
+    except (OverflowError, ValueError, OSError):  # a file may say any time
+        return f"{time:g} s"
+    return moment.replace(tzinfo=None).isoformat(sep=" ", timespec="microseconds")
+
+
+def say_what_was_left_out(file: "PacketFile", traffic: "CapturedTraffic", frames: int) -> None:
+    """Warn that the file is truncated, or that the Modbus frames in it are on other ports."""
+    if file.truncated_at is not None:
+        warn(
+            f"the file ends inside a record at offset {file.truncated_at}; {counted(file.packets, 'packet')} were read"
+        )
+    if frames:
+        return
+    if traffic.other_ports:
+        port, count = min(traffic.other_ports.items(), key=lambda each: (-each[1], each[0]))
+        warn(f"no Modbus on these ports, but {counted(count, 'frame')} of port {port}: --port {port}")
+        return
+    reasons = ", ".join(f"{count} {reason}" for reason, count in traffic.ignored.most_common(5))
+    warn(f"no Modbus in {counted(file.packets, 'packet')}{f': {reasons}' if reasons else ''}")

@@ -1,0 +1,130 @@
+"""``busway decode CAPTURE``: explains the Modbus frames of a capture file, field by field.
+
+1. Each frame has a line with packet, time and addresses above it. Packets are numbered as Wireshark numbers them.
+2. A reply is compared with its request, also where several are in flight.
+3. What is broken, or missing in the capture, is said in its place; the exit code is then 6.
+"""
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+from ..values.printable import printable
+from .captures import open_packets, say_what_was_left_out, time_text, traffic_of
+from .dissection import dissection_json, show_dissection
+from .exits import ExitCode
+from .output import print_json
+
+if TYPE_CHECKING:
+    from ..observe.capture_files.packet_file import PacketFile
+    from ..observe.capture_files.traffic import CapturedFrame, CapturedTraffic, FaultyBytes, TrafficEvent
+    from ..observe.dissect import Dissection, Dissector
+
+_MOST_ASKED: Final = 4096
+"""Requests that wait for their replies."""
+
+
+def decode_capture(name: str, *, ports: str | None, framing: str | None, as_json: bool) -> int:
+    """Explain the frames of a capture file on stdout. Raises `ConfigError` where the file is broken."""
+    from ..observe.capture_files.traffic import ChannelEnd
+
+    traffic = traffic_of(ports, framing)
+    explaining = _Explaining(as_json)
+    with open_packets(name) as file:
+        try:
+            for event in _events(file, traffic):
+                if not isinstance(event, ChannelEnd):
+                    explaining.show(event)
+        finally:
+            say_what_was_left_out(file, traffic, explaining.shown)
+    return explaining.code
+
+
+def _events(file: "PacketFile", traffic: "CapturedTraffic") -> Iterator["TrafficEvent"]:
+    for packet in file:
+        yield from traffic.take(packet)
+    yield from traffic.finish()
+
+
+class _Explaining:
+    """Prints the frames of one capture file.
+
+    Attributes:
+        code: exit code by what was printed so far.
+        shown: number of frames and faults printed so far.
+    """
+
+    def __init__(self, as_json: bool) -> None:
+        self.code: ExitCode = ExitCode.DONE
+        self.shown: int = 0
+        self._as_json = as_json
+        self._asked: OrderedDict[object, Dissector] = OrderedDict()
+        self._lines: dict[int, Dissector] = {}
+
+    def show(self, event: "CapturedFrame | FaultyBytes") -> None:
+        """Print a frame, or what is wrong in the capture."""
+        from ..observe.capture_files.traffic import FaultyBytes
+
+        said = event.text if isinstance(event, FaultyBytes) else ""
+        dissection = self._dissected(event)
+        if said or (dissection is not None and dissection.problems):
+            self.code = ExitCode.BROKEN
+        if self._as_json:
+            print_json(_json(event, said, dissection))
+        else:
+            if self.shown:
+                print()
+            print(_heading(event) + (f": {said}" if said else ""))
+            if dissection is not None:
+                show_dissection(dissection)
+        self.shown += 1
+
+    def _dissected(self, event: "CapturedFrame | FaultyBytes") -> "Dissection | None":
+        from ..framing.received import Direction
+        from ..observe.capture_files.traffic import CapturedFrame
+        from ..observe.dissect import Dissector, MessageDirection
+
+        channel = event.channel
+        if not isinstance(event, CapturedFrame):
+            return Dissector(framing=channel.framing).dissect(event.raw)[0] if event.raw else None
+        if channel.client is None:
+            return self._lines.setdefault(channel.number, Dissector(framing=channel.framing)).dissect(event.raw)[0]
+        key = channel.number, event.transaction
+        dissector = self._asked.pop(key, None) or Dissector(framing=channel.framing)
+        if event.direction is Direction.REPLY:
+            dissector.direction = MessageDirection.REPLY
+        else:
+            dissector.direction = MessageDirection.REQUEST
+            self._asked[key] = dissector
+            if len(self._asked) > _MOST_ASKED:
+                self._asked.popitem(last=False)
+        return dissector.dissect(event.raw)[0]
+
+
+def _heading(event: "CapturedFrame | FaultyBytes") -> str:
+    return f"packet {event.packet}, {time_text(event.time)}, {_ends(event)}"
+
+
+def _ends(event: "CapturedFrame | FaultyBytes") -> str:
+    source, destination = _addresses(event)
+    return f"{source} → {destination}" if destination else source
+
+
+def _addresses(event: "CapturedFrame | FaultyBytes") -> tuple[str, str]:
+    """Return where a frame came from and went to; the name of a line, and nothing."""
+    from ..framing.received import Direction
+    from ..observe.capture_files.traffic import node_text
+
+    channel = event.channel
+    if channel.client is None or channel.server is None:
+        return printable(channel.name), ""
+    ends = node_text(channel.client), node_text(channel.server)
+    return (ends[1], ends[0]) if event.direction is Direction.REPLY else ends
+
+
+def _json(event: "CapturedFrame | FaultyBytes", said: str, dissection: "Dissection | None") -> dict[str, object]:
+    source, destination = _addresses(event)
+    found: dict[str, object] = {"packet": event.packet, "time": event.time, "from": source, "to": destination}
+    if said:
+        found["fault"] = said
+    return found | (dissection_json(dissection) if dissection is not None else {})

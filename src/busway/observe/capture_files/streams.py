@@ -1,0 +1,178 @@
+"""Puts the segments of one direction of a TCP connection in order, and says which bytes are missing.
+
+Knows sequence numbers (RFC 9293 §3.4) and bytes; knows no address and no Modbus. Nothing is guessed: what the capture
+does not have is a `StreamGap` with its size.
+
+1. A stream begins with its SYN, or with the first segment that the capture has: then it *begins in the middle*.
+2. What was there before is a retransmission and dropped, also where it overlaps; the bytes that came first stay.
+3. A segment beyond the next byte waits until what is missing has come. It is missing for good when the peer has
+   acknowledged it (the peer has it, the capture does not), when more than `MOST_WAITING` bytes or segments wait, and
+   at the end.
+4. A segment more than `FARTHEST` away belongs to another connection with the same addresses: the stream begins anew.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+MOST_WAITING: Final = 32 << 10
+"""Bytes that wait for missing ones, for each direction of a connection."""
+_MOST_SEGMENTS: Final = 256
+FARTHEST: Final = 1 << 24
+"""Bytes; no window of a Modbus device comes near."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamPiece:
+    """Bytes of a stream in their order, with number and time of the packet that brought them."""
+
+    data: bytes
+    packet: int
+    time: float
+
+
+@dataclass(frozen=True, slots=True)
+class StreamGap:
+    """Bytes of a stream that the capture does not have: how many (None if unknown), and where that was found."""
+
+    size: int | None
+    packet: int
+    time: float
+
+
+StreamPart = StreamPiece | StreamGap
+
+
+@dataclass(frozen=True, slots=True)
+class _Waiting:
+    """A segment that is beyond the next byte, by its distance from the first byte of the stream."""
+
+    at: int
+    data: bytes
+    missing: int
+    packet: int
+    time: float
+
+    @property
+    def end(self) -> int:
+        return self.at + len(self.data) + self.missing
+
+
+class StreamAssembler:
+    """Puts the segments of one direction of a TCP connection in order.
+
+    Attributes:
+        repeated: number of bytes that came again.
+        out_of_order: number of segments that came before one that belongs in front of them.
+    """
+
+    __slots__ = ("_acknowledged", "_next", "_size", "_start", "_waiting", "out_of_order", "repeated")
+
+    def __init__(self) -> None:
+        self.repeated: int = 0
+        self.out_of_order: int = 0
+        self._start: int | None = None  # sequence number of the first byte
+        self._next = 0  # distances from the first byte, so that nothing wraps
+        self._acknowledged = 0
+        self._size = 0
+        self._waiting: list[_Waiting] = []
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether a segment has set the first byte of the stream."""
+        return self._start is not None
+
+    def begin(self, sequence: int) -> None:
+        """Begin with the byte after a SYN with this sequence number."""
+        if self._start != (sequence + 1) & 0xFFFF_FFFF:
+            self._start, self._next, self._acknowledged = (sequence + 1) & 0xFFFF_FFFF, 0, 0
+            self._waiting, self._size = [], 0
+
+    def segment(self, sequence: int, data: bytes, missing: int, packet: int, time: float) -> list[StreamPart]:
+        """Take a segment with bytes. Returns what is in order now.
+
+        Args:
+            sequence: number of its first byte.
+            data: its bytes, as far as captured.
+            missing: number of bytes behind them that were not captured.
+            packet, time: number and time of the packet.
+        """
+        found: list[StreamPart] = []
+        if self._start is None:
+            self._start = sequence
+            found.append(StreamGap(None, packet, time))
+        at = self._distance(sequence)
+        if abs(at - self._next) > FARTHEST:
+            found += self.finish()
+            found.append(StreamGap(None, packet, time))
+            self._start, self._next, self._acknowledged, at = sequence, 0, 0, 0
+        segment = _Waiting(at, data, missing, packet, time)
+        if at > self._next:
+            self._wait(segment)
+            if self._size > MOST_WAITING or len(self._waiting) > _MOST_SEGMENTS or self._is_acknowledged():
+                found += self._skip()
+            return found
+        self._deliver(segment, found)
+        self._drain(found)
+        return found
+
+    def acknowledge(self, number: int) -> list[StreamPart]:
+        """Take an acknowledgement of the peer: what it has and the capture has not is missing for good."""
+        if self._start is None:
+            return []
+        at = self._distance(number)
+        if self._acknowledged < at <= self._next + FARTHEST:
+            self._acknowledged = at
+        return self._skip() if self._is_acknowledged() else []
+
+    def finish(self) -> list[StreamPart]:
+        """Return what still waits, with the gaps in front of it."""
+        found: list[StreamPart] = []
+        while self._waiting:
+            found += self._skip()
+        return found
+
+    # Inside.
+
+    def _distance(self, sequence: int) -> int:
+        """Return the distance of a sequence number from the first byte, nearest to the next byte."""
+        assert self._start is not None
+        ahead = (sequence - self._start - self._next + (1 << 31)) & 0xFFFF_FFFF
+        return self._next + ahead - (1 << 31)
+
+    def _is_acknowledged(self) -> bool:
+        return bool(self._waiting) and self._waiting[0].end <= self._acknowledged
+
+    def _wait(self, segment: _Waiting) -> None:
+        place = next((index for index, each in enumerate(self._waiting) if each.at > segment.at), len(self._waiting))
+        if place and self._waiting[place - 1].at == segment.at and self._waiting[place - 1].end >= segment.end:
+            self.repeated += len(segment.data)
+            return
+        self.out_of_order += 1
+        self._waiting.insert(place, segment)
+        self._size += len(segment.data)
+
+    def _deliver(self, segment: _Waiting, found: list[StreamPart]) -> None:
+        """Give the part of a segment that is new; it begins at the next byte or before it."""
+        known = self._next - segment.at
+        fresh = segment.data[known:]
+        self.repeated += len(segment.data) - len(fresh)
+        if fresh:
+            found.append(StreamPiece(fresh, segment.packet, segment.time))
+            self._next += len(fresh)
+        if segment.end > self._next:
+            found.append(StreamGap(segment.end - self._next, segment.packet, segment.time))
+            self._next = segment.end
+
+    def _drain(self, found: list[StreamPart]) -> None:
+        while self._waiting and self._waiting[0].at <= self._next:
+            segment = self._waiting.pop(0)
+            self._size -= len(segment.data)
+            self._deliver(segment, found)
+
+    def _skip(self) -> list[StreamPart]:
+        """Give the bytes in front of the first waiting segment up as missing."""
+        first = self._waiting[0]
+        found: list[StreamPart] = [StreamGap(first.at - self._next, first.packet, first.time)]
+        self._next = first.at
+        self._drain(found)
+        return found

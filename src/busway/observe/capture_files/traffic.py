@@ -1,0 +1,515 @@
+"""Finds the Modbus frames in the packets of a capture file, connection by connection and line by line.
+
+Knows packets, streams and framings; knows no file, and not which reply answers which request. It raises nothing, for
+any packets.
+
+1. Who listens on one of the ports is the server; where both ends do, the one that a SYN was sent to.
+2. A stream that begins in the middle, or behind missing bytes, is out of step: it is taken up again at a segment that
+   begins like a frame, and what is skipped until then is told. A length that cannot be breaks the stream likewise.
+3. Each datagram is by itself. Each packet of a line that is one frame by its kind is decided by itself; other bytes of
+   a line are one stream, in which silence ends frames.
+4. Limits: `MOST_CHANNELS` connections at once, then the one that was silent longest is ended; each keeps part of a
+   frame, and the segments that `streams` holds back.
+"""
+
+from collections import Counter, OrderedDict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Final
+
+from ...framing.frame_direction import LineRole
+from ...framing.mbap import HEADER_SIZE, MAX_LENGTH, MIN_LENGTH, FrameKind, MbapFrame, MbapReceiver, encode_mbap
+from ...framing.received import Damaged, Direction, Received, SerialFrame, SerialReceiver
+from ...framing.timing import SerialTiming
+from ...pdu.functions import STANDARD
+from ...session.line_framing import line_framing
+from ..capture_headers import Node
+from ..dissect import Framing
+from .layers import Ignored, LineBytes, TcpSegment, UdpDatagram, carried
+from .packet_file import CapturedPacket
+from .streams import StreamAssembler, StreamGap, StreamPart, StreamPiece
+
+MODBUS_PORT: Final = 502
+MOST_CHANNELS: Final = 2048
+_MOST_REASONS: Final = 64
+_MOST_PORTS: Final = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class CapturedChannel:
+    """A connection, or a serial line, in a capture file.
+
+    Attributes:
+        number: counted from 1.
+        carrier: ``tcp``, ``udp`` or ``line``.
+        framing: framing of its frames.
+        client, server: its ends; None of a line.
+        name: name of a line.
+    """
+
+    number: int
+    carrier: str
+    framing: Framing
+    client: Node | None = None
+    server: Node | None = None
+    name: str = ""
+
+    @property
+    def client_text(self) -> str:
+        """The client as text, without its port; empty for a line."""
+        return "" if self.client is None else str(self.client.address)
+
+    @property
+    def server_text(self) -> str:
+        """The server as text, with its port; the name of a line."""
+        return self.name if self.server is None else node_text(self.server)
+
+
+def node_text(node: Node) -> str:
+    """Return an address with its port as text: ``10.0.0.5:502``, ``[fe80::2]:502``."""
+    return f"[{node.address}]:{node.port}" if node.address.version == 6 else f"{node.address}:{node.port}"
+
+
+class TrafficFault(Enum):
+    """What can be wrong with the bytes of a connection or a line in a capture file."""
+
+    MISSING = "missing in the capture"
+    SKIPPED = "skipped"
+    BAD_LENGTH = "bad length"
+    CUT_OFF = "cut off"
+    FOREIGN_PROTOCOL = "foreign protocol"
+    DAMAGED = "damaged"
+
+
+@dataclass(frozen=True, slots=True)
+class CapturedFrame:
+    """A Modbus frame in a capture file.
+
+    Attributes:
+        channel: its connection or line.
+        packet: number of the packet that completed it, as Wireshark counts.
+        time: seconds since 1970 of that packet.
+        direction: request or reply; of a line judged from the frames before it.
+        raw: the frame.
+        unit: unit identifier, 0…255.
+        pdu: function code and data.
+        transaction: transaction identifier; None for frames of lines.
+        received: the frame as the receiver of a line gave it; None for frames of TCP.
+    """
+
+    channel: CapturedChannel
+    packet: int
+    time: float
+    direction: Direction
+    raw: bytes
+    unit: int
+    pdu: bytes
+    transaction: int | None = None
+    received: Received | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FaultyBytes:
+    """Bytes in a capture file that are no frame, or that are not there.
+
+    Attributes:
+        channel: the connection or line.
+        packet, time: the packet at which it was found.
+        direction: of whom the bytes are.
+        fault: what is wrong.
+        text: the same in words, with numbers.
+        raw: the bytes, if there are any.
+        received: the damaged bytes as the receiver of a line gave them.
+    """
+
+    channel: CapturedChannel
+    packet: int
+    time: float
+    direction: Direction
+    fault: TrafficFault
+    text: str
+    raw: bytes = b""
+    received: Received | None = None
+
+
+class ChannelEnding(Enum):
+    """How a connection in a capture file ended."""
+
+    CLOSED = "closed"
+    RESET = "reset"
+    FORGOTTEN = "forgotten"
+    CAPTURE_ENDS = "the capture ends"
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelEnd:
+    """A connection ended, or the capture did. Nothing of the channel comes behind it."""
+
+    channel: CapturedChannel
+    time: float
+    ending: ChannelEnding
+
+
+TrafficEvent = CapturedFrame | FaultyBytes | ChannelEnd
+
+
+class CapturedTraffic:
+    """Takes the packets of a capture file, and gives the Modbus frames in them.
+
+    Args:
+        ports: TCP and UDP ports of Modbus servers.
+        framing: framing on these ports, `Framing.MBAP`, `Framing.RTU` or `Framing.ASCII`; lines have RTU, or ASCII
+            where the first packet begins with a colon.
+
+    Attributes:
+        ignored: packets without Modbus, by reason.
+        other_ports: frames that look like Modbus on other ports, by port.
+        repeated: number of bytes that TCP sent again.
+        out_of_order: number of segments that came too early.
+        begun_inside: number of connections whose beginning the capture does not have.
+        channels: number of connections and lines so far.
+    """
+
+    def __init__(self, ports: Iterable[int] = (MODBUS_PORT,), *, framing: Framing = Framing.MBAP) -> None:
+        self.ignored: Counter[str] = Counter()
+        self.other_ports: Counter[int] = Counter()
+        self.repeated: int = 0
+        self.out_of_order: int = 0
+        self.begun_inside: int = 0
+        self.channels: int = 0
+        self._ports = frozenset(ports)
+        self._framing = framing
+        self._open: OrderedDict[object, _TcpChannel | _LineChannel] = OrderedDict()
+        self._datagrams: OrderedDict[object, _DatagramChannel] = OrderedDict()
+        self._last = 0.0
+
+    def take(self, packet: CapturedPacket) -> list[TrafficEvent]:
+        """Take the next packet of the file. Returns the frames that it completes, and what is wrong."""
+        self._last = max(self._last, packet.time)
+        inner = carried(packet.link_type, packet.data)
+        if isinstance(inner, TcpSegment):
+            return self._segment(packet, inner)
+        if isinstance(inner, UdpDatagram):
+            return self._datagram(packet, inner)
+        if isinstance(inner, LineBytes):
+            return self._line(packet, inner)
+        self._ignore(inner)
+        return []
+
+    def finish(self) -> list[TrafficEvent]:
+        """Return what is undecided at the end of the file, and the end of each connection."""
+        found: list[TrafficEvent] = []
+        for each in self._open.values():
+            found += self._ended(each, ChannelEnding.CAPTURE_ENDS)
+        for peers in self._datagrams.values():
+            found.append(ChannelEnd(peers.channel, self._last, ChannelEnding.CAPTURE_ENDS))
+        self._open.clear()
+        self._datagrams.clear()
+        return found
+
+    # Inside.
+
+    def _ignore(self, what: Ignored) -> None:
+        reason = what.reason if what.reason in self.ignored or len(self.ignored) < _MOST_REASONS else "other protocols"
+        self.ignored[reason] += 1
+
+    def _is_request(self, source: Node, destination: Node, *, asks_to_open: bool) -> bool | None:
+        """Whether a packet goes to a server; None if no end of it is one."""
+        to, of = destination.port in self._ports, source.port in self._ports
+        if to and of:
+            known = self._open.get((destination, source)) or self._datagrams.get((destination, source))
+            return known is None or asks_to_open
+        return True if to else False if of else None
+
+    def _foreign(self, source: Node, destination: Node, payload: bytes, what: str) -> list[TrafficEvent]:
+        self._ignore(Ignored(f"{what} of other ports"))
+        if _begins_like_a_frame(payload) and len(payload) == 6 + (payload[4] << 8 | payload[5]):
+            for port in (source.port, destination.port):
+                if port in self.other_ports or len(self.other_ports) < _MOST_PORTS:
+                    self.other_ports[port] += 1
+        return []
+
+    def _segment(self, packet: CapturedPacket, segment: TcpSegment) -> list[TrafficEvent]:
+        asks = segment.syn and segment.acknowledged is None
+        is_request = self._is_request(segment.source, segment.destination, asks_to_open=asks)
+        if is_request is None:
+            return self._foreign(segment.source, segment.destination, segment.payload, "TCP")
+        client, server = segment.source, segment.destination
+        if not is_request:
+            client, server = server, client
+        key = client, server
+        found: list[TrafficEvent] = []
+        open_channel = self._open.get(key)
+        if isinstance(open_channel, _TcpChannel) and asks and open_channel.is_another(segment):
+            found += self._ended(open_channel, ChannelEnding.CLOSED)
+            del self._open[key]
+            open_channel = None
+        if open_channel is None:
+            if not (segment.syn or segment.payload or segment.missing):
+                return found
+            found += self._make_room()
+            channel = CapturedChannel(self._count(), "tcp", self._framing, client, server)
+            open_channel = self._open[key] = _TcpChannel(channel)
+            self.begun_inside += not segment.syn
+        self._open.move_to_end(key)
+        assert isinstance(open_channel, _TcpChannel)
+        return [*found, *open_channel.take(packet, segment, is_request=is_request)]
+
+    def _datagram(self, packet: CapturedPacket, datagram: UdpDatagram) -> list[TrafficEvent]:
+        is_request = self._is_request(datagram.source, datagram.destination, asks_to_open=False)
+        if is_request is None:
+            return self._foreign(datagram.source, datagram.destination, datagram.payload, "UDP")
+        client, server = datagram.source, datagram.destination
+        if not is_request:
+            client, server = server, client
+        found: list[TrafficEvent] = []
+        peers = self._datagrams.get((client, server))
+        if peers is None:
+            if len(self._datagrams) == MOST_CHANNELS:
+                _, oldest = self._datagrams.popitem(last=False)
+                found.append(ChannelEnd(oldest.channel, self._last, ChannelEnding.FORGOTTEN))
+            peers = _DatagramChannel(CapturedChannel(self._count(), "udp", self._framing, client, server))
+            self._datagrams[client, server] = peers
+        self._datagrams.move_to_end((client, server))
+        return found + peers.take(packet, datagram, Direction.REQUEST if is_request else Direction.REPLY)
+
+    def _line(self, packet: CapturedPacket, inner: LineBytes) -> list[TrafficEvent]:
+        found: list[TrafficEvent] = []
+        line = self._open.get(packet.interface)
+        if line is None:
+            found += self._make_room()
+            framing = Framing.ASCII if inner.payload.startswith(b":") else Framing.RTU
+            name = packet.interface_name or f"line {packet.interface}"
+            channel = CapturedChannel(self._count(), "line", framing, name=name)
+            line = self._open[packet.interface] = _LineChannel(channel)
+        self._open.move_to_end(packet.interface)
+        assert isinstance(line, _LineChannel)
+        if packet.missing:
+            text = f"{packet.missing} bytes were not captured"
+            found.append(_fault(line.channel, packet, Direction.UNKNOWN, TrafficFault.MISSING, text))
+        found += line.take(inner.payload, packet.number, packet.time, whole=inner.whole)
+        return found
+
+    def _count(self) -> int:
+        self.channels += 1
+        return self.channels
+
+    def _make_room(self) -> list[TrafficEvent]:
+        if len(self._open) < MOST_CHANNELS:
+            return []
+        _, oldest = self._open.popitem(last=False)
+        return self._ended(oldest, ChannelEnding.FORGOTTEN)
+
+    def _ended(self, channel: "_TcpChannel | _LineChannel", ending: ChannelEnding) -> list[TrafficEvent]:
+        found = channel.finish()
+        if isinstance(channel, _TcpChannel):
+            self.repeated += sum(each.stream.repeated for each in channel.sides)
+            self.out_of_order += sum(each.stream.out_of_order for each in channel.sides)
+            ending = channel.ending or ending
+        return [*found, ChannelEnd(channel.channel, self._last, ending)]
+
+
+# TCP.
+
+
+class _Side:
+    """One direction of a TCP connection: its bytes in order, and the MBAP frames in them."""
+
+    def __init__(self, channel: CapturedChannel, direction: Direction) -> None:
+        self.stream = StreamAssembler()
+        self.is_finished = False
+        self.first: int | None = None  # sequence number of its SYN
+        self._channel = channel
+        self.direction = direction
+        self._receiver = MbapReceiver()
+        self._in_step = True
+
+    def frames(self, part: StreamPart) -> Iterator[TrafficEvent]:
+        if isinstance(part, StreamGap):
+            yield from self._gap(part)
+        elif self._in_step or _begins_like_a_frame(part.data):
+            self._in_step = True
+            yield from self._received(part)
+        else:
+            text = f"{len(part.data)} bytes skipped: they do not begin like a frame"
+            yield self._fault(part, TrafficFault.SKIPPED, text, part.data)
+
+    def _gap(self, gap: StreamGap) -> Iterator[TrafficEvent]:
+        yield from self.cut_off(gap)
+        if gap.size is not None:
+            yield self._fault(gap, TrafficFault.MISSING, f"{gap.size} bytes are missing in the capture")
+        self._in_step = False
+
+    def cut_off(self, part: StreamPart) -> Iterator[TrafficEvent]:
+        """Report the frame of which only the beginning has come."""
+        if self._receiver.pending:
+            text = f"the frame ends after {self._receiver.pending} bytes"
+            yield self._fault(part, TrafficFault.CUT_OFF, text)
+        self._receiver = MbapReceiver()
+
+    def _received(self, part: StreamPiece) -> Iterator[TrafficEvent]:
+        for frame in self._receiver.receive(part.data):
+            yield _mbap_event(self._channel, frame, part.packet, part.time, self.direction)
+        if self._receiver.broken:
+            self._receiver = MbapReceiver()
+            self._in_step = False
+
+    def _fault(self, part: StreamPart, fault: TrafficFault, text: str, raw: bytes = b"") -> FaultyBytes:
+        return FaultyBytes(self._channel, part.packet, part.time, self.direction, fault, text, raw)
+
+
+class _TcpChannel:
+    """A TCP connection: two directions, in MBAP each by itself, in RTU and ASCII as one line."""
+
+    def __init__(self, channel: CapturedChannel) -> None:
+        self.channel = channel
+        self.ending: ChannelEnding | None = None
+        self.sides = _Side(channel, Direction.REPLY), _Side(channel, Direction.REQUEST)
+        self._line = None if channel.framing is Framing.MBAP else _LineChannel(channel)
+        self._last = StreamGap(None, 0, 0.0)
+
+    def is_another(self, segment: TcpSegment) -> bool:
+        """Whether a SYN opens another connection between the same ends."""
+        return self.sides[True].first != segment.sequence
+
+    def take(self, packet: CapturedPacket, segment: TcpSegment, *, is_request: bool) -> list[TrafficEvent]:
+        side, peer = self.sides[is_request], self.sides[not is_request]
+        self._last = StreamGap(None, packet.number, packet.time)
+        sequence = segment.sequence
+        if segment.syn:
+            side.first = sequence
+            side.stream.begin(sequence)
+            sequence += 1
+        parts: list[tuple[_Side, StreamPart]] = []
+        if segment.acknowledged is not None:
+            parts += [(peer, part) for part in peer.stream.acknowledge(segment.acknowledged)]
+        if segment.payload or segment.missing:
+            arrived = side.stream.segment(
+                sequence & 0xFFFF_FFFF, segment.payload, segment.missing, packet.number, packet.time
+            )
+            parts += [(side, part) for part in arrived]
+        side.is_finished = side.is_finished or segment.fin
+        if segment.rst:
+            self.ending = ChannelEnding.RESET
+        elif self.ending is None and all(each.is_finished for each in self.sides):
+            self.ending = ChannelEnding.CLOSED
+        return [event for each, part in parts for event in self._events(each, part)]
+
+    def finish(self) -> list[TrafficEvent]:
+        found: list[TrafficEvent] = []
+        for side in self.sides:
+            for part in side.stream.finish():
+                found += self._events(side, part)
+            found += side.cut_off(self._last)
+        return found + (self._line.finish() if self._line is not None else [])
+
+    def _events(self, side: _Side, part: StreamPart) -> Iterable[TrafficEvent]:
+        if self._line is None:
+            return side.frames(part)
+        if isinstance(part, StreamPiece):
+            found = self._line.take(part.data, part.packet, part.time, whole=False)
+            return [_directed(each, side.direction) for each in found]
+        if part.size is None:
+            return []
+        text = f"{part.size} bytes are missing in the capture"
+        return [FaultyBytes(self.channel, part.packet, part.time, Direction.UNKNOWN, TrafficFault.MISSING, text)]
+
+
+def _begins_like_a_frame(data: bytes) -> bool:
+    """Whether bytes begin with a header of MBAP and a known function."""
+    if len(data) <= HEADER_SIZE or data[2] or data[3]:
+        return False
+    return MIN_LENGTH <= data[4] << 8 | data[5] <= MAX_LENGTH and data[HEADER_SIZE] & 0x7F in STANDARD
+
+
+def _mbap_event(
+    channel: CapturedChannel, frame: MbapFrame, packet: int, time: float, direction: Direction
+) -> TrafficEvent:
+    if frame.kind is FrameKind.FRAME:
+        raw = encode_mbap(frame.transaction, frame.unit, frame.pdu)
+        return CapturedFrame(channel, packet, time, direction, raw, frame.unit, frame.pdu, frame.transaction)
+    if frame.kind is FrameKind.BROKEN:
+        return FaultyBytes(channel, packet, time, direction, TrafficFault.BAD_LENGTH, frame.reason, frame.pdu)
+    text = f"protocol {frame.protocol}, where Modbus has 0"
+    head = encode_mbap(frame.transaction, frame.unit, frame.pdu)
+    raw = head[:2] + frame.protocol.to_bytes(2, "big") + head[4:]
+    return FaultyBytes(channel, packet, time, direction, TrafficFault.FOREIGN_PROTOCOL, text, raw)
+
+
+def _fault(
+    channel: CapturedChannel, packet: CapturedPacket, direction: Direction, fault: TrafficFault, text: str
+) -> FaultyBytes:
+    return FaultyBytes(channel, packet.number, packet.time, direction, fault, text)
+
+
+# Datagrams and lines.
+
+
+class _DatagramChannel:
+    """The datagrams between two addresses: each is by itself."""
+
+    def __init__(self, channel: CapturedChannel) -> None:
+        self.channel = channel
+        self._line = None if channel.framing is Framing.MBAP else _LineChannel(channel)
+
+    def take(self, packet: CapturedPacket, datagram: UdpDatagram, direction: Direction) -> list[TrafficEvent]:
+        found: list[TrafficEvent] = []
+        if datagram.missing:
+            text = f"{datagram.missing} bytes were not captured"
+            found.append(_fault(self.channel, packet, direction, TrafficFault.MISSING, text))
+        if self._line is not None:
+            heard = self._line.take(datagram.payload, packet.number, packet.time, whole=True)
+            return found + [_directed(each, direction) for each in heard]
+        receiver = MbapReceiver()
+        for frame in receiver.receive(datagram.payload):
+            found.append(_mbap_event(self.channel, frame, packet.number, packet.time, direction))
+        if receiver.pending and not datagram.missing:
+            text = f"the frame ends after {receiver.pending} bytes"
+            found.append(_fault(self.channel, packet, direction, TrafficFault.CUT_OFF, text))
+        return found
+
+
+def _directed(event: TrafficEvent, direction: Direction) -> TrafficEvent:
+    """Return an event with the direction that its addresses tell."""
+    if isinstance(event, CapturedFrame) and isinstance(event.received, SerialFrame):
+        return replace(event, direction=direction, received=replace(event.received, direction=direction))
+    return replace(event, direction=direction) if isinstance(event, FaultyBytes) else event
+
+
+class _LineChannel:
+    """A serial line: its bytes in one receiver, which hears both directions."""
+
+    def __init__(self, channel: CapturedChannel) -> None:
+        self.channel = channel
+        self._receiver: SerialReceiver = line_framing(
+            channel.framing.value, LineRole.OBSERVER, SerialTiming.of_network()
+        ).receiver
+        self._now = 0.0
+        self._packet = 0
+        self._time = 0.0
+
+    def take(self, data: bytes, packet: int, time: float, *, whole: bool) -> list[TrafficEvent]:
+        """Take bytes of one packet; ``whole``: they are one frame."""
+        self._now = max(self._now, time)  # clocks of captures jump back
+        found = self._events(self._receiver.tick(self._now))
+        self._packet, self._time = packet, time
+        found += self._events(self._receiver.receive(data, self._now))
+        return found + (self._events(self._receiver.flush(self._now)) if whole else [])
+
+    def finish(self) -> list[TrafficEvent]:
+        return self._events(self._receiver.flush(self._now))
+
+    def _events(self, received: list[Received]) -> list[TrafficEvent]:
+        return [self._event(each) for each in received]
+
+    def _event(self, found: Received) -> TrafficEvent:
+        if isinstance(found, Damaged):
+            text = f"{found.size} damaged bytes: {found.reason.value}"
+            unknown = Direction.UNKNOWN
+            return FaultyBytes(
+                self.channel, self._packet, self._time, unknown, TrafficFault.DAMAGED, text, found.raw, found
+            )
+        return CapturedFrame(
+            self.channel, self._packet, self._time, found.direction, found.raw, found.unit, found.pdu, received=found
+        )
