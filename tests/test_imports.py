@@ -6,10 +6,13 @@ this file.
 
 import ast
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from pkgutil import resolve_name
 
 import pytest
+
+from busway.errors import MissingExtra
 
 TESTS = Path(__file__).parent
 ROOT = TESTS.parent
@@ -38,13 +41,24 @@ def is_there(module: str, name: str) -> bool:
     try:
         resolve_name(f"{module}.{name}" if name else module)
     except AttributeError:
-        return False
+        return needs_an_extra(f"{module}.{name}")
     except ModuleNotFoundError as error:
         needed = (error.name or "").partition(".")[0]
         return needed not in ("busway", *SUPPORT)  # a package that is not installed here
     except ImportError:
         return False
     return True
+
+
+def needs_an_extra(module: str) -> bool:
+    """Whether it is a module that cannot be imported here for want of a package."""
+    try:
+        import_module(module)
+    except MissingExtra:
+        return True
+    except ImportError:
+        return False
+    return False
 
 
 @pytest.mark.parametrize("folder", FOLDERS)

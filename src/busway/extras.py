@@ -30,6 +30,7 @@ EXTRA_OF: Final = {
     "yaml": "yaml",
     "pandas": "frames",
     "polars": "frames",
+    "modbus_connection": "modbus_connection",
 }
 """The extra that brings a package, by the name it is imported by."""
 

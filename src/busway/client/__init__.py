@@ -23,6 +23,7 @@
 `serial_connector`     The connector for serial ports: opens a port for a link, waits for a missing one
 `sessions`             The interface of client sessions that link drivers use
 `settings`             The settings of a link, read from its URL and from keywords, as checked objects
+`state_observers`      Callbacks of a program for changes of a connection's state
 `tls_connector`        The connector for TLS: opens connections of asyncio and blocking links
 `shared_links`         Links by endpoint: who shares one, how many there are, and which link a request takes
 =====================  =============================================================================================

@@ -43,6 +43,7 @@ from .checks import (
     check_selected,
     closed_error,
     default_unit,
+    no_connection_of_its_own,
     refused,
     with_assumed_unit,
 )
@@ -58,6 +59,7 @@ from .operations import (
 )
 from .pool import LinkPool, pool_of_running_loop
 from .settings import LinkSettings, link_settings
+from .state_observers import OnState
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -549,6 +551,18 @@ class AsyncLink:
     @documented_by(BlockingLink.connect)
     async def connect(self) -> None:
         await self._bound().connect()
+
+    @documented_by(BlockingLink.disconnect)
+    async def disconnect(self) -> None:
+        if self._rule is not None:
+            raise no_connection_of_its_own(self._settings)
+        await self._bound().disconnect()
+
+    @documented_by(BlockingLink.on_state)
+    def on_state(self, callback: OnState) -> Callable[[], None]:
+        if self._rule is not None:
+            raise no_connection_of_its_own(self._settings)
+        return self._bound().on_state(callback)
 
     @documented_by(BlockingLink.close)
     async def close(self) -> None:

@@ -5,7 +5,7 @@ asynchronous interface (``aio``) has the same names, arguments and docstrings; a
 """
 
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self, SupportsFloat, SupportsIndex, TypeVar, Unpack, overload
 
@@ -44,6 +44,7 @@ from .checks import (
     check_selected,
     closed_error,
     default_unit,
+    no_connection_of_its_own,
     refused,
     with_assumed_unit,
 )
@@ -57,6 +58,7 @@ from .operations import (
     write_values,
 )
 from .settings import LinkSettings, link_settings
+from .state_observers import OnState
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -678,6 +680,34 @@ class BlockingLink:
     def connect(self) -> None:
         """Connect now, instead of at the first request. Raises `LinkDown`."""
         self._bound().connect()
+
+    def disconnect(self) -> None:
+        """Close the connection, for all links that share it; the next request opens another one.
+
+        Use it where a connection is open and useless, such as one to a gateway that answers nothing. Calls in flight
+        end as after a loss: a read is repeated as ``retries`` says, a write is `WriteOutcomeUnknown`.
+
+        Raises:
+            InvalidRequest: the link was opened with ``select``, and has no connection of its own.
+        """
+        if self._rule is not None:
+            raise no_connection_of_its_own(self._settings)
+        self._bound().disconnect()
+
+    def on_state(self, callback: OnState) -> Callable[[], None]:
+        """Register a callback for changes of `state`. Returns a function that removes it.
+
+        Args:
+            callback: called with the new state and the reason, which may be empty, as soon as the change is noticed:
+                by the thread that uses the link, or on the event loop. It must return at once and must not use the
+                link. An error of the callback is logged.
+
+        Raises:
+            InvalidRequest: the link was opened with ``select``, and has no connection of its own.
+        """
+        if self._rule is not None:
+            raise no_connection_of_its_own(self._settings)
+        return self._bound().on_state(callback)
 
     def close(self) -> None:
         """Close this link; the connection closes with its last user. Calls under way end as `LinkDown`."""

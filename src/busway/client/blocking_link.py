@@ -19,6 +19,7 @@ import math
 import socket
 import threading
 import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from ..errors import LinkDown
@@ -39,6 +40,7 @@ from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope
 from .sessions import ClientSession, reconnect_for
 from .settings import LinkSettings
+from .state_observers import DISCONNECTED, OnState, StateObservers
 
 if TYPE_CHECKING:
     import asyncio
@@ -62,6 +64,7 @@ class BlockingLinkDriver:
         home: None; no event loop is concerned.
         opened, last_used: when the connection was made, and last used, in the clock of ``time.monotonic``.
         sent_bytes, received_bytes: of all its connections.
+        observers: called with each new state of the connection, with the lock held; None before the first is added.
     """
 
     home: "asyncio.AbstractEventLoop | None" = None
@@ -97,6 +100,7 @@ class BlockingLinkDriver:
         self._connection: BlockingConnection | None = None
         self._buffer = bytearray(RECEIVE_SIZE)
         self.reconnect = reconnect
+        self.observers: StateObservers | None = None
         self._life = ConnectionLife(session, reconnect, endpoint=self.name, hold=self._hold, moved=self._moved)
         self._trace: ConnectionTrace | None = None
         LOCAL.add(self)
@@ -173,6 +177,26 @@ class BlockingLinkDriver:
         finally:
             with self._turn:
                 self._leading = False
+                self._turn.notify_all()
+
+    def on_state(self, callback: OnState) -> Callable[[], None]:
+        """Register a callback for new states of the connection. Returns a function that removes it."""
+        with self._turn:
+            if self.observers is None:
+                self.observers = StateObservers(self.reconnect.state)
+            return self.observers.add(callback)
+
+    def disconnect(self) -> None:
+        """Close the connection; the next request opens another one. Calls in flight end or are repeated as after a
+        loss.
+        """
+        with self._turn:
+            if self._connection is not None:
+                now = time.monotonic()
+                if self._is_used():
+                    self._drop(now, DISCONNECTED)
+                else:
+                    self._release(now, DISCONNECTED)
                 self._turn.notify_all()
 
     def close(self) -> None:
@@ -438,6 +462,8 @@ class BlockingLinkDriver:
         if news:
             # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
+        if self.observers is not None:
+            self.observers.tell(self.reconnect.state, reason)
 
     def _close_connection(self) -> None:
         connection, self._connection = self._connection, None

@@ -74,6 +74,11 @@ def closed_error(settings: LinkSettings) -> LinkClosed:
     return LinkClosed("this link was closed by its user; nothing was sent", endpoint=settings.endpoint.url)
 
 
+def no_connection_of_its_own(settings: LinkSettings) -> InvalidRequest:
+    """Return the error for a call about the connection of a link that sends on those of others."""
+    return InvalidRequest("a link opened with select has no connection of its own", endpoint=settings.endpoint.url)
+
+
 def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
     """Raise `ConfigError` if a second user of a shared connection gives other settings for it than the first."""
     different = held.differs(wanted)

@@ -36,6 +36,7 @@ from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope
 from .sessions import ClientSession, reconnect_for
 from .settings import LinkSettings
+from .state_observers import DISCONNECTED, OnState, StateObservers
 
 if TYPE_CHECKING:
     from ..transport.serial.alarm import Alarm
@@ -96,6 +97,7 @@ class AsyncLinkDriver:
         watch: called after received bytes or a timer were handled and completed calls were woken; the gateway looks at
             the incomplete ones then.
         told: called with each event of the connection and its reason, after the state has changed.
+        observers: called with each new state of the connection; None before the first is added.
         opened, last_used: when the connection was made, and last used, in the clock of the loop.
         sent_bytes, received_bytes: of all its connections.
         now: the clock in which calls give their times.
@@ -132,6 +134,7 @@ class AsyncLinkDriver:
         "last_used",
         "name",
         "now",
+        "observers",
         "opened",
         "received_bytes",
         "reconnect",
@@ -168,6 +171,7 @@ class AsyncLinkDriver:
         self.home: asyncio.AbstractEventLoop | None = self._loop
         self.watch: Callable[[], None] | None = None
         self.told: Callable[[ConnectionEvent, str], None] | None = None
+        self.observers: StateObservers | None = None
         self.opened: float = 0.0
         self.last_used: float = 0.0
         self.sent_bytes: int = 0
@@ -294,6 +298,34 @@ class AsyncLinkDriver:
         self._connector.release()
         if self._line is not None:
             KEPT.keep(self.name, self._line.doubts)
+
+    def on_state(self, callback: OnState) -> Callable[[], None]:
+        """Register a callback for new states of the connection. Returns a function that removes it."""
+        if self.observers is None:
+            self.observers = StateObservers(self.reconnect.state)
+        return self.observers.add(callback)
+
+    async def disconnect(self) -> None:
+        """Close the connection; the next request opens another one. Calls in flight end or are repeated as after a
+        loss.
+        """
+        if self._connecting is not None:
+            self._connecting.cancel()
+            await asyncio.gather(self._connecting, return_exceptions=True)
+        transport = self._transport
+        if transport is None:
+            return
+        now = self._clock()
+        if self._is_used() and self._protocol is not None:
+            self._abort()
+            self.lost(self._protocol, DISCONNECTED)
+        else:
+            self._release(now, DISCONNECTED)
+        await asyncio.sleep(0)  # the loop closes a socket in its next turn, and a thread closes a port
+        wait_closed = getattr(transport, "wait_closed", None)
+        if wait_closed is not None:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(wait_closed(), CLOSING_SECONDS)
 
     @property
     def is_connected(self) -> bool:
@@ -520,6 +552,8 @@ class AsyncLinkDriver:
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
         if self.told is not None:
             self.told(event, reason)
+        if self.observers is not None:
+            self.observers.tell(self.reconnect.state, reason)
 
     def _ensure_connection(self, now: float, *, by_name: bool = False) -> None:
         if self._connecting is not None:

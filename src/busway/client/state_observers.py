@@ -1,0 +1,52 @@
+"""Callbacks that a program has registered for changes of a connection's state; both drivers tell them.
+
+Knows states and reasons; knows no connection.
+
+1. A callback is called once for each change, after it, in the thread or event loop that noticed the change.
+2. An error of a callback is logged and harms neither the link nor the other callbacks.
+"""
+
+import logging
+from collections.abc import Callable
+from typing import Final
+
+from ..session.reconnect import ConnectionState
+
+_log = logging.getLogger("busway.client")
+
+DISCONNECTED: Final = "the program disconnected it"
+"""The reason of a connection that `disconnect` has closed."""
+OnState = Callable[[str, str], None]
+"""Called with the state (as `Link.state` has it) and the reason, which may be empty."""
+
+
+class StateObservers:
+    """The callbacks of one link, whose connection is in ``state`` now."""
+
+    __slots__ = ("_callbacks", "_state")
+
+    def __init__(self, state: ConnectionState) -> None:
+        self._callbacks: list[OnState] = []
+        self._state = state
+
+    def add(self, callback: OnState) -> Callable[[], None]:
+        """Register a callback. Returns a function that removes it, and does nothing when called again."""
+        entry: list[OnState] = [callback]
+        self._callbacks.append(callback)
+
+        def remove() -> None:
+            if entry:
+                self._callbacks.remove(entry.pop())
+
+        return remove
+
+    def tell(self, state: ConnectionState, reason: str) -> None:
+        """Call the callbacks if the state is another one than before."""
+        if state is self._state:
+            return
+        self._state = state
+        for callback in tuple(self._callbacks):
+            try:
+                callback(state.value, reason)
+            except Exception:
+                _log.exception("a callback of on_state failed")

@@ -1,0 +1,472 @@
+"""The backend of modbus-connection (Home Assistant's seam) over asyncio links of busway. Needs Python 3.12.
+
+Knows the classes, parameters and errors of modbus-connection 4; knows no frames and no connection.
+
+1. A `ModbusConnection` is one link of its own. What modbus-connection decides is left to it: when to connect, when to
+   drop, the spacing of requests, the timeout. With the options `PASSIVE` the link repeats and recycles nothing.
+2. Every error of busway becomes one of modbus-connection, with the operation in its words.
+3. A late reply is never given to another request: so there is no `ModbusDesyncError`, but a `ModbusTimeoutError`.
+"""
+
+import asyncio
+import functools
+import ssl
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from typing import Any, Concatenate, Final, ParamSpec, TypeAlias, TypeVar
+from urllib.parse import quote
+
+from ..extras import require
+
+require("modbus_connection", "the backend of modbus-connection (Python 3.12 or newer)")
+
+from modbus_connection._client import (
+    BaseModbusConnection,
+    ModbusSerialParams,
+    ModbusTcpParams,
+    ModbusTlsParams,
+    ModbusUdpParams,
+)
+from modbus_connection.exceptions import (
+    ClientClosedError,
+    ModbusConnectionError,
+    ModbusError,
+    ModbusExceptionError,
+    ModbusProtocolError,
+    ModbusTimeoutError,
+    _describe,
+)
+
+from ..client.aio import AsyncLink, AsyncUnit, open_link
+from ..client.settings import options_of
+from ..errors import (
+    BadReply,
+    ExceptionReply,
+    InvalidRequest,
+    LinkClosed,
+    LinkDown,
+    NoReply,
+    WriteOutcomeUnknown,
+)
+from ..errors import ModbusError as BuswayError
+from ..options.endpoints import parse_endpoint
+from ..session.reconnect import ConnectionState
+
+__all__ = [
+    "PASSIVE",
+    "SUPPORTED_FRAMINGS",
+    "BuswayConnection",
+    "BuswayUnit",
+    "ModbusConnection",
+    "connect_serial",
+    "connect_tcp",
+    "connect_tls",
+    "connect_udp",
+]
+
+SUPPORTED_FRAMINGS: Final[Mapping[str, tuple[str, ...]]] = {
+    "tcp": ("socket", "rtu", "ascii"),
+    "udp": ("socket", "rtu", "ascii"),
+    "tls": ("socket",),
+    "serial": ("rtu", "ascii"),
+}
+"""The framings this backend carries per transport."""
+SHORTEST_PAUSE: Final = 0.001
+"""Seconds after a failed attempt in which a link makes no other."""
+PASSIVE: Final[Mapping[str, object]] = {
+    "retries": 0,
+    "write_retries": 0,
+    "open_after": 0,
+    "port_wait": 0.0,
+    "reconnect_first": SHORTEST_PAUSE,
+    "reconnect_most": SHORTEST_PAUSE,
+    "recycle_after_timeouts": 1000,
+    "recycle_after_foreign": 1000,
+    "max_connections": 10_000,
+}
+"""Options with which a link decides nothing by itself; those that an endpoint does not have are left out."""
+LEAST_TIMEOUT, LONGEST_TIMEOUT = 0.001, 3600.0
+"""Seconds that a timeout may be; others are taken for the nearest."""
+_PARITY: Final = {"N": "none", "E": "even", "O": "odd"}
+_FRAMING_SCHEME: Final = {"socket": "", "rtu": "rtu+", "ascii": "ascii+"}
+_RUN_INDICATORS: Final = (0x00, 0xFF)
+Params: TypeAlias = "ModbusTcpParams | ModbusUdpParams | ModbusTlsParams | ModbusSerialParams"
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class ModbusConnection(BaseModbusConnection):
+    """A Modbus connection backed by busway.
+
+    Raises:
+        ValueError: busway cannot make such a connection; its `ConfigError` says why.
+    """
+
+    def __init__(
+        self,
+        params: Params,
+        *,
+        timeout: float | None = None,
+        message_spacing: float | None = None,
+        connect_delay: float | None = None,
+    ) -> None:
+        super().__init__(params, timeout=timeout, message_spacing=message_spacing, connect_delay=connect_delay)
+        url, options = _endpoint_of(params)
+        known = options_of(parse_endpoint(url))
+        passive = {name: value for name, value in PASSIVE.items() if name in known}
+        connecting = {"connect_timeout": min(self._call_timeout(), 600.0)} if "connect_timeout" in known else {}
+        chosen: Any = {**passive, **connecting, **options}  # their names were looked up, their values are checked
+        self._link: AsyncLink = open_link(url, shared=False, **chosen)
+        self._is_watched = False
+        self._client: AsyncLink | None = None
+
+    def for_unit(self, unit_id: int) -> "BuswayUnit":
+        """Return the handle of a unit. Nothing is sent."""
+        return BuswayUnit(self, unit_id)
+
+    def _call_timeout(self) -> float:
+        wanted: float = self._timeout
+        return min(max(wanted, LEAST_TIMEOUT), LONGEST_TIMEOUT)
+
+    async def _connect_client(self) -> AsyncLink:
+        try:
+            if not self._is_watched:
+                self._link.on_state(self._on_state)
+                self._is_watched = True
+            if self._link.state == ConnectionState.BACKING_OFF.value:
+                await asyncio.sleep(2 * SHORTEST_PAUSE)  # the link has failed just now, and refuses so long
+            await self._link.connect()
+        except LinkDown as error:
+            serial = isinstance(self._params, ModbusSerialParams)
+            where = f"open serial port {self._target}" if serial else f"connect to {self._target}"
+            kind = ModbusTimeoutError if _was_timeout(error) else ModbusConnectionError
+            raise kind(f"could not {where}: {error}") from error
+        except BuswayError as error:
+            raise ModbusConnectionError(str(error)) from error
+        return self._link
+
+    async def _close_client(self, client: AsyncLink) -> None:
+        try:
+            await client.disconnect()
+        except BuswayError as error:
+            raise ModbusConnectionError(str(error)) from error
+
+    async def close(self) -> None:
+        """Close the connection permanently."""
+        await super().close()
+        await self._link.close()
+
+    def _on_state(self, state: str, reason: str) -> None:
+        if state in (ConnectionState.DOWN.value, ConnectionState.BACKING_OFF.value):
+            self._on_connection_lost(None)
+
+    def _on_connection_lost(self, exc: Exception | None) -> None:
+        # Our own teardown takes the client away before the link goes down.
+        if self._closed or self._client is None:
+            return
+        self._client = None
+        self._lost_callbacks.fire()
+
+
+BuswayConnection = ModbusConnection
+
+
+def _endpoint_of(params: Params) -> tuple[str, dict[str, object]]:
+    """The URL and the options of a link to what the parameters name. Raises `ValueError`."""
+    if isinstance(params, ModbusSerialParams):
+        if params.device.startswith("socket://"):
+            return f"{params.framer}+tcp://{params.device.removeprefix('socket://')}", {}
+        return f"{params.framer}://{quote(params.device, safe='/:')}", {
+            "baud": params.baudrate,
+            "data_bits": params.bytesize,
+            "parity": _PARITY[params.parity],
+            "stop_bits": params.stopbits,
+        }
+    host = f"[{params.host}]" if ":" in params.host else params.host
+    if isinstance(params, ModbusTlsParams):
+        return f"tls://{host}:{params.port}", _tls_options(params)
+    carrier = "tcp" if isinstance(params, ModbusTcpParams) else "udp"
+    return f"{_FRAMING_SCHEME[params.framer or 'socket']}{carrier}://{host}:{params.port}", {}
+
+
+def _tls_options(params: ModbusTlsParams) -> dict[str, object]:
+    """The options of a TLS link. busway reads certificates from files, and takes no context."""
+    if params.sslctx is not None:
+        raise ValueError("busway makes its own TLS context: give verify, client_cert and client_key, not sslctx")
+    if params.client_key_password is not None:
+        raise ValueError("busway reads the password of a key from a file only; give a key that is not encrypted")
+    if not params.check_hostname and params.verify:
+        raise ValueError("busway always checks the name where it verifies the certificate")
+    options: dict[str, object] = {"certificate": params.client_cert, "key": params.client_key}
+    if params.verify is False:
+        return {**options, "verify": "off-insecure"}
+    trusted = params.verify if isinstance(params.verify, str) else ssl.get_default_verify_paths().cafile
+    if trusted is None:
+        raise ValueError("the system has no file of trusted authorities; name one with verify=")
+    return {**options, "authority": trusted}
+
+
+def _was_timeout(error: BaseException | None) -> bool:
+    """Whether the reason of a failed attempt to connect was that it took too long."""
+    while error is not None:
+        if isinstance(error, TimeoutError):
+            return True
+        error = error.__cause__
+    return False
+
+
+def _translated(error: BaseException, prefix: str) -> ModbusError:
+    """The error of modbus-connection for one of busway."""
+    message = f"{prefix}: {error}"
+    match error:
+        case WriteOutcomeUnknown() if error.__cause__ is not None:
+            return _translated(error.__cause__, f"{prefix}: {error}")
+        case LinkClosed():
+            return ClientClosedError(message)
+        case LinkDown():
+            return ModbusConnectionError(message)
+        case NoReply() | WriteOutcomeUnknown():
+            return ModbusTimeoutError(message)
+        case ExceptionReply():
+            found: ModbusError = ModbusExceptionError.from_code(int(error.code), message)
+            return found
+        case BadReply():
+            return ModbusProtocolError(message)
+        case _:
+            return ModbusError(message)
+
+
+def _operation(
+    function: "Callable[Concatenate[BuswayUnit, P], Awaitable[R]]",
+) -> "Callable[Concatenate[BuswayUnit, P], Coroutine[Any, Any, R]]":
+    """Connect, keep the spacing, and translate errors around an operation of a unit."""
+
+    @functools.wraps(function)
+    async def operation(self: "BuswayUnit", /, *args: P.args, **kwargs: P.kwargs) -> R:
+        connection = self._connection
+        await connection.connect()
+        prefix = _describe(function.__name__, args, kwargs)
+        try:
+            async with connection._pacer.paced(self._unit_id):
+                await connection.connect()  # the link may have been dropped while this request waited its turn
+                return await function(self, *args, **kwargs)
+        except ModbusError as error:
+            error.args = (f"{prefix}: {error}",)
+            raise
+        except InvalidRequest as error:
+            raise ValueError(f"{prefix}: {error}") from error
+        except BuswayError as error:
+            raise _translated(error, prefix) from error
+
+    return operation
+
+
+class BuswayUnit:
+    """One unit of a connection."""
+
+    def __init__(self, connection: ModbusConnection, unit_id: int) -> None:
+        self._connection = connection
+        self._unit_id = unit_id
+        self._unit: AsyncUnit = connection._link.unit(unit_id)
+
+    @property
+    def _timeout(self) -> float:
+        return self._connection._call_timeout()
+
+    @property
+    def connected(self) -> bool:
+        """Whether the link is up."""
+        return bool(self._connection.connected)
+
+    def set_message_spacing(self, seconds: float) -> None:
+        """Keep the link quiet for so long before and after this unit's requests."""
+        self._connection._pacer.set_unit_spacing(self._unit_id, seconds)
+
+    def require_timeout(self, seconds: float | None) -> None:
+        """Ask the link for a timeout of at least so many seconds; None withdraws it."""
+        self._connection._require_timeout(self._unit_id, seconds)
+
+    def require_connect_delay(self, seconds: float | None) -> None:
+        """Ask the link for a pause of at least so many seconds after it opens; None withdraws it."""
+        self._connection._require_connect_delay(self._unit_id, seconds)
+
+    @_operation
+    async def read_holding_registers(self, address: int, count: int) -> list[int]:
+        """Read holding registers, function 03."""
+        return await self._unit.read_holding_registers(address, count=count, timeout=self._timeout)
+
+    @_operation
+    async def read_input_registers(self, address: int, count: int) -> list[int]:
+        """Read input registers, function 04."""
+        return await self._unit.read_input_registers(address, count=count, timeout=self._timeout)
+
+    @_operation
+    async def write_register(self, address: int, value: int) -> None:
+        """Write one holding register, function 06."""
+        await self._unit.write_single_register(address, value, timeout=self._timeout)
+
+    @_operation
+    async def write_registers(self, address: int, values: list[int]) -> None:
+        """Write holding registers, function 16."""
+        await self._unit.write_multiple_registers(address, values, timeout=self._timeout)
+
+    @_operation
+    async def read_coils(self, address: int, count: int) -> list[bool]:
+        """Read coils, function 01."""
+        return await self._unit.read_coils(address, count=count, timeout=self._timeout)
+
+    @_operation
+    async def read_discrete_inputs(self, address: int, count: int) -> list[bool]:
+        """Read discrete inputs, function 02."""
+        return await self._unit.read_discrete_inputs(address, count=count, timeout=self._timeout)
+
+    @_operation
+    async def write_coil(self, address: int, value: bool) -> None:
+        """Write one coil, function 05."""
+        await self._unit.write_single_coil(address, value, timeout=self._timeout)
+
+    @_operation
+    async def write_coils(self, address: int, values: list[bool]) -> None:
+        """Write coils, function 15."""
+        await self._unit.write_multiple_coils(address, values, timeout=self._timeout)
+
+    @_operation
+    async def read_exception_status(self) -> int:
+        """Read eight status bits, function 07."""
+        return await self._unit.read_exception_status(timeout=self._timeout)
+
+    @_operation
+    async def report_server_id(self) -> bytes:
+        """Read the identification of function 17: what stands before the run indicator (00 or FF), or all of it."""
+        data = await self._unit.report_server_id(timeout=self._timeout)
+        ends = [at for at, byte in enumerate(data) if byte in _RUN_INDICATORS]
+        return data[: ends[0]] if ends else data
+
+    @_operation
+    async def mask_write_register(self, address: int, and_mask: int, or_mask: int) -> None:
+        """Change bits of a holding register, function 22."""
+        await self._unit.mask_write_register(address, and_mask=and_mask, or_mask=or_mask, timeout=self._timeout)
+
+    @_operation
+    async def read_write_registers(
+        self, read_address: int, read_count: int, write_address: int, write_values: list[int]
+    ) -> list[int]:
+        """Write holding registers, then read some, function 23."""
+        return await self._unit.read_write_multiple_registers(
+            read_address, count=read_count, write_address=write_address, values=write_values, timeout=self._timeout
+        )
+
+    @_operation
+    async def read_fifo_queue(self, address: int) -> list[int]:
+        """Read a queue of registers, function 24."""
+        return await self._unit.read_fifo_queue(address, timeout=self._timeout)
+
+    @_operation
+    async def read_device_identification(self) -> dict[int, bytes]:
+        """Read the basic objects of the identification, function 43/14."""
+        return await self._unit.read_device_identification(timeout=self._timeout)
+
+    @_operation
+    async def read_file_record(self, file: int, record: int, length: int) -> list[int]:
+        """Read registers of a file, function 20."""
+        return await self._unit.read_file_record(file, record, count=length, timeout=self._timeout)
+
+    @_operation
+    async def write_file_record(self, file: int, record: int, values: list[int]) -> None:
+        """Write registers of a file, function 21."""
+        await self._unit.write_file_record(file, record, values, timeout=self._timeout)
+
+    @_operation
+    async def diagnostics(self, sub_function: int, data: int = 0) -> int:
+        """Send a sub-function of 08 with a word of data. Returns the word of the reply."""
+        if not 0 <= data <= 0xFFFF:
+            raise InvalidRequest(f"the data must be 0…65535, not {data}")
+        reply = await self._unit.diagnostics(sub_function, data.to_bytes(2, "big"), timeout=self._timeout)
+        return int.from_bytes(reply, "big")
+
+    @_operation
+    async def get_comm_event_counter(self) -> tuple[bool, int]:
+        """Read whether the device is ready, and its count of messages, function 11."""
+        reply = await self._unit.get_comm_event_counter(timeout=self._timeout)
+        return reply.status == 0, reply.event_count
+
+    @_operation
+    async def get_comm_event_log(self) -> bytes:
+        """Read the log of events, function 12."""
+        reply = await self._unit.get_comm_event_log(timeout=self._timeout)
+        return bytes(reply.events)
+
+    def on_connection_lost(self, callback: Callable[[], None]) -> Callable[[], None]:
+        """Register a callback for the loss of the link. Returns a function that removes it."""
+        remove: Callable[[], None] = self._connection.on_connection_lost(callback)
+        return remove
+
+    async def disconnect(self) -> None:
+        """Drop the link; the next request makes a new one."""
+        await self._connection.disconnect()
+
+
+async def _connected(params: Params, pacing: Mapping[str, Any]) -> ModbusConnection:
+    connection = ModbusConnection(params, **pacing)
+    await connection.connect()
+    return connection
+
+
+async def connect_tcp(host: str, *, port: int = 502, framer: Any = None, **pacing: float | None) -> ModbusConnection:
+    """Open a Modbus TCP connection; ``pacing``: timeout, message_spacing, connect_delay.
+
+    Raises:
+        ModbusConnectionError, ModbusTimeoutError: there is no connection.
+    """
+    return await _connected(ModbusTcpParams(host=host, port=port, framer=framer), pacing)
+
+
+async def connect_udp(
+    host: str, *, port: int = 502, framer: Any = "socket", **pacing: float | None
+) -> ModbusConnection:
+    """Open a Modbus UDP connection; ``pacing`` as of `connect_tcp`. Raises what that raises."""
+    return await _connected(ModbusUdpParams(host=host, port=port, framer=framer), pacing)
+
+
+async def connect_tls(
+    host: str,
+    *,
+    port: int = 802,
+    verify: bool | str = True,
+    check_hostname: bool = True,
+    client_cert: str | None = None,
+    client_key: str | None = None,
+    client_key_password: str | None = None,
+    sslctx: ssl.SSLContext | None = None,
+    **pacing: float | None,
+) -> ModbusConnection:
+    """Open a Modbus/TLS connection; ``pacing`` as of `connect_tcp`. Raises what that raises, and `ValueError` for what
+    `ModbusConnection` cannot do: a context, an encrypted key, a certificate without its name.
+    """
+    params = ModbusTlsParams(
+        host=host,
+        port=port,
+        verify=verify,
+        check_hostname=check_hostname,
+        client_cert=client_cert,
+        client_key=client_key,
+        client_key_password=client_key_password,
+        sslctx=sslctx,
+    )
+    return await _connected(params, pacing)
+
+
+async def connect_serial(
+    port: str,
+    *,
+    baudrate: int = 9600,
+    bytesize: Any = 8,
+    parity: Any = "N",
+    stopbits: Any = 1,
+    framer: Any = "rtu",
+    **pacing: float | None,
+) -> ModbusConnection:
+    """Open a Modbus serial connection; ``pacing`` as of `connect_tcp`. Raises what that raises."""
+    params = ModbusSerialParams(
+        device=port, baudrate=baudrate, bytesize=bytesize, parity=parity, stopbits=stopbits, framer=framer
+    )
+    return await _connected(params, pacing)
