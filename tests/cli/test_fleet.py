@@ -83,6 +83,7 @@ def test_a_broken_file_is_refused_with_its_line(run: Callable[..., Any], tmp_pat
         (["status", "--name", "a", "--coordinator", "local:x"], "--name: is for run"),
         (["status", "--coordinator", "etcd://x"], "local:FOLDER"),
         (["status", "--coordinator", "local:x", "--zone", "a b"], "zone 'a b'"),
+        (["apply", "x.toml", "--coordinator", "local:x", "--zone", "a" * 55], "up to 54 characters"),
     ],
 )
 def test_wrong_use_is_one_sentence(

@@ -91,6 +91,7 @@ def fleet(
     """Share the links of a plant among several collectors."""
     from ..apps.fleet.coordinators import open_coordinator
     from ..apps.fleet.coordinators.opening import CoordinatorOptions
+    from ..apps.fleet.shards import checked_zone, keys_zone
 
     action, *about = _action(words)
     if lasts is not None and action != "demo":
@@ -108,6 +109,7 @@ def fleet(
         raise ConfigError("is for run", key="--name" if name else "--store")
     if (key or by) and action != "write":
         raise ConfigError("is for write", key="--key" if key else "--by")
+    checked_zone(zone)
     options = CoordinatorOptions(
         user=user,
         password=os.environ.get("BUSWAY_FLEET_PASSWORD"),
@@ -127,7 +129,7 @@ def fleet(
             folder,
             count,
             every,
-            partial(open_coordinator, url, f"{zone}-commands", options),
+            partial(open_coordinator, url, keys_zone(zone), options),
             partial(_take_commands, zone, options, table),
             zone if stream else None,
             options.replicas,

@@ -350,3 +350,21 @@ async def test_other_urls_and_names_are_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError, match="cannot be used"):
         await open_coordinator(f"local:{tmp_path}/file", "hall")
+
+
+async def test_the_zone_with_the_longest_name_can_be_used(backend: Backend) -> None:
+    async with backend.opened("a" * 63) as one:
+        revision = await one.create("lease.0001", b"a")
+        assert Entry("lease.0001", b"a", revision) in await snapshot(one)
+
+
+async def test_a_wrong_password_in_the_url_is_in_no_error_and_no_log(
+    servers: dict[str, Backend], caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("DEBUG")
+    url = servers["postgresql"].url
+    user = url.partition("://")[2].partition("@")[0].partition(":")[0]
+    wrong = url.replace(f"{user}@", f"{user}:wr0ng-in-the-url@")
+    with pytest.raises(ConfigError, match="refuses the credentials") as caught:
+        await open_coordinator(wrong, "hall", CoordinatorOptions())
+    assert "wr0ng" not in str(caught.value) + repr(caught.value.__dict__) + caplog.text

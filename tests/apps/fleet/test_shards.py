@@ -2,7 +2,16 @@ from collections import Counter
 
 import pytest
 
-from busway.apps.fleet.shards import checked_name, hosts_of, links_by_shard, pinned_shard, shard_names, shard_of
+from busway.apps.fleet.shards import (
+    checked_name,
+    checked_zone,
+    hosts_of,
+    keys_zone,
+    links_by_shard,
+    pinned_shard,
+    shard_names,
+    shard_of,
+)
 from busway.errors import ConfigError
 
 LINKS = [f"link-{number}" for number in range(5000)]
@@ -36,3 +45,9 @@ def test_links_that_only_some_hosts_can_reach_have_a_shard_of_their_own() -> Non
 def test_what_cannot_be_part_of_a_key_is_refused_by_name(name: str) -> None:
     with pytest.raises(ConfigError, match="cannot be a name"):
         checked_name(name, "host")
+
+
+def test_a_zone_has_room_for_the_zone_of_its_keys_and_a_longer_name_is_refused_with_the_limit() -> None:
+    assert checked_name(keys_zone(checked_zone("a" * 54)), "zone")
+    with pytest.raises(ConfigError, match=r"up to 54 characters, and 'a+' has 55"):
+        checked_zone("a" * 55)

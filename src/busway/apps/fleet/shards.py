@@ -15,6 +15,9 @@ FEWEST: Final = 1
 MOST: Final = 1024
 """Shards in one zone. Each lease is renewed by itself, and all collectors of the zone see every renewal."""
 PINNED: Final = "pin."
+_KEYS: Final = "-commands"
+LONGEST_ZONE: Final = 63 - len(_KEYS)
+"""Characters in the name of a zone that collectors run in."""
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 
 
@@ -67,6 +70,23 @@ def links_by_shard(links: Iterable[tuple[str, Sequence[str]]], shards: int) -> d
     for link, hosts in links:
         found.setdefault(pinned_shard(hosts) if hosts else shard_of(link, shards), []).append(link)
     return found
+
+
+def checked_zone(zone: str) -> str:
+    """Return the name of a zone after checking it: the keys of its commands are in a zone of a longer name, too.
+
+    Raises `ConfigError`.
+    """
+    if len(checked_name(zone, "zone")) > LONGEST_ZONE:
+        raise ConfigError(
+            f"a zone has a name of up to {LONGEST_ZONE} characters, and {zone!r} has {len(zone)}", key="--zone"
+        )
+    return zone
+
+
+def keys_zone(zone: str) -> str:
+    """Return the name of the zone in which the coordinator has the keys of a zone's commands."""
+    return zone + _KEYS
 
 
 def checked_name(name: str, what: str) -> str:

@@ -21,6 +21,7 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
+from ...collector.sinks.hidden_secrets import HiddenSecrets
 from ..coordinator import (
     LONGEST_VALUE,
     SNAPSHOT_BEGINS,
@@ -31,7 +32,7 @@ from ..coordinator import (
     RevisionConflict,
 )
 from ..shards import checked_name
-from .opening import CoordinatorOptions
+from .opening import CoordinatorOptions, hidden_secrets
 
 OLDEST: Final = (2, 9, 0)
 HEARTBEAT: Final = 1.0
@@ -68,7 +69,8 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
         "user_credentials": options.credentials,
         "tls": _tls(options) if scheme == "tls" or options.ca or options.certificate else None,
     }
-    client = _client_kind()()
+    secrets = hidden_secrets(url, options)
+    client, shown = _client_kind()(secrets), secrets.hide(url)
     try:
         async with asyncio.timeout(4 * options.answer):
             await client.connect(
@@ -88,15 +90,16 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
         raise
     except (nats.errors.Error, OSError, TimeoutError) as error:
         await _close(client)
-        cause = client.cause or str(error) or type(error).__name__
-        raise CoordinatorDown(f"{url} cannot be reached: {cause}", endpoint=url) from error
+        raise CoordinatorDown(
+            f"{shown} cannot be reached: {client.cause or client.words(error)}", endpoint=shown
+        ) from error
     client.was_connected = True
     server = client.connected_server_version
     version = (server.major, server.minor, server.patch)
     if version < OLDEST:
         await client.close()
         raise ConfigError(
-            f"{url} runs nats-server {'.'.join(map(str, version))}; 2.9 or newer is needed", key="coordinator"
+            f"{shown} runs nats-server {'.'.join(map(str, version))}; 2.9 or newer is needed", key="coordinator"
         )
     return client
 
@@ -118,13 +121,17 @@ def _client_kind() -> Any:
     nats = import_module("nats")
 
     class Client(nats.NATS):  # type: ignore[misc, name-defined] # Any: the package is loaded when it is used
-        def __init__(self) -> None:
+        def __init__(self, secrets: HiddenSecrets) -> None:
             super().__init__()
             self.cause = ""
             self.was_connected = False
+            self._secrets = secrets
+
+        def words(self, error: object) -> str:
+            return self._secrets.hide(error) or type(error).__name__
 
         async def note_cause(self, error: Exception) -> None:
-            self.cause = str(error) or type(error).__name__
+            self.cause = self.words(error)
 
         async def forget_cause(self) -> None:
             self.cause = ""
@@ -136,7 +143,8 @@ def _client_kind() -> Any:
                 if self._transport is not None:
                     self._transport.close()  # else each refused try would leave its socket open
                 if _is_refusal(str(error)) and not self.was_connected:
-                    raise ConfigError(f"the server refuses the credentials: {error}", key="coordinator") from error
+                    refused = f"the server refuses the credentials: {self.words(error)}"
+                    raise ConfigError(refused, key="coordinator") from error
                 raise
 
         async def _process_err(self, message: str) -> None:
@@ -185,12 +193,15 @@ async def _find_bucket(client: Any, bucket: str, options: CoordinatorOptions) ->
         raise CoordinatorDown(f"the bucket {bucket} does not answer in time") from error
     except errors.APIError as error:
         if error.err_code in NOT_YET:
-            raise CoordinatorDown(f"the bucket {bucket} cannot be used yet: {error.description}") from error
+            raise CoordinatorDown(
+                f"the bucket {bucket} cannot be used yet: {client.words(error.description)}"
+            ) from error
         if isinstance(error, errors.ServiceUnavailableError):
             raise ConfigError("the server has no JetStream: start it with -js", key="coordinator") from error
-        raise ConfigError(f"the bucket {bucket} cannot be used: {error.description}", key="coordinator") from error
+        said = client.words(error.description)
+        raise ConfigError(f"the bucket {bucket} cannot be used: {said}", key="coordinator") from error
     except (nats.errors.Error, OSError) as error:
-        raise CoordinatorDown(f"the bucket {bucket} does not answer: {error or type(error).__name__}") from error
+        raise CoordinatorDown(f"the bucket {bucket} does not answer: {client.words(error)}") from error
     if (info.config.num_replicas or 1) < options.replicas:
         raise ConfigError(
             f"the bucket {bucket} has {info.config.num_replicas} replicas, and {options.replicas} are asked for: "
@@ -237,10 +248,12 @@ class NatsCoordinator:
             raise CoordinatorDown("no server has the bucket now") from error
         except errors.APIError as error:
             if error.err_code in _WRONG_SEQUENCE:
-                raise RevisionConflict(f"{key} has not revision {revision}: {error.description}") from error
-            raise OutcomeUnknown(f"the server answers: {error.description}") from error
+                raise RevisionConflict(
+                    f"{key} has not revision {revision}: {self.client.words(error.description)}"
+                ) from error
+            raise OutcomeUnknown(f"the server answers: {self.client.words(error.description)}") from error
         except (nats.errors.Error, OSError, TimeoutError) as error:
-            cause = self.client.cause or str(error) or type(error).__name__
+            cause = self.client.cause or self.client.words(error)
             raise OutcomeUnknown(f"the server does not answer: {cause}") from error
         return int(made.seq)
 

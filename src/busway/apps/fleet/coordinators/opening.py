@@ -10,9 +10,10 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Final, TypeVar
-from urllib.parse import urlsplit
+from urllib.parse import parse_qsl, unquote, urlsplit
 
 from ....errors import ConfigError, ModbusError
+from ...collector.sinks.hidden_secrets import HiddenSecrets
 from ..coordinator import Coordinator, CoordinatorDown
 
 ASK_EVERY: Final = 0.5
@@ -72,10 +73,27 @@ async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | No
     if scheme in ("postgresql", "postgres"):
         found = import_module(".postgresql", __package__)
         return await until_up(lambda: found.open_postgresql(url, zone, options), CoordinatorDown, options.start)
+    shown = hidden_secrets(url, options).hide(url)
     raise ConfigError(
-        f"a coordinator is local:FOLDER, nats://host:4222 or postgresql://user@host/database, not {url!r}",
+        f"a coordinator is local:FOLDER, nats://host:4222 or postgresql://user@host/database, not {shown!r}",
         key="coordinator",
     )
+
+
+def hidden_secrets(url: str, options: CoordinatorOptions) -> HiddenSecrets:
+    """Return what hides the secrets of a coordinator in texts: those of its options and those in its URL.
+
+    Args:
+        url: of the coordinator. A user without a password is a token where several hosts, each with its own, may be.
+        options: how it is reached.
+    """
+    scheme, _, rest = url.partition("://")
+    is_database = scheme in ("postgresql", "postgres")
+    found = [value for name, value in parse_qsl(rest.partition("?")[2]) if "password" in name]
+    for each in [rest] if is_database else rest.split(","):
+        user, _, password = each.rpartition("@")[0].partition(":")
+        found += [password] if password or is_database else [user]
+    return HiddenSecrets(options.password, options.token, *found, *map(unquote, found))
 
 
 async def until_up(ask: Callable[[], Awaitable[_T]], down: type[ModbusError], seconds: float) -> _T:

@@ -10,6 +10,7 @@ Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 
 import asyncio
 import contextlib
+import hashlib
 import ssl
 from collections.abc import AsyncGenerator
 from importlib import import_module
@@ -27,7 +28,7 @@ from ..coordinator import (
     RevisionConflict,
 )
 from ..shards import checked_name
-from .opening import CoordinatorOptions
+from .opening import CoordinatorOptions, hidden_secrets
 
 COMPARE_EVERY: Final = 2.0
 OLDEST: Final = 120_000
@@ -62,17 +63,27 @@ def _errors(pg: Any) -> tuple[type[Exception], ...]:
     return pg.PostgresError, pg.InterfaceError, pg.InternalClientError, OSError, TimeoutError
 
 
+def _channel(zone: str) -> str:
+    """Return the channel on which changes of a zone are told: a name of PostgreSQL, which has at most 63 bytes."""
+    name = f"busway_fleet_{zone}"
+    return name if len(name) < 64 else f"busway_fleet_{hashlib.blake2b(zone.encode(), digest_size=16).hexdigest()}"
+
+
 class PostgresqlCoordinator:
     """Shared table of a zone's collectors: the table ``busway_fleet`` of PostgreSQL."""
 
     def __init__(self, url: str, zone: str, options: CoordinatorOptions) -> None:
         self._url, self._zone, self._options = url, zone, options
-        self._channel = f"busway_fleet_{zone}"
+        self._secrets = hidden_secrets(url, options)
+        self._channel = _channel(zone)
         self._pool: Any = None
+
+    def _words(self, error: Exception) -> str:
+        return self._secrets.hide(error) or type(error).__name__
 
     async def open(self) -> None:
         """Connect to PostgreSQL and check the server. Raises `ConfigError`, `CoordinatorDown`."""
-        pg = import_module("asyncpg")
+        pg, shown = import_module("asyncpg"), self._secrets.hide(self._url)
         try:
             async with asyncio.timeout(4 * self._options.answer):
                 self._pool = await pg.create_pool(
@@ -85,15 +96,15 @@ class PostgresqlCoordinator:
                     await connection.execute(_SCHEMA)
         except (pg.InvalidPasswordError, pg.InvalidAuthorizationSpecificationError) as error:
             await self.close()
-            raise ConfigError(f"{self._url} refuses the credentials: {error}", key="coordinator") from error
+            raise ConfigError(f"{shown} refuses the credentials: {self._words(error)}", key="coordinator") from error
         except pg.InsufficientPrivilegeError as error:
             await self.close()
-            raise ConfigError(f"the table busway_fleet cannot be used: {error}", key="coordinator") from error
+            raise ConfigError(
+                f"the table busway_fleet cannot be used: {self._words(error)}", key="coordinator"
+            ) from error
         except _errors(pg) as error:
             await self.close()
-            raise CoordinatorDown(
-                f"{self._url} cannot be used: {error or type(error).__name__}", endpoint=self._url
-            ) from error
+            raise CoordinatorDown(f"{shown} cannot be used: {self._words(error)}", endpoint=shown) from error
         except ConfigError:
             await self.close()
             raise
@@ -133,11 +144,11 @@ class PostgresqlCoordinator:
             async with asyncio.timeout(self._options.answer):
                 connection = await self._pool.acquire()
         except _errors(pg) as error:
-            raise CoordinatorDown(f"no connection to the database: {error or type(error).__name__}") from error
+            raise CoordinatorDown(f"no connection to the database: {self._words(error)}") from error
         try:
             made = await connection.fetchval(statement, self._zone, key, value, self._channel, *revision)
         except _errors(pg) as error:
-            raise OutcomeUnknown(f"the database does not confirm: {error or type(error).__name__}") from error
+            raise OutcomeUnknown(f"the database does not confirm: {self._words(error)}") from error
         finally:
             with contextlib.suppress(*_errors(pg)):
                 await self._pool.release(connection, timeout=1.0)
