@@ -1,5 +1,6 @@
 """The key of a write, whatever way it came, in a zone whose links move: the value is written once."""
 
+import asyncio
 import contextlib
 import json
 import time
@@ -103,10 +104,16 @@ async def over_http(fleet: FleetCollector, key: str, value: int) -> dict[str, An
 async def over_mqtt(fleet: FleetCollector, key: str, value: int) -> dict[str, Any]:
     """What a collector answers to a message with this key, as its MQTT input hands it on."""
     made = MqttCommands("127.0.0.1", 1, InputRights("plant/{device}/{point}/set", ("*/*",)))
-    receiver = CommandReceiver("broker", made, fleet.collector.commands, lambda: fleet.collector.configuration)
+    receiver = CommandReceiver(
+        "broker",
+        made,
+        fleet.collector.commands,
+        lambda: fleet.collector.configuration,
+        plant=lambda: fleet._configuration,
+    )
     payload = json.dumps({"value": value, "key": key}).encode()
-    found: dict[str, Any] = json.loads(await receiver.take(InputMessage("plant/link-0/setpoint/set", payload)))
-    return found
+    answer = await receiver.take(InputMessage("plant/link-0/setpoint/set", payload))
+    return {"state": "silent"} if answer is None else dict(json.loads(answer))
 
 
 async def test_a_key_that_is_repeated_after_its_link_has_moved_is_not_written_again(tmp_path: Path) -> None:
@@ -124,6 +131,20 @@ async def test_a_key_that_is_repeated_after_its_link_has_moved_is_not_written_ag
             assert hall.device.written == [(10, 7), (10, 8)]
             assert (await over_http(two, "order-3", 9))["state"] == "done"
         assert hall.device.written == [(10, 7), (10, 8), (10, 9)]
+
+
+async def test_of_one_message_to_all_collectors_the_owner_of_the_link_alone_writes_and_answers(tmp_path: Path) -> None:
+    async with zone(tmp_path) as hall, hall.collector("one") as one, hall.collector("two") as two:
+        await until(lambda: one.links or two.links)
+        owner, other = (one, two) if one.links else (two, one)
+        await polls(owner)
+        answers = await asyncio.gather(over_mqtt(other, "order-1", 7), over_mqtt(owner, "order-1", 7))
+        assert [each["state"] for each in answers] == ["silent", "done"]
+        told = await over_http(other, "order-2", 8)
+        assert told["state"] == "refused"
+        assert "is not polled by this collector, but by another of the fleet; nothing was sent" in told["reason"]
+        assert (await over_http(owner, "order-2", 8))["state"] == "done", "a refusal there takes no key"
+        assert hall.device.written == [(10, 7), (10, 8)]
 
 
 async def test_a_write_is_refused_before_any_byte_while_the_coordinator_is_down_and_its_key_may_be_used_again(

@@ -100,6 +100,7 @@ class Collector:
         *,
         permit: Callable[[str], None] | None = None,
         claims: KeyClaims | None = None,
+        plant: Callable[[], CollectorConfiguration] | None = None,
     ) -> None:
         """Create a collector from its configuration; nothing is opened yet.
 
@@ -109,9 +110,11 @@ class Collector:
                 that it raises (a `LinkDown`) is that of the transaction, of which nothing is sent then.
             claims: takes the keys of write commands for all collectors of a fleet; None for a collector that works
                 alone.
+            plant: gives the configuration of a whole fleet, of which ``configuration`` is the part that this collector
+                polls; None for a collector that works alone.
         """
         self.configuration: CollectorConfiguration = configuration
-        self._permit, self._claims = permit, claims
+        self._permit, self._claims, self._plant = permit, claims, plant
         self._committer: Committer | None = None
         self.knowledge: Knowledge = Knowledge()
         self._learnt = LearntFile(configuration.learnt_path)
@@ -243,7 +246,7 @@ class Collector:
         path = configuration.common.audit or Path(configuration.store) / AUDIT_LOG
         options = {} if section is None else section.options()
         self._audit = AuditLog(**{**options, "path": path})
-        targets = CollectedTargets(lambda: self.configuration, self._poller_of, self.values)
+        targets = CollectedTargets(lambda: self.configuration, self._poller_of, self.values, self._plant)
         days = configuration.file.collector.keep_days
         journal = CommandJournal(Path(configuration.store), keep=None if days is None else 86_400 * days)
         try:
@@ -258,7 +261,7 @@ class Collector:
     def _receive_commands(self) -> None:
         """Start to receive write commands from the servers (MQTT, …) of those sinks that may send some."""
         for name, made in self.configuration.inputs.items():
-            receiver = CommandReceiver(name, made, self.commands, lambda: self.configuration)
+            receiver = CommandReceiver(name, made, self.commands, lambda: self.configuration, plant=self._plant)
             task = asyncio.create_task(receiver.run(), name=f"busway commands of {name}")
             task.add_done_callback(_log_defect)
             self._receivers.append(receiver)

@@ -143,7 +143,12 @@ class FleetCollector:
         await refuse_other_figures(self._coordinator, self._shards, self.member.times)
         async with AsyncExitStack() as unless_started:
             await unless_started.enter_async_context(self._keys)
-            collector = Collector(restricted(self._configuration, ()), permit=self._permit, claims=self._keys)
+            collector = Collector(
+                restricted(self._configuration, ()),
+                permit=self._permit,
+                claims=self._keys,
+                plant=lambda: self._configuration,
+            )
             self.collector = await unless_started.enter_async_context(collector)
             self._tell_costs()
             self.ownership = OwnershipLog(Path(self._configuration.store))

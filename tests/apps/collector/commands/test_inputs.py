@@ -392,6 +392,9 @@ class NotedRunner:
     def __init__(self) -> None:
         self.got: list[tuple[str, str, float]] = []
 
+    def refused(self, result: CommandResult, reason: str) -> CommandResult:
+        return result.finished(CommandState.REFUSED, reason)
+
     async def write(self, device: str, point: str, value: Any, *, expires: float, **more: Any) -> CommandResult:
         self.got.append((device, point, expires))
         command = PointCommand("k", device, point, value, more["by"], more["origin"], expires)
@@ -433,6 +436,31 @@ async def test_a_topic_writes_the_point_that_the_file_permits_or_none(
     answer = json.loads(await receiver.take(InputMessage(f"plant/d/{asked}", b"1")))
     assert [point for _, point, _ in runner.got] == ([] if written is None else [written])
     assert answer["state"] == ("refused" if written is None else "done")
+
+
+async def test_of_the_collectors_of_a_fleet_the_one_that_polls_the_device_answers_alone() -> None:
+    made = SimpleNamespace(rights=InputRights("plant/{device}/{point}", ("*/a",), 10.0), kind="mqtt", level=topic_level)
+    point = Point("a", Table.HOLDING_REGISTERS, 0, value_type("uint16"), writing=WriteRule())
+    whole = SimpleNamespace(devices={name: SimpleNamespace(name=name, points=[point]) for name in ("d", "e")})
+    runners, receivers = [], []
+    for name in ("d", "e"):
+        part = SimpleNamespace(devices={name: whole.devices[name]})
+        runners.append(NotedRunner())
+        receivers.append(
+            CommandReceiver("broker", made, runners[-1], lambda part=part: part, plant=lambda: whole)  # type: ignore
+        )
+
+    async def answers(message: InputMessage) -> list[str | None]:
+        found = [await each.take(message) for each in receivers]
+        return [None if each is None else json.loads(each)["state"] for each in found]
+
+    assert await answers(InputMessage("plant/d/a", b"1")) == ["done", None]
+    assert await answers(InputMessage("plant/e/a", b"1")) == [None, "done"]
+    assert [[device for device, *_ in each.got] for each in runners] == [["d"], ["e"]]
+    for refused in (InputMessage("plant/d/a", b"{"), InputMessage("plant/d/a", b"1", is_retained=True)):
+        assert await answers(refused) == ["refused", None]
+    assert await answers(InputMessage("plant/d/b", b"1")) == ["refused", "refused"], "a point of no collector"
+    assert [each.status().refused for each in receivers] == [3, 1]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,9 @@ Knows messages and the runner of commands; knows no broker.
 4. A name as one level of a topic stands for one point; where it stands for two of the plant, neither is written, also
    where the file names only one of them.
 5. The time of a message counts from its arrival, also while it waits for others.
+6. In a fleet every collector gets every message. The one that polls the link now executes and answers it; the others
+   say nothing. While no collector polls it there is no answer, and nothing is written. A topic that stands for no
+   point of the plant is refused by all, in the same words.
 """
 
 import json
@@ -140,6 +143,8 @@ class CommandReceiver:
         made: the input.
         runner: takes the commands.
         configuration: gives what the file says now.
+        plant: gives the configuration of a whole fleet, of which ``configuration`` is the part that this collector
+            polls now; None for a collector that works alone.
         now: seconds since 1970 UTC.
         moment: seconds of the monotonic clock.
     """
@@ -151,11 +156,13 @@ class CommandReceiver:
         runner: CommandRunner,
         configuration: Callable[[], "DescribedPlant"],
         *,
+        plant: Callable[[], "DescribedPlant"] | None = None,
         now: Callable[[], float] = time.time,
         moment: Callable[[], float] = time.monotonic,
     ) -> None:
         self._name, self._input, self._runner = name, made, runner
         self._configuration, self._now, self._moment = configuration, now, moment
+        self._plant = plant or configuration
         self._places: tuple[DescribedPlant, dict[str, tuple[str, str] | None]] | None = None
         self._taken = self._refused = 0
         self._error: str | None = "not connected yet"
@@ -188,12 +195,15 @@ class CommandReceiver:
         self._taken += 1
         self._refuse(where, "too many messages wait")
 
-    async def take(self, message: InputMessage) -> bytes:
-        """Execute the command in a message. Returns the reply as JSON; errors are told in the reply."""
+    async def take(self, message: InputMessage) -> bytes | None:
+        """Execute the command in a message. Returns the reply as JSON, errors too; None where another one answers."""
         self._taken += 1
         try:
+            device, point = self._place(message.where)
+            if device not in self._configuration().devices:
+                return None
             given = parsed(message.payload)
-            command = self._command(message, given)
+            command = self._command(message, given, device, point)
         except InvalidRequest as error:
             return self._refuse(message.where, error.message)
         if message.is_retained:
@@ -218,8 +228,7 @@ class CommandReceiver:
             return self._refuse(message.where, error.message)
         return _encoded(result.content())
 
-    def _command(self, message: InputMessage, given: dict[str, Any]) -> PointCommand:
-        place = self._place(message.where)
+    def _command(self, message: InputMessage, given: dict[str, Any], device: str, point: str) -> PointCommand:
         now = self._now()
         arrived = now if message.arrived is None else now - (self._moment() - message.arrived)
         expires = given.get("expires", arrived + self._input.rights.seconds)
@@ -230,24 +239,24 @@ class CommandReceiver:
             raise InvalidRequest(f"by is a text, not {shown(said)}")
         name = f"{self._name}: {said[:_LONGEST_NAME]}" if said else self._name
         key = given.get("key", new_key(now))
-        return PointCommand(key, *place, given["value"], name, self._input.kind, expires)
+        return PointCommand(key, device, point, given["value"], name, self._input.kind, expires)
 
     def _place(self, where: str) -> tuple[str, str]:
         """Return the device and point that a topic names. Raises `InvalidRequest`."""
-        configuration = self._configuration()
-        if self._places is None or self._places[0] is not configuration:
-            self._places = configuration, self._places_of(configuration)
+        plant = self._plant()
+        if self._places is None or self._places[0] is not plant:
+            self._places = plant, self._places_of(plant)
         found = self._places[1].get(where, ())
         if not found:
             why = "stands for more than one point" if found is None else "is no point that may be written from here"
             raise InvalidRequest(f"{shown(where)} {why}")
         return found
 
-    def _places_of(self, configuration: DescribedPlant) -> dict[str, tuple[str, str] | None]:
+    def _places_of(self, plant: DescribedPlant) -> dict[str, tuple[str, str] | None]:
         rights, level = self._input.rights, self._input.level
         found: dict[str, tuple[str, str] | None] = {}
         permitted: set[str] = set()
-        for device in configuration.devices.values():
+        for device in plant.devices.values():
             for point in device.points:
                 where = rights.where.replace("{device}", level(device.name)).replace("{point}", level(point.name))
                 found[where] = None if where in found else (device.name, point.name)

@@ -125,6 +125,8 @@ class MqttCommands:
                 arrived=arrived,
             )
         )
+        if answer is None:
+            return
         try:
             await self._answer(client, where, properties, answer, receiver)
         except (import_module("aiomqtt").MqttError, OSError, ValueError) as error:  # ValueError: no topic

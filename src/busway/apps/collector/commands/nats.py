@@ -122,7 +122,7 @@ class NatsCommands:
     async def _handle(self, message: Any, receiver: CommandReceiver, arrived: float) -> None:
         by = (message.headers or {}).get("by", "")
         answer = await receiver.take(InputMessage(message.subject, message.data, by=by, arrived=arrived))
-        if not message.reply or receiver.is_for_commands(message.reply):
+        if answer is None or not message.reply or receiver.is_for_commands(message.reply):
             return
         try:
             await message.respond(answer)

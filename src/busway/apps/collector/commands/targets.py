@@ -21,6 +21,8 @@ class CollectedTargets:
         configuration: gives what the file says now.
         poller_of: gives the poller of a device; raises `ConfigError` where it is not polled.
         values: the last values.
+        plant: gives the configuration of a whole fleet, of which ``configuration`` is the part that this collector
+            polls now; None for a collector that works alone.
     """
 
     def __init__(
@@ -28,13 +30,18 @@ class CollectedTargets:
         configuration: Callable[[], CollectorConfiguration],
         poller_of: Callable[[str], LinkPoller],
         values: LastValues,
+        plant: Callable[[], CollectorConfiguration] | None = None,
     ) -> None:
         self._configuration, self._poller_of, self._values = configuration, poller_of, values
+        self._plant = plant or configuration
 
     def target(self, device: str, point: str) -> WriteTarget:
         """Return the point to write, and the poller of its link. Raises `NoSuchPoint` and `NotPolledNow`."""
         configuration = self._configuration()
         found = configuration.devices.get(device)
+        if found is None and device in self._plant().devices:
+            link = self._plant().devices[device].link
+            raise NotPolledNow(f"link {link} of {device} is not polled by this collector, but by another of the fleet")
         if found is None:
             raise NoSuchPoint(f"there is no device {device!r}")
         named = next((each for each in found.points if each.name == point), None)
