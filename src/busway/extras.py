@@ -26,6 +26,7 @@ EXTRA_OF: Final = {
     "asyncpg": "postgresql",
     "httpx": "influxdb",
     "nats": "nats",
+    "nkeys": "nats",
     "msgpack": "fleet",
     "yaml": "yaml",
     "pandas": "frames",

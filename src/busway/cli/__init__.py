@@ -19,6 +19,7 @@
 `files`           Files that commands read, and capture files that they write for Wireshark
 `fleet`           `busway fleet`: several collectors share the links of a plant, as a coordinator says
 `fleet_demo`      `busway fleet demo`: a plant of 200 devices, three collectors that share it, and one of them is killed
+`fleet_servers`   `busway fleet server-config`: configuration of NATS servers, and a secret for each role
 `fleet_sinks`     `busway fleet run --stream` and `busway fleet sink`: samples of a zone through a stream of NATS
 `fleet_write`     ``busway fleet write``: writes a value to a point of a zone by the collector that owns its link
 `gateway`         `busway gateway`: forwards client requests to serial lines or other servers, until Ctrl-C or SIGTERM

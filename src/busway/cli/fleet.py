@@ -5,8 +5,9 @@
 3. ``run --stream`` sends samples into a stream, from which ``sink`` takes them (`fleet_sinks`).
 4. ``demo`` starts a plant, a nats-server and three collectors of its own (`fleet_demo`).
 5. ``write`` asks the collector that owns a link to write a value to a point (`fleet_write`).
-6. ``status`` asks the coordinator alone: it also shows a zone none of whose collectors lives.
-7. ``restore`` is for a coordinator that has lost its entries, or has older ones; not while a collector lives.
+6. ``server-config`` writes the configuration of NATS servers with an account for each role (`fleet_servers`).
+7. ``status`` asks the coordinator alone: it also shows a zone none of whose collectors lives.
+8. ``restore`` is for a coordinator that has lost its entries, or has older ones; not while a collector lives.
 """
 
 import asyncio
@@ -48,11 +49,14 @@ Examples:
   busway fleet drain west --coordinator nats://10.0.0.7 --zone hall
   busway fleet drain west --undo --coordinator nats://10.0.0.7 --zone hall
   busway fleet restore --coordinator nats://10.0.0.7 --zone hall
+  busway fleet server-config hall --servers 10.0.0.1,10.0.0.2,10.0.0.3 --out servers
 
 The coordinator may also be local:FOLDER (one machine) or postgresql://user@host/database; BUSWAY_FLEET_PASSWORD holds
-the password of --user, BUSWAY_FLEET the coordinator.
+the password of --user, BUSWAY_FLEET the coordinator, BUSWAY_FLEET_CREDENTIALS and BUSWAY_FLEET_CA those files.
 """
-ACTIONS = {"demo": 1, "apply": 2, "run": 1, "sink": 2, "write": 4, "status": 1, "drain": 2, "restore": 1}
+ACTIONS = {
+    "demo": 1, "apply": 2, "run": 1, "sink": 2, "write": 4, "status": 1, "drain": 2, "restore": 1, "server-config": 2,
+}  # fmt: skip
 """Words of each action, with the action itself."""
 LOOK = 4.0
 """Seconds after which a collector that has not renewed its entry is shown as silent: it renews every three."""
@@ -61,7 +65,7 @@ LOOK = 4.0
 def fleet(
     words: list[str] = typer.Argument(
         ...,
-        metavar="demo|apply FILE|run|sink NAME|write DEVICE POINT VALUE|status|drain NAME|restore",
+        metavar="demo|apply FILE|run|sink NAME|write DEVICE POINT VALUE|status|drain NAME|restore|server-config ZONE",
         help="A collector file, or the name of a sink of it, or of a collector; or a value for a point.",
     ),
     coordinator: str | None = typer.Option(
@@ -72,8 +76,12 @@ def fleet(
     folder: str | None = typer.Option(None, "--store", metavar="FOLDER", help="run: the store; that of the file."),
     shards: str = typer.Option("256", "--shards", metavar="N", help="run: of the zone, the same for all: 256."),
     user: str | None = typer.Option(None, "--user", metavar="NAME", help="The account at the coordinator."),
-    credentials: str | None = typer.Option(None, "--credentials", metavar="FILE", help="A NATS credentials file."),
+    credentials: str | None = typer.Option(
+        None, "--credentials", metavar="FILE", help="A NATS seed or credentials file."
+    ),
     ca: str | None = typer.Option(None, "--ca", metavar="FILE", help="Certificates to check the coordinator by."),
+    certificate: str | None = typer.Option(None, "--certificate", metavar="FILE", help="Of this program, for TLS."),
+    private_key: str | None = typer.Option(None, "--private-key", metavar="FILE", help="Of that certificate."),
     replicas: str = typer.Option("1", "--replicas", metavar="N", help="Servers that must keep each entry: 1."),
     stream: bool = typer.Option(False, "--stream", help="run: send samples into a stream, for sinks (NATS)."),
     key: str | None = typer.Option(None, "--key", metavar="KEY", help="write: sent once for each key; a new one."),
@@ -81,6 +89,20 @@ def fleet(
     within: str = typer.Option("30s", "--within", metavar="TIME", help="write: send it by then, or never: 30s."),
     undo: bool = typer.Option(False, "--undo", help="drain: let the collector take part again."),
     lasts: str | None = typer.Option(None, "--for", metavar="TIME", help="demo: end after this time: 2m."),
+    out: str | None = typer.Option(None, "--out", metavar="FOLDER", help="server-config: where to write."),
+    servers: str | None = typer.Option(
+        None, "--servers", metavar="HOST,…", help="server-config: one, three or five: [NAME=]HOST[:PORT]; 0.0.0.0."
+    ),
+    server_version: str | None = typer.Option(
+        None, "--server-version", metavar="N.N", help="server-config: of nats-server: 2.9."
+    ),
+    streams: str | None = typer.Option(
+        None, "--streams", metavar="FOLDER", help="server-config: of streams on each server: /var/lib/nats."
+    ),
+    tls: str | None = typer.Option(
+        None, "--tls", metavar="FOLDER", help="server-config: of certificates on each server: /etc/nats/tls; off."
+    ),
+    force: bool = typer.Option(False, "--force", help="server-config: write over what is there, seeds excepted."),
     status_every: str = typer.Option(
         "60s", "--status-every", metavar="TIME", help="run, sink: print a status so often."
     ),
@@ -98,6 +120,12 @@ def fleet(
         raise ConfigError("is for demo", key="--for")
     if action == "demo":
         return _demo(seconds(lasts or "2m", "--for", low=0.1), verbose)
+    given = {"--out": out, "--servers": servers, "--server-version": server_version, "--streams": streams, "--tls": tls}
+    if action == "server-config":
+        return _write_servers(about[0], given, force=force)
+    for key_of, value in {**given, "--force": force}.items():
+        if value:
+            raise ConfigError("is for server-config", key=key_of)
     url = coordinator or os.environ.get("BUSWAY_FLEET")
     if not url:
         raise ConfigError("is needed: nats://host:4222, local:FOLDER or postgresql://user@host/db", key="--coordinator")
@@ -113,8 +141,10 @@ def fleet(
     options = CoordinatorOptions(
         user=user,
         password=os.environ.get("BUSWAY_FLEET_PASSWORD"),
-        credentials=credentials,
-        ca=ca,
+        credentials=credentials or os.environ.get("BUSWAY_FLEET_CREDENTIALS"),
+        ca=ca or os.environ.get("BUSWAY_FLEET_CA"),
+        certificate=certificate,
+        key=private_key,
         replicas=whole_number(replicas, "--replicas", 1, 5),
     )
     count = whole_number(shards, "--shards", 1, 1024)
@@ -122,7 +152,7 @@ def fleet(
     limit = seconds(within, "--within")
     show_traffic(verbose)
     works: dict[str, Any] = {
-        "apply": lambda table: _apply(table, about[0]),
+        "apply": lambda table: _apply(table, about[0], zone, options),
         "run": lambda table: _run(
             table,
             name,
@@ -150,11 +180,30 @@ def _action(words: list[str]) -> list[str]:
     """Return what to do, and the words that it is about: a file, a name, or device, point and value."""
     if len(words) != ACTIONS.get(words[0]):
         raise ConfigError(
-            "must be demo, apply FILE, run, sink NAME, write DEVICE POINT VALUE, status, drain NAME or restore, "
-            f"not {' '.join(words)}",
+            "must be demo, apply FILE, run, sink NAME, write DEVICE POINT VALUE, status, drain NAME, restore or "
+            f"server-config ZONE, not {' '.join(words)}",
             key="ACTION",
         )
     return words
+
+
+def _write_servers(zones: str, given: dict[str, str | None], *, force: bool) -> int:
+    from .fleet_servers import write_server_files
+
+    out = given["--out"]
+    if out is None:
+        raise ConfigError("is needed: a folder to write to", key="--out")
+    tls = given["--tls"] or "/etc/nats/tls"
+    write_server_files(
+        zones,
+        out,
+        given["--servers"] or "0.0.0.0",
+        given["--server-version"] or "2.9",
+        given["--streams"] or "/var/lib/nats",
+        None if tls == "off" else tls,
+        force=force,
+    )
+    return ExitCode.DONE
 
 
 def _demo(limit: float, verbose: int) -> int:
@@ -178,10 +227,31 @@ async def _with_coordinator(url: str, zone: str, options: "CoordinatorOptions", 
         await table.close()
 
 
-async def _apply(table: "Coordinator", file: str) -> None:
+async def _apply(table: "Coordinator", file: str, zone: str, options: "CoordinatorOptions") -> None:
     from ..apps.fleet.control_entries import apply_configuration
 
-    print(f"{file} is the configuration of the zone, with revision {await apply_configuration(table, file)}")
+    revision = await apply_configuration(table, file)
+    await _make_streams(table, zone, options)
+    print(f"{file} is the configuration of the zone, with revision {revision}")
+
+
+async def _make_streams(table: "Coordinator", zone: str, options: "CoordinatorOptions") -> None:
+    """Make what collectors and sinks need at NATS, because their accounts may not; print what cannot be made."""
+    client = getattr(table, "client", None)
+    if client is None:
+        return
+    from ..apps.fleet.coordinators.nats import find_bucket
+    from ..apps.fleet.streams import StreamOptions, make_audit_stream, make_stream
+
+    for make in (
+        lambda: find_bucket(client, f"busway-{zone}-commands", options),
+        lambda: make_stream(client, zone, StreamOptions(replicas=options.replicas)),
+        lambda: make_audit_stream(client, zone, options.replicas),
+    ):
+        try:
+            await make()
+        except ModbusError as error:
+            warn(f"warning: {error}")
 
 
 async def _drain(table: "Coordinator", name: str, *, undo: bool) -> None:
@@ -256,7 +326,7 @@ async def _run(
     host = socket.gethostname().partition(".")[0]
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
-            keys = await open_keys()
+            keys = await _opened_keys(open_keys)
             stack.push_async_callback(keys.close)
             stream = None
             if stream_zone is not None:
@@ -288,6 +358,15 @@ async def _run(
                         print_stream_status(member)
                     if member.refused is not None:
                         warn(f"warning: {member.refused}")
+
+
+async def _opened_keys(open_keys: Callable[[], Awaitable["Coordinator"]]) -> "Coordinator":
+    try:
+        return await open_keys()
+    except ConfigError as error:
+        raise ConfigError(
+            f"the table of the keys of commands cannot be used: {error.message}", key=error.key
+        ) from error
 
 
 async def _show_status(table: "Coordinator", zone: str, *, as_json: bool) -> None:

@@ -27,16 +27,14 @@ from ..collector.commands.audit import command_line
 from ..collector.commands.command import USUAL_SECONDS, CommandResult, CommandState, PointCommand
 from ..collector.commands.message_tasks import MessageTasks
 from ..collector.sinks.nats import subject_token
-from .coordinators.opening import until_up
+from .coordinators.nats import asked
 from .fleet_collector import FleetCollector
 from .lease_driver import end_tasks
-from .outbox import StreamDown
-from .streams import found_or_made
+from .streams import make_audit_stream
 
 LONGEST_REQUEST: Final = 64 * 1024
 START_SECONDS: Final = 30.0
 """Seconds for which a server that does not answer is asked for the stream of audit lines."""
-AUDIT_AGE: Final = 366 * 86_400.0
 _KEYS: Final = {"key", "device", "point", "value", "by", "expires"}
 _log = logging.getLogger("busway.fleet")
 
@@ -68,7 +66,7 @@ async def send_command(client: Any, zone: str, link: str, content: dict[str, Any
     if not client.is_connected:
         raise LinkDown("the connection to the coordinator is lost; nothing was sent")
     try:
-        reply = await client.request(subject, json.dumps(content).encode(), timeout=seconds)
+        reply = await asked(client, subject, client.request(subject, json.dumps(content).encode(), timeout=seconds))
         answer = json.loads(reply.data)
     except errors.NoRespondersError as error:
         raise LinkDown(f"no collector of zone {zone} owns link {link} now; nothing was sent") from error
@@ -112,7 +110,7 @@ class FleetCommands:
 
     async def __aenter__(self) -> Self:
         """Begin to listen on the subjects of owned links. Raises `ConfigError`, `StreamDown`: no stream for audits."""
-        await self._make_audit_stream()
+        await make_audit_stream(self._client, self._zone, self._replicas, start=START_SECONDS)
         await self._messages.__aenter__()
         self._fleet.follow_links(self._changed.set)
         self._fleet.collector.commands.subscribe(self._told)
@@ -130,17 +128,6 @@ class FleetCommands:
         await self._messages.__aexit__(kind, error, trace)
         self._has_ended = True
         await asyncio.gather(*self._publishing)
-
-    async def _make_audit_stream(self) -> None:
-        api = import_module("nats.js.api")
-        config = api.StreamConfig(
-            name=f"busway-audit-{self._zone}",
-            subjects=[f"busway.{self._zone}.audit"],
-            storage=api.StorageType.FILE,
-            num_replicas=self._replicas,
-            max_age=AUDIT_AGE,
-        )
-        await until_up(lambda: found_or_made(self._client, config), StreamDown, START_SECONDS)
 
     async def _follow(self) -> None:
         while True:

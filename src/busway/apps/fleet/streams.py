@@ -22,7 +22,7 @@ from ...errors import ConfigError
 from ..collector.sinks.interface import Sink, SinkDown, SinkRefused
 from ..collector.store.committed_samples import CommittedSample
 from .coordinator import SNAPSHOT_ENDS, Coordinator, CoordinatorDown, Entry, OutcomeUnknown, RevisionConflict
-from .coordinators.nats import NOT_YET
+from .coordinators.nats import NOT_YET, asked, refused_subject
 from .coordinators.opening import until_up
 from .lease_driver import end_if_cancelled, end_tasks
 from .messages import SampleMessage, UnreadableMessage, decode_message
@@ -31,6 +31,7 @@ from .outbox import StreamDown
 CURSORS: Final = "cursor."
 FETCH: Final = 64
 """Messages that a sink takes at once."""
+AUDIT_AGE: Final = 366 * 86_400.0
 ACK_SECONDS: Final = 10.0
 """Seconds after which a message that a sink has not acknowledged is given to it again."""
 _log = logging.getLogger("busway.fleet")
@@ -90,6 +91,20 @@ async def _made_stream(client: Any, zone: str, options: StreamOptions) -> str:
     return str(config.name)
 
 
+async def make_audit_stream(client: Any, zone: str, replicas: int, *, start: float = 30.0) -> None:
+    """Find or create the stream of a zone's audit lines. Args and errors as `make_stream`."""
+    api = import_module("nats.js.api")
+    config = api.StreamConfig(
+        name=f"busway-audit-{zone}",
+        subjects=[f"busway.{zone}.audit"],
+        storage=api.StorageType.FILE,
+        num_replicas=replicas,
+        max_age=AUDIT_AGE,
+        deny_delete=True,
+    )
+    await until_up(lambda: found_or_made(client, config), StreamDown, start)
+
+
 async def found_or_made(client: Any, config: Any) -> Any:
     """Return the configuration of a message stream of NATS, which is created if missing.
 
@@ -105,14 +120,26 @@ async def found_or_made(client: Any, config: Any) -> Any:
     jetstream = client.jetstream(timeout=10.0)
     try:
         try:
-            return (await jetstream.stream_info(config.name)).config
+            looking = jetstream.stream_info(config.name)
+            return (await asked(client, f"$JS.API.STREAM.INFO.{config.name}", looking)).config
         except errors.NotFoundError:
-            return (await jetstream.add_stream(config)).config
+            making = jetstream.add_stream(config)
+            return (await asked(client, f"$JS.API.STREAM.CREATE.{config.name}", making)).config
     except errors.APIError as error:
         if error.err_code in NOT_YET:
             raise StreamDown(f"the stream {config.name} cannot be used yet: {error.description}") from error
         raise ConfigError(f"the stream {config.name} cannot be used: {error.description}", key="coordinator") from error
     except (nats.errors.Error, OSError, TimeoutError) as error:
+        if refused := refused_subject(client, f"$JS.API.STREAM.CREATE.{config.name}"):
+            raise ConfigError(
+                f"the stream {config.name} is not there yet, and the credentials do not permit to make it: an operator "
+                f"makes it by busway fleet apply ({refused})",
+                key="coordinator",
+            ) from error
+        if refused := refused_subject(client, f"$JS.API.STREAM.INFO.{config.name}"):
+            raise ConfigError(
+                f"the credentials do not permit the stream {config.name}: {refused}", key="coordinator"
+            ) from error
         raise StreamDown(f"the stream {config.name} does not answer: {error or type(error).__name__}") from error
 
 

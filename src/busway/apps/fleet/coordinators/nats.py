@@ -14,13 +14,14 @@ Knows streams and subjects; the protocol is nats-py's (``busway[nats]``). Works 
 import asyncio
 import contextlib
 import ssl
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Coroutine
 from functools import cache
 from importlib import import_module
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from ....errors import ConfigError
 from ....extras import require
+from ....safe_files import read_safely
 from ...collector.sinks.hidden_secrets import HiddenSecrets
 from ..coordinator import (
     LONGEST_VALUE,
@@ -37,10 +38,13 @@ from .opening import CoordinatorOptions, hidden_secrets
 OLDEST: Final = (2, 9, 0)
 HEARTBEAT: Final = 1.0
 QUIET: Final = 4.0
+LOOK_EVERY: Final = 0.05
 NOT_YET: Final = (10004, 10005, 10008, 10009, 10023, 10118)
 """Codes of refusals that end by themselves: a cluster has too few of its servers or no leader, a stream has none."""
 _WRONG_SEQUENCE: Final = (10071, 10164)
+_T = TypeVar("_T")
 _MOST_WAITING: Final = 65_536
+_MOST_CREDENTIALS: Final = 65_536
 
 
 async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCoordinator":
@@ -51,7 +55,7 @@ async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCo
     bucket = f"busway-{checked_name(zone, 'zone')}"
     client = await connect_nats(url, options)
     try:
-        await _find_bucket(client, bucket, options)
+        await find_bucket(client, bucket, options)
     except BaseException:
         await client.close()
         raise
@@ -66,7 +70,7 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
         "user": options.user,
         "password": options.password,
         "token": options.token,
-        "user_credentials": options.credentials,
+        **_credentials(options.credentials),
         "tls": _tls(options) if scheme == "tls" or options.ca or options.certificate else None,
     }
     secrets = hidden_secrets(url, options)
@@ -106,7 +110,8 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
 
 async def _close(client: Any) -> None:
     nats = import_module("nats")
-    with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone already
+    # It may be gone already; a transport of TLS that has ended says so by AttributeError.
+    with contextlib.suppress(nats.errors.Error, OSError, TimeoutError, AttributeError):
         await client.close()
 
 
@@ -138,6 +143,7 @@ def _client_kind() -> Any:
 
         async def _process_connect_init(self) -> None:
             try:
+                self._read_seed()
                 await super()._process_connect_init()
             except BaseException as error:
                 if self._transport is not None:
@@ -145,7 +151,15 @@ def _client_kind() -> Any:
                 if _is_refusal(str(error)) and not self.was_connected:
                     refused = f"the server refuses the credentials: {self.words(error)}"
                     raise ConfigError(refused, key="coordinator") from error
+                if isinstance(error, AttributeError | RuntimeError):  # of a TLS transport that has ended meanwhile
+                    raise ConnectionResetError(f"the connection has ended: {self.words(error)}") from error
                 raise
+
+        def _read_seed(self) -> None:
+            """Read the seed of the key pair again: it may be another one since the server has refused the old one."""
+            if self._nkeys_seed is not None:
+                _credentials(self._nkeys_seed)
+                self._setup_nkeys_connect()
 
         async def _process_err(self, message: str) -> None:
             error = nats.errors.Error(f"nats: {message}")
@@ -156,6 +170,47 @@ def _client_kind() -> Any:
     return Client
 
 
+def _credentials(path: str | None) -> dict[str, str]:
+    """Return how nats-py is told of a credentials file, or of one with the seed of a key pair. Raises `ConfigError`."""
+    if path is None:
+        return {}
+    require("nkeys", "a credentials file of NATS")
+    text = read_safely(path, most=_MOST_CREDENTIALS).strip()
+    if not text.startswith(b"SU"):
+        return {"user_credentials": path}
+    nkeys = import_module("nkeys")
+    try:
+        nkeys.from_seed(bytearray(text)).wipe()
+    except (nkeys.NkeysError, ValueError, TypeError) as error:
+        raise ConfigError("holds no seed of a user", file=path) from error
+    return {"nkeys_seed": path}
+
+
+def refused_subject(client: Any, subject: str) -> str:
+    """Return what the server said last if that is that the credentials do not permit a subject; empty otherwise."""
+    cause = str(client.cause)
+    return cause if "permissions" in cause.lower() and f'"{subject.lower()}"' in cause.lower() else ""
+
+
+async def asked(client: Any, subject: str, answer: Coroutine[Any, Any, _T]) -> _T:
+    """Wait for the answer to a request; where the server refuses its subject, for no longer.
+
+    Raises:
+        TimeoutError: the subject is refused (`refused_subject`), or no answer came in time.
+    """
+    client.cause = ""
+    task = asyncio.ensure_future(answer)
+    try:
+        while not task.done():
+            await asyncio.wait([task], timeout=LOOK_EVERY)
+            if not task.done() and (refused := refused_subject(client, subject)):
+                raise TimeoutError(refused)
+        return task.result()
+    finally:
+        task.cancel()
+        await asyncio.wait([task])
+
+
 def _tls(options: CoordinatorOptions) -> ssl.SSLContext:
     context = ssl.create_default_context(cafile=options.ca)
     if options.certificate is not None:
@@ -163,14 +218,16 @@ def _tls(options: CoordinatorOptions) -> ssl.SSLContext:
     return context
 
 
-async def _find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> None:
+async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> None:
+    """Find or create a key-value bucket. Raises `ConfigError`, `CoordinatorDown`."""
     nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
     jetstream = client.jetstream(timeout=4 * options.answer)
     stream = f"KV_{bucket}"
     try:
         try:
             # A cluster without a leader gives no answer: short, so that it is asked again soon.
-            info = await client.jetstream(timeout=options.answer).stream_info(stream)
+            looking = client.jetstream(timeout=options.answer).stream_info(stream)
+            info = await asked(client, f"$JS.API.STREAM.INFO.{stream}", looking)
         except errors.NotFoundError:
             wanted = api.StreamConfig(
                 name=stream,
@@ -180,14 +237,21 @@ async def _find_bucket(client: Any, bucket: str, options: CoordinatorOptions) ->
                 discard=api.DiscardPolicy.NEW,
                 storage=api.StorageType.FILE,
                 num_replicas=options.replicas,
-                allow_rollup_hdrs=True,
+                allow_rollup_hdrs=False,  # else whoever may write one key could purge all: Nats-Rollup: all
                 deny_delete=True,
             )
-            info = await jetstream.add_stream(wanted)
+            info = await asked(client, f"$JS.API.STREAM.CREATE.{stream}", jetstream.add_stream(wanted))
     except TimeoutError as error:
+        zone = bucket.removeprefix("busway-")
+        if refused := refused_subject(client, f"$JS.API.STREAM.CREATE.{stream}"):
+            raise ConfigError(
+                f"the bucket {bucket} is not there yet, and the credentials do not permit to make it: an operator "
+                f"makes it by busway fleet apply ({refused})",
+                key="coordinator",
+            ) from error
         if "permissions" in client.cause.lower():
             raise ConfigError(
-                f"the credentials do not permit the zone {bucket.removeprefix('busway-')}: {client.cause}",
+                f"the credentials do not permit the zone {zone}: {client.cause}",
                 key="coordinator",
             ) from error
         raise CoordinatorDown(f"the bucket {bucket} does not answer in time") from error
@@ -253,6 +317,8 @@ class NatsCoordinator:
                 ) from error
             raise OutcomeUnknown(f"the server answers: {self.client.words(error.description)}") from error
         except (nats.errors.Error, OSError, TimeoutError) as error:
+            if refused := refused_subject(self.client, f"$KV.{self._bucket}.{key}"):
+                raise CoordinatorDown(f"the credentials do not permit to change {key}: {refused}") from error
             cause = self.client.cause or self.client.words(error)
             raise OutcomeUnknown(f"the server does not answer: {cause}") from error
         return int(made.seq)

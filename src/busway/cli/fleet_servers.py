@@ -1,0 +1,160 @@
+"""``busway fleet server-config ZONE``: writes the configuration of NATS servers, and a secret for each role.
+
+1. A secret is the seed of a key pair (nkey), made by the package nkeys. It is in a file of its own that only its owner
+   can read (0600), and never printed. Servers get the public key only.
+2. A seed that is there already is used again, and never overwritten: remove the file to make a new one.
+3. Other files are overwritten with ``--force`` only. Before anything is written, it is known that all of it can be.
+"""
+
+import os
+import re
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from ..errors import ConfigError
+from ..extras import require
+from .output import say
+
+if TYPE_CHECKING:
+    from ..apps.fleet.server_files import ServerOptions, ServerPlan
+
+PRIVATE_FILE: Final = 0o600
+PRIVATE_FOLDER: Final = 0o700
+_SERVER: Final = re.compile(r"(?:([A-Za-z0-9_-]+)=)?([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:]+\])(?::(\d{1,5}))?")
+_VERSION: Final = re.compile(r"(\d{1,3})\.(\d{1,3})(?:\..*)?")
+_MOST_SEED: Final = 1024
+
+
+def write_server_files(
+    zones: str, out: str, servers: str, version: str, store: str, tls: str | None, *, force: bool
+) -> None:
+    """Write the configuration of the servers of some zones, and seeds of users that are missing.
+
+    Args:
+        zones: names, with commas.
+        out: the folder to write to.
+        servers: as `parsed_servers`.
+        version: of nats-server: 2.9.
+        store: the folder of the streams on each server.
+        tls: the folder of certificates on each server; None for no encryption.
+        force: whether to overwrite configuration files.
+
+    Raises:
+        ConfigError: something given is wrong, or a file is there already or cannot be written.
+        MissingExtra: the package nkeys is not installed.
+    """
+    from ..apps.fleet.server_files import ACCOUNTS_FILE, ServerOptions, accounts_text, server_text
+    from ..apps.fleet.server_rights import RIGHTS
+    from ..apps.fleet.shards import checked_name
+
+    require("nkeys", "keys of users")
+    names = [checked_name(each.strip(), "zone") for each in zones.split(",")]
+    plans = parsed_servers(servers)
+    options = ServerOptions(parsed_version(version), store, tls)
+    folder = Path(out)
+    _make_folder(folder)
+    files = [*(folder / f"{plan.name}.conf" for plan in plans), folder / ACCOUNTS_FILE]
+    there = [path for path in files if path.exists()]
+    if there and not force:
+        raise ConfigError("is there already; --force writes over it, and keeps all seeds", file=str(there[0]))
+    keys = {zone: {role: public_key(folder / f"{zone}-{role}.nk") for role in RIGHTS} for zone in names}
+    texts = [server_text(plan, plans, options) for plan in plans]
+    texts.append(accounts_text(keys, public_key(folder / "status.nk")))
+    for path, text in zip(files, texts, strict=True):
+        _write(path, text)
+        print(path)
+    for zone in names:
+        for role in RIGHTS:
+            print(folder / f"{zone}-{role}.nk")
+    print(folder / "status.nk")
+    _say_what_is_next(folder, plans, options)
+
+
+def parsed_servers(text: str) -> "list[ServerPlan]":
+    """Return the servers in ``[NAME=]HOST[:PORT],…``; without names they are n1, n2, n3. Raises `ConfigError`."""
+    from ..apps.fleet.server_files import CLIENT_PORT, ROUTE_PORT, ServerPlan
+
+    found: list[ServerPlan] = []
+    for number, each in enumerate(text.split(","), 1):
+        match = _SERVER.fullmatch(each.strip())
+        if match is None or int(match[3] or CLIENT_PORT) > 65_535 - ROUTE_PORT + CLIENT_PORT:
+            raise ConfigError(f"a server is [NAME=]HOST[:PORT], not {each.strip()!r}", key="--servers")
+        port = int(match[3] or CLIENT_PORT)
+        found.append(ServerPlan(match[1] or f"n{number}", match[2], port, port + ROUTE_PORT - CLIENT_PORT))
+    if len({each.name for each in found}) < len(found) or len({(e.host, e.port) for e in found}) < len(found):
+        raise ConfigError("two servers have one name or one address", key="--servers")
+    if len(found) not in (1, 3, 5):
+        raise ConfigError(f"one server, or three or five that agree by majority, not {len(found)}", key="--servers")
+    return found
+
+
+def parsed_version(text: str) -> tuple[int, int]:
+    """Return the first two numbers of a version of nats-server. Raises `ConfigError`."""
+    match = _VERSION.fullmatch(text)
+    version = (int(match[1]), int(match[2])) if match else (0, 0)
+    if version < (2, 9):
+        raise ConfigError(f"a version of nats-server from 2.9 on, not {text!r}", key="--server-version")
+    return version
+
+
+def public_key(path: Path) -> str:
+    """Return the public key of a seed file, which is made if it is missing. Raises `ConfigError`."""
+    nkeys = import_module("nkeys")
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, PRIVATE_FILE)
+    except FileExistsError:
+        seed = _read_seed(path)
+    except OSError as error:
+        raise _refusal(path, "cannot be made", error) from error
+    else:
+        seed = bytearray(nkeys.encode_seed(os.urandom(32), nkeys.PREFIX_BYTE_USER))
+        with os.fdopen(handle, "wb") as file:
+            file.write(seed + b"\n")
+            file.flush()
+            os.fsync(file.fileno())
+    if not seed.startswith(b"SU"):  # of a user, as nkeys writes it
+        raise ConfigError("holds no seed of a user; remove it to make a new one", file=str(path))
+    try:
+        return str(nkeys.from_seed(seed).public_key.decode())
+    except (nkeys.NkeysError, ValueError, TypeError) as error:
+        raise ConfigError("holds no seed of a user; remove it to make a new one", file=str(path)) from error
+
+
+def _read_seed(path: Path) -> bytearray:
+    from ..safe_files import read_safely
+
+    return bytearray(read_safely(path, most=_MOST_SEED).strip())
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(mode=PRIVATE_FOLDER, parents=True, exist_ok=True)
+    except OSError as error:
+        raise _refusal(folder, "cannot be made", error) from error
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file as a whole: a server that reads it meanwhile gets the old one or the new one."""
+    beside = path.with_name(f".{path.name}.new")
+    try:
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        raise _refusal(path, "cannot be written", error) from error
+
+
+def _refusal(path: Path, what: str, error: OSError) -> ConfigError:
+    reason = error.strerror or str(error)
+    return ConfigError(f"{what}: {reason[:1].lower()}{reason[1:]}", file=str(path))
+
+
+def _say_what_is_next(folder: Path, plans: "Sequence[ServerPlan]", options: "ServerOptions") -> None:
+    say("the files *.nk are secrets: move each to the machine whose program has that role, and to no server")
+    for plan in plans:
+        say(f"{plan.name} ({plan.host}): nats-server -c {folder}/{plan.name}.conf, beside accounts.conf")
+    if options.tls is None:
+        say("without TLS anybody on the network can read and change all of it: for tests on one machine")
+    if options.version < (2, 10):
+        say("nats-server 2.9 acknowledges before it syncs to the disk: take three servers on separate power")

@@ -1,0 +1,63 @@
+"""Files for NATS servers: what is in them, and what is not."""
+
+import re
+
+import pytest
+
+from busway.apps.fleet.server_files import ServerOptions, ServerPlan, accounts_text, server_text
+from busway.apps.fleet.server_rights import RIGHTS, permissions, rights_table
+
+KEYS = {"collector": "UC", "sink": "US", "operator": "UO"}
+THREE = [ServerPlan(f"n{number}", f"10.0.0.{number}") for number in (1, 2, 3)]
+
+
+def test_one_server_has_no_cluster_and_no_secret() -> None:
+    text = server_text(THREE[0], THREE[:1], ServerOptions())
+    assert text == (
+        "# nats-server 2.9, made by busway fleet server-config. No secrets.\n"
+        'server_name: "n1"\nlisten: "10.0.0.1:4222"\njetstream {\n  store_dir: "/var/lib/nats/n1"\n}\n'
+        'tls {\n  cert_file: "/etc/nats/tls/n1.pem"\n  key_file: "/etc/nats/tls/n1.key"\n'
+        '  ca_file: "/etc/nats/tls/ca.pem"\n}\ninclude "./accounts.conf"\n'
+    )
+
+
+def test_servers_of_a_cluster_know_each_other_and_have_certificates_for_it() -> None:
+    text = server_text(THREE[1], THREE, ServerOptions())
+    assert 'routes: ["nats://10.0.0.1:6222", "nats://10.0.0.2:6222", "nats://10.0.0.3:6222"]' in text
+    assert text.count("cert_file") == 2
+    assert "tls" not in server_text(THREE[1], THREE, ServerOptions(tls=None))
+
+
+@pytest.mark.parametrize(("version", "count"), [((2, 9), 0), ((2, 10), 1), ((2, 12), 1)])
+def test_the_word_that_2_9_refuses_is_for_newer_servers(version: tuple[int, int], count: int) -> None:
+    text = server_text(THREE[0], THREE, ServerOptions(version))
+    assert text.count("sync_interval: always") == count
+
+
+def test_a_path_with_quotes_stays_one_text() -> None:
+    assert r'store_dir: "/a\"b\\c/n1"' in server_text(THREE[0], THREE[:1], ServerOptions(store='/a"b\\c'))
+
+
+def test_each_zone_has_an_account_with_one_user_for_each_role() -> None:
+    text = accounts_text({"hall": KEYS, "yard": KEYS}, "USTATUS")
+    assert re.findall(r'"(zone-\w+)"', text) == ["zone-hall", "zone-yard"]
+    assert (text.count("nkey: "), text.count("nkey: UC"), text.count("allow_responses")) == (7, 2, 2)
+    hall, yard = text.split('"zone-yard"')
+    assert "yard" not in hall
+    assert "hall" not in yard
+
+
+def test_no_role_may_delete_purge_or_change_streams_and_only_operators_make_them() -> None:
+    for role in RIGHTS:
+        granted = permissions(role, "hall")
+        text = " ".join(granted.publish)
+        assert not re.search(r"DELETE|PURGE|UPDATE|RESTORE|SNAPSHOT|\$JS\.API\.>", text)
+        assert ("STREAM.CREATE" in text) == (role == "operator")
+        assert ">" not in (*granted.publish, *granted.subscribe)
+        for other in ("lease", "control", "cursor"):
+            owner = {"lease": "collector", "control": "operator", "cursor": "sink"}[other]
+            assert (f"$KV.busway-hall.{other}" in text) == (role == owner)
+
+
+def test_the_table_has_a_row_for_each_right() -> None:
+    assert len(rights_table("hall").splitlines()) == 2 + sum(map(len, RIGHTS.values())) + 1
