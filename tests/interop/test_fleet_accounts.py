@@ -283,6 +283,8 @@ async def test_each_role_can_do_its_whole_work_and_a_collector_whose_rights_are_
         await asyncio.sleep(0.3)
         assert [device.reads for device in devices] == reads
         assert (await zone_status(operator, 0.5)).members["east"].state == "silent", "the operator's rights still hold"
+        (site.folder / "there" / seed.name).write_text("SUhalf")
+        await until(lambda: "holds no seed of a user" in east.problem, 60)
         shutil.copy(seed, site.folder / "there" / seed.name)
         await until(lambda: all(d.reads > count for d, count in zip(devices, reads, strict=True)), 60)
 

@@ -151,6 +151,8 @@ def _client_kind() -> Any:
                 if _is_refusal(str(error)) and not self.was_connected:
                     refused = f"the server refuses the credentials: {self.words(error)}"
                     raise ConfigError(refused, key="coordinator") from error
+                if isinstance(error, ConfigError) and self.was_connected:  # nothing but these ends trying for good
+                    raise nats.errors.Error(str(error)) from error
                 if isinstance(error, AttributeError | RuntimeError):  # of a TLS transport that has ended meanwhile
                     raise ConnectionResetError(f"the connection has ended: {self.words(error)}") from error
                 raise
