@@ -18,7 +18,7 @@ from ..extras import require
 from .output import say
 
 if TYPE_CHECKING:
-    from ..apps.fleet.server_files import ServerOptions, ServerPlan
+    from ..apps.fleet.server_files import NatsServer, NatsServerOptions
 
 PRIVATE_FILE: Final = 0o600
 PRIVATE_FOLDER: Final = 0o700
@@ -45,14 +45,14 @@ def write_server_files(
         ConfigError: something given is wrong, or a file is there already or cannot be written.
         MissingExtra: the package nkeys is not installed.
     """
-    from ..apps.fleet.server_files import ACCOUNTS_FILE, ServerOptions, accounts_text, server_text
+    from ..apps.fleet.server_files import ACCOUNTS_FILE, NatsServerOptions, accounts_text, server_text
     from ..apps.fleet.server_rights import RIGHTS
     from ..apps.fleet.shards import checked_name
 
     require("nkeys", "keys of users")
     names = [checked_name(each.strip(), "zone") for each in zones.split(",")]
     plans = parsed_servers(servers)
-    options = ServerOptions(parsed_version(version), store, tls)
+    options = NatsServerOptions(parsed_version(version), store, tls)
     folder = Path(out)
     _make_folder(folder)
     files = [*(folder / f"{plan.name}.conf" for plan in plans), folder / ACCOUNTS_FILE]
@@ -72,17 +72,17 @@ def write_server_files(
     _say_what_is_next(folder, plans, options)
 
 
-def parsed_servers(text: str) -> "list[ServerPlan]":
+def parsed_servers(text: str) -> "list[NatsServer]":
     """Return the servers in ``[NAME=]HOST[:PORT],…``; without names they are n1, n2, n3. Raises `ConfigError`."""
-    from ..apps.fleet.server_files import CLIENT_PORT, ROUTE_PORT, ServerPlan
+    from ..apps.fleet.server_files import CLIENT_PORT, ROUTE_PORT, NatsServer
 
-    found: list[ServerPlan] = []
+    found: list[NatsServer] = []
     for number, each in enumerate(text.split(","), 1):
         match = _SERVER.fullmatch(each.strip())
         if match is None or int(match[3] or CLIENT_PORT) > 65_535 - ROUTE_PORT + CLIENT_PORT:
             raise ConfigError(f"a server is [NAME=]HOST[:PORT], not {each.strip()!r}", key="--servers")
         port = int(match[3] or CLIENT_PORT)
-        found.append(ServerPlan(match[1] or f"n{number}", match[2], port, port + ROUTE_PORT - CLIENT_PORT))
+        found.append(NatsServer(match[1] or f"n{number}", match[2], port, port + ROUTE_PORT - CLIENT_PORT))
     if len({each.name for each in found}) < len(found) or len({(e.host, e.port) for e in found}) < len(found):
         raise ConfigError("two servers have one name or one address", key="--servers")
     if len(found) not in (1, 3, 5):
@@ -150,11 +150,11 @@ def _refusal(path: Path, what: str, error: OSError) -> ConfigError:
     return ConfigError(f"{what}: {reason[:1].lower()}{reason[1:]}", file=str(path))
 
 
-def _say_what_is_next(folder: Path, plans: "Sequence[ServerPlan]", options: "ServerOptions") -> None:
+def _say_what_is_next(folder: Path, plans: "Sequence[NatsServer]", options: "NatsServerOptions") -> None:
     say("the files *.nk are secrets: move each to the machine whose program has that role, and to no server")
     for plan in plans:
         say(f"{plan.name} ({plan.host}): nats-server -c {folder}/{plan.name}.conf, beside accounts.conf")
     if options.tls is None:
-        say("without TLS anybody on the network can read and change all of it: for tests on one machine")
+        say("without TLS every host of the network can read and change all of it: for tests on one machine")
     if options.version < (2, 10):
         say("nats-server 2.9 acknowledges before it syncs to the disk: take three servers on separate power")

@@ -4,15 +4,15 @@ import re
 
 import pytest
 
-from busway.apps.fleet.server_files import ServerOptions, ServerPlan, accounts_text, server_text
+from busway.apps.fleet.server_files import NatsServer, NatsServerOptions, accounts_text, server_text
 from busway.apps.fleet.server_rights import RIGHTS, permissions, rights_table
 
 KEYS = {"collector": "UC", "sink": "US", "operator": "UO"}
-THREE = [ServerPlan(f"n{number}", f"10.0.0.{number}") for number in (1, 2, 3)]
+THREE = [NatsServer(f"n{number}", f"10.0.0.{number}") for number in (1, 2, 3)]
 
 
 def test_one_server_has_no_cluster_and_no_secret() -> None:
-    text = server_text(THREE[0], THREE[:1], ServerOptions())
+    text = server_text(THREE[0], THREE[:1], NatsServerOptions())
     assert text == (
         "# nats-server 2.9, made by busway fleet server-config. No secrets.\n"
         'server_name: "n1"\nlisten: "10.0.0.1:4222"\njetstream {\n  store_dir: "/var/lib/nats/n1"\n}\n'
@@ -22,20 +22,20 @@ def test_one_server_has_no_cluster_and_no_secret() -> None:
 
 
 def test_servers_of_a_cluster_know_each_other_and_have_certificates_for_it() -> None:
-    text = server_text(THREE[1], THREE, ServerOptions())
+    text = server_text(THREE[1], THREE, NatsServerOptions())
     assert 'routes: ["nats://10.0.0.1:6222", "nats://10.0.0.2:6222", "nats://10.0.0.3:6222"]' in text
     assert text.count("cert_file") == 2
-    assert "tls" not in server_text(THREE[1], THREE, ServerOptions(tls=None))
+    assert "tls" not in server_text(THREE[1], THREE, NatsServerOptions(tls=None))
 
 
 @pytest.mark.parametrize(("version", "count"), [((2, 9), 0), ((2, 10), 1), ((2, 12), 1)])
 def test_the_word_that_2_9_refuses_is_for_newer_servers(version: tuple[int, int], count: int) -> None:
-    text = server_text(THREE[0], THREE, ServerOptions(version))
+    text = server_text(THREE[0], THREE, NatsServerOptions(version))
     assert text.count("sync_interval: always") == count
 
 
 def test_a_path_with_quotes_stays_one_text() -> None:
-    assert r'store_dir: "/a\"b\\c/n1"' in server_text(THREE[0], THREE[:1], ServerOptions(store='/a"b\\c'))
+    assert r'store_dir: "/a\"b\\c/n1"' in server_text(THREE[0], THREE[:1], NatsServerOptions(store='/a"b\\c'))
 
 
 def test_each_zone_has_an_account_with_one_user_for_each_role() -> None:

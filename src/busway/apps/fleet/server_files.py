@@ -22,7 +22,7 @@ ACCOUNTS_FILE: Final = "accounts.conf"
 
 
 @dataclass(frozen=True, slots=True)
-class ServerPlan:
+class NatsServer:
     """One server of a fleet's coordinator.
 
     Attributes:
@@ -39,7 +39,7 @@ class ServerPlan:
 
 
 @dataclass(frozen=True, slots=True)
-class ServerOptions:
+class NatsServerOptions:
     """What all servers of a fleet have alike.
 
     Attributes:
@@ -56,7 +56,7 @@ class ServerOptions:
     cluster: str = "busway"
 
 
-def server_text(server: ServerPlan, servers: Sequence[ServerPlan], options: ServerOptions) -> str:
+def server_text(server: NatsServer, servers: Sequence[NatsServer], options: NatsServerOptions) -> str:
     """Return the configuration of one server of a cluster, or of the only one."""
     lines = [
         f"# nats-server {options.version[0]}.{options.version[1]}, made by busway fleet server-config. No secrets.",
@@ -107,7 +107,7 @@ def accounts_text(zones: Mapping[str, Mapping[str, str]], status_key: str) -> st
     return "\n".join([*lines, "}"]) + "\n"
 
 
-def _tls(server: ServerPlan, options: ServerOptions) -> list[str]:
+def _tls(server: NatsServer, options: NatsServerOptions) -> list[str]:
     if options.tls is None:
         return []
     return [

@@ -5,7 +5,7 @@ Pure: knows subjects, streams and roles; knows no server. The table of rights in
 1. What is not named is refused. No role may delete, purge or change a stream, or delete its messages.
 2. Only the operator makes streams (`busway fleet apply`), only under the names of its zone.
 3. All roles read the table of the zone. Each changes only the keys that are its own.
-4. A collector answers a command to whoever has asked, and to nobody else (``allow_responses``).
+4. A collector answers the sender of a command, and publishes to no other inbox (``allow_responses``).
 """
 
 from dataclasses import dataclass

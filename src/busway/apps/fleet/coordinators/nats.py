@@ -151,10 +151,12 @@ def _client_kind() -> Any:
                 if _is_refusal(str(error)) and not self.was_connected:
                     refused = f"the server refuses the credentials: {self.words(error)}"
                     raise ConfigError(refused, key="coordinator") from error
-                if isinstance(error, ConfigError) and self.was_connected:  # nothing but these ends trying for good
-                    raise nats.errors.Error(str(error)) from error
-                if isinstance(error, AttributeError | RuntimeError):  # of a TLS transport that has ended meanwhile
-                    raise ConnectionResetError(f"the connection has ended: {self.words(error)}") from error
+                if isinstance(error, Exception) and not isinstance(error, nats.errors.Error | OSError):
+                    # Any other would end trying for good: that of a seed that is being written, or of a TLS transport
+                    # that has ended meanwhile (AttributeError).
+                    if isinstance(error, ConfigError) and not self.was_connected:
+                        raise
+                    raise nats.errors.Error(self.words(error)) from error
                 raise
 
         def _read_seed(self) -> None:
@@ -239,7 +241,7 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
                 discard=api.DiscardPolicy.NEW,
                 storage=api.StorageType.FILE,
                 num_replicas=options.replicas,
-                allow_rollup_hdrs=False,  # else whoever may write one key could purge all: Nats-Rollup: all
+                allow_rollup_hdrs=False,  # else a right to write one key would be one to purge all: Nats-Rollup: all
                 deny_delete=True,
             )
             info = await asked(client, f"$JS.API.STREAM.CREATE.{stream}", jetstream.add_stream(wanted))
