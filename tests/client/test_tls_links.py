@@ -464,3 +464,65 @@ def test_a_client_does_without_the_package_that_a_listener_needs(
 def test_a_blocking_program_loads_no_tls_before_it_needs_it() -> None:
     program = "import busway, sys; busway.connect('tcp://h'); sys.exit('ssl' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+# --- a context of the program's own ------------------------------------------------------------------
+
+
+def own_context(trusts: CertificateFiles, shows: CertificateFiles | None = None) -> ssl.SSLContext:
+    context = ssl.create_default_context(cafile=str(trusts.authority))
+    if shows is not None:
+        context.load_cert_chain(shows.certificate, shows.key)
+    return context
+
+
+def read_with(context: ssl.SSLContext, url: str, via: str) -> object:
+    if via == "blocking":
+        with busway.connect(url, ssl_context=context) as link:
+            return link.unit(1).read_holding_registers(0, count=1)
+
+    async def read() -> object:
+        async with busway.open(url, ssl_context=context) as link:
+            return await link.unit(1).read_holding_registers(0, count=1)
+
+    return asyncio.run(read())
+
+
+@pytest.mark.parametrize("via", ["blocking", "asyncio"])
+def test_a_context_of_the_programs_own_decides_what_is_trusted_and_shown(
+    good_server: CertificateFiles, operator: CertificateFiles, via: str
+) -> None:
+    with served(good_server) as (url, _):
+        assert read_with(own_context(operator, operator), url, via) == [REGISTER]
+        assert read_with(own_context(operator, operator), f"{url}?handshake_timeout=30", via) == [REGISTER]
+        with pytest.raises(LinkDown):
+            read_with(ssl.create_default_context(), url, via)
+
+
+@pytest.mark.parametrize("via", ["blocking", "asyncio"])
+def test_an_expired_server_is_refused_with_a_context_of_ones_own_too(
+    store: Store, operator: CertificateFiles, via: str
+) -> None:
+    with served(store.expired_server()) as (url, _), pytest.raises(LinkDown):
+        read_with(own_context(operator, operator), url, via)
+
+
+def test_a_context_has_its_place_and_contradicts_no_option(operator: CertificateFiles) -> None:
+    context = own_context(operator)
+    with pytest.raises(ConfigError, match=r"ssl_context: has no effect on tcp://"):
+        busway.connect("tcp://127.0.0.1:1", ssl_context=context)
+    with pytest.raises(ConfigError, match=r"authority: has no effect beside ssl_context"):
+        busway.connect("tls://127.0.0.1:1", ssl_context=context, authority=str(operator.authority))
+    with pytest.raises(ConfigError, match=r"verify: has no effect beside ssl_context"):
+        busway.open("tls://127.0.0.1:1?verify=off-insecure", ssl_context=context)
+    with pytest.raises(ConfigError, match=r"ssl_context: has no effect with select"):
+        busway.connect("tls://127.0.0.1:1", select="first", ssl_context=context)
+
+
+def test_links_with_different_contexts_share_no_connection(operator: CertificateFiles) -> None:
+    context = own_context(operator)
+    with busway.connect("tls://127.0.0.1:1", ssl_context=context):
+        with busway.connect("tls://127.0.0.1:1", ssl_context=context):
+            pass
+        with pytest.raises(ConfigError, match="ssl_context"):
+            busway.connect("tls://127.0.0.1:1", ssl_context=own_context(operator))

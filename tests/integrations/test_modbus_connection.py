@@ -3,6 +3,7 @@
 import asyncio
 import re
 import socket
+import ssl
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from waiting import until
 import busway
 from busway.integrations import modbus_connection as backend
 from busway.testing import FaultyServer, known_device
+from busway.testing.certificates import CertificateStore
 
 ANY_PORT = "tcp://127.0.0.1:0"
 PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "modbus-connection.md"
@@ -211,10 +213,31 @@ def test_a_port_that_is_not_there_is_a_connection_error(tmp_path: Path) -> None:
     asyncio.run(refused())
 
 
-def test_what_busway_does_not_do_is_refused_before_anything_is_opened() -> None:
-    for wrong in ({"client_key_password": "x"}, {"check_hostname": False}):
-        with pytest.raises(ValueError, match="busway"):
-            backend.ModbusConnection(ModbusTlsParams(host="10.0.0.5", **wrong))
+async def test_tls_trusts_and_shows_what_the_parameters_say(tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    ours, theirs = store.client("operator", role="Operator"), store.server()
+    shown = {"client_cert": str(ours.certificate), "client_key": str(ours.key)}
+    async with busway.serve(f"tls://127.0.0.1:0?{theirs.query()}", units={1: known()}) as server:
+        port = port_of(server)
+        connection = await backend.connect_tls("localhost", port=port, verify=str(ours.authority), **shown, timeout=30)
+        unit = connection.for_unit(1)
+        assert await unit.read_holding_registers(7, 1) == [7]
+        await unit.disconnect()
+        assert await unit.read_holding_registers(8, 1) == [8]
+        await connection.close()
+        with pytest.raises(ModbusConnectionError, match="could not connect"):
+            await backend.connect_tls("localhost", port=port, **shown, timeout=30)
+        context = ssl.create_default_context(cafile=str(ours.authority))
+        context.load_cert_chain(ours.certificate, ours.key)
+        connection = await backend.connect_tls("localhost", port=port, sslctx=context, timeout=30)
+        assert await connection.for_unit(1).read_holding_registers(7, 1) == [7]
+        await connection.close()
+
+
+@pytest.mark.parametrize("unit_id", [-1, 256])
+def test_a_unit_that_cannot_be_is_refused_at_once(unit_id: int) -> None:
+    with pytest.raises(ValueError, match="unit"):
+        backend.ModbusConnection(ModbusTcpParams(host="127.0.0.1")).for_unit(unit_id)
 
 
 async def test_the_example_of_the_page_prints_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:

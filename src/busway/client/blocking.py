@@ -61,6 +61,7 @@ from .settings import LinkSettings, link_settings
 from .state_observers import OnState
 
 if TYPE_CHECKING:
+    import ssl
     from collections.abc import Mapping
 
     from .option_types import LinkOptions
@@ -746,6 +747,7 @@ def connect(
     *,
     shared: bool = True,
     select: Literal["first", "oldest"] | LinkSelection | None = None,
+    ssl_context: "ssl.SSLContext | None" = None,
     **options: "Unpack[LinkOptions]",
 ) -> BlockingLink:
     """Open a link for blocking programs: ``with busway.connect("tcp://10.0.0.5") as link: …``.
@@ -760,6 +762,9 @@ def connect(
             ``first``, the link made first, or ``oldest``, the connection open longest (Messaging on TCP/IP V1.0b
             §4.2.1.2). That connection has its settings already, so only ``timeout``, ``retries`` and ``deadline`` may
             be given as well.
+        ssl_context: for ``tls://``, the program's own context, such as ``ssl.create_default_context()`` for the
+            authorities that the system trusts. It decides what is verified, and what is shown and spoken; of the
+            options of TLS only ``server_name`` and ``handshake_timeout`` may be given as well.
         options: by name, ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
             `ManagementParameters`; where the framing is RTU or ASCII, of `SerialClientParameters`, `BreakerParameters`
             and `FramingParameters`; for a serial port, of `SerialSettings` and `OpeningParameters`. An option without
@@ -770,7 +775,7 @@ def connect(
             the serial port is in use in this process.
         Overloaded: the endpoint already has ``max_connections`` connections of explicit management. Nothing was sent.
     """
-    settings = link_settings(url, options)
+    settings = link_settings(url, options, ssl_context)
     rule = selection(select)
     if rule is not None:
         check_selected(settings, options)

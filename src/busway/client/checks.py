@@ -91,7 +91,8 @@ def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
 
 def check_selected(settings: LinkSettings, options: Mapping[str, object]) -> None:
     """Raise `ConfigError` if a link that only uses connections of others (``select``) has options of a connection."""
-    for name in (*settings.endpoint.options, *options):
+    context = () if settings.ssl_context is None else ("ssl_context",)
+    for name in (*settings.endpoint.options, *options, *context):
         if name not in CALL_DEFAULTS:
             raise ConfigError(
                 f"has no effect with select: the connection is another link's; only {', '.join(CALL_DEFAULTS)} may "

@@ -149,7 +149,7 @@ def connector_for(settings: LinkSettings, session: TcpClientSession | SerialClie
     if endpoint.carrier == "tls" and settings.security is not None:
         from .tls_connector import TlsConnector
 
-        return TlsConnector(endpoint, settings.sockets, settings.security)
+        return TlsConnector(endpoint, settings.sockets, settings.security, settings.ssl_context)
     if endpoint.carrier == "udp":
         return UdpConnector(endpoint, settings.sockets, session)
     if endpoint.carrier == "serial" and settings.line is not None and settings.line.port is not None:

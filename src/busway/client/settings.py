@@ -7,7 +7,7 @@ Knows which parts of a link take which parameter classes; what an option means, 
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import ConfigError
 from ..options.client import ClientParameters, ManagementParameters
@@ -18,6 +18,9 @@ from ..options.offer import LINKS, Offer, canonical
 from ..options.ports import OpeningParameters, SerialSettings
 from ..options.sockets import SocketParameters
 from ..options.tls import TlsParameters
+
+if TYPE_CHECKING:
+    import ssl
 
 CALL_DEFAULTS: Final = tuple(name for name, one in declared(ClientParameters).items() if Mark.PER_CALL in one.marks)
 """What each user of a shared link may choose; the rest belongs to the connection."""
@@ -54,6 +57,7 @@ class LinkSettings:
         line: settings of the line, if the framing is RTU or ASCII.
         breaker: when units are given up, where the framing is another; None: never.
         security: certificates and what else TLS needs, where the carrier is TLS.
+        ssl_context: the program's own, in place of one made from ``security``.
     """
 
     endpoint: Endpoint
@@ -63,6 +67,7 @@ class LinkSettings:
     line: LineSettings | None = None
     breaker: BreakerParameters | None = None
     security: TlsParameters | None = None
+    ssl_context: "ssl.SSLContext | None" = None
 
     def differs(self, other: "LinkSettings") -> str:
         """Return the name of the first setting of the connection that differs from ``other``; empty if none does."""
@@ -70,7 +75,7 @@ class LinkSettings:
             for name, option in declared(type(mine)).items():
                 if Mark.PER_CALL not in option.marks and getattr(mine, name) != getattr(theirs, name):
                     return name
-        return ""
+        return "" if self.ssl_context is other.ssl_context else "ssl_context"
 
     def _parts(self) -> list[Any]:  # parameter classes share no base
         parts: list[Any] = [self.parameters, self.sockets, self.management]
@@ -85,12 +90,18 @@ class LinkSettings:
         return parts
 
 
+BESIDE_CONTEXT: Final = ("server_name", "handshake_timeout")
+"""Options of TLS that a context does not decide."""
 _NEVER: Final = BreakerParameters(open_after=0)
 
 
-def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSettings:
+def link_settings(
+    url: str | Endpoint, options: Mapping[str, object], ssl_context: "ssl.SSLContext | None" = None
+) -> LinkSettings:
     """Create link settings from a URL with options and from keywords, which override them. Raises `ConfigError`."""
     endpoint = parse_endpoint(url)
+    if ssl_context is not None:
+        _check_context(endpoint, {**endpoint.options, **options})
     offer = Offer.at(endpoint, "client", LINKS)
     chosen = offer.chosen({**canonical(endpoint.options), **canonical(options)}, of=endpoint.url)
     parameters = chosen.build(ClientParameters)
@@ -104,7 +115,9 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
     if endpoint.framing == "mbap":
         security = chosen.build(TlsParameters) if endpoint.carrier == "tls" else None
         watched = breaker if breaker.open_after else None
-        return LinkSettings(endpoint, parameters, sockets, management, breaker=watched, security=security)
+        return LinkSettings(
+            endpoint, parameters, sockets, management, breaker=watched, security=security, ssl_context=ssl_context
+        )
     line = LineSettings(
         chosen.build(SerialClientParameters),
         breaker,
@@ -113,6 +126,15 @@ def link_settings(url: str | Endpoint, options: Mapping[str, object]) -> LinkSet
         chosen.build(OpeningParameters),
     )
     return LinkSettings(endpoint, parameters, sockets, management, line)
+
+
+def _check_context(endpoint: Endpoint, options: Mapping[str, object]) -> None:
+    """Raise `ConfigError` if a context has no effect here, or would contradict an option."""
+    if endpoint.carrier != "tls":
+        raise ConfigError(f"has no effect on {endpoint.scheme}://; it is for tls://", key="ssl_context")
+    for name in canonical(options):
+        if name in declared(TlsParameters) and name not in BESIDE_CONTEXT:
+            raise ConfigError(f"has no effect beside ssl_context; only {', '.join(BESIDE_CONTEXT)} may", key=name)
 
 
 def options_of(endpoint: Endpoint) -> frozenset[str]:

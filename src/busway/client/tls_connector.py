@@ -41,20 +41,27 @@ _OF_TIME: Final = (FailureKind.EXPIRED, FailureKind.NOT_YET_VALID)
 
 
 class TlsConnector:
-    """Opens the TLS connections of a link.
+    """Opens the TLS connections of a link, with ``context`` if the program has made one.
 
     Raises:
         ConfigError: a file cannot be used, or the authority is missing.
     """
 
-    def __init__(self, endpoint: Endpoint, sockets: SocketParameters, security: TlsParameters) -> None:
+    def __init__(
+        self,
+        endpoint: Endpoint,
+        sockets: SocketParameters,
+        security: TlsParameters,
+        context: ssl.SSLContext | None = None,
+    ) -> None:
         self._endpoint = endpoint
         self._sockets = sockets
         self._security = security
         self._host = endpoint.host or "127.0.0.1"
         self._port = endpoint.port or 0
         self._local = (sockets.local_address, 0) if sockets.local_address else None
-        self._context = WatchedContext(security, client_context, name=endpoint.url)
+        self._own_context = context
+        self._context = None if context else WatchedContext(security, client_context, name=endpoint.url)
         self._server_name = security.server_name or self._host
         self._looked_at = -1
         self._look_at_own()
@@ -64,7 +71,7 @@ class TlsConnector:
         try:
             return await self._agree(self._context_now(), protocol)
         except TlsFailure as failure:
-            if failure.kind not in _OF_TIME:
+            if failure.kind not in _OF_TIME or self._own_context:
                 raise self._down(failure) from failure
             raise self._down(await self._look_at_date(failure)) from failure
         except (OSError, ValueError) as error:
@@ -129,7 +136,7 @@ class TlsConnector:
         try:
             return self._agree_now(self._context_now())
         except TlsFailure as failure:
-            if failure.kind not in _OF_TIME:
+            if failure.kind not in _OF_TIME or self._own_context:
                 raise self._down(failure) from failure
             raise self._down(self._look_at_date_now(failure)) from failure
         except (OSError, ValueError) as error:
@@ -160,6 +167,9 @@ class TlsConnector:
         """Do nothing: a TLS connector holds no resources."""
 
     def _context_now(self) -> ssl.SSLContext:
+        if self._context is None:
+            assert self._own_context is not None
+            return self._own_context
         if self._security.verify is Verify.OFF_INSECURE:
             _log.warning(
                 "%s: any host that answers there is taken for the server (verify=off-insecure): "
@@ -173,7 +183,7 @@ class TlsConnector:
     def _look_at_own(self) -> None:
         """Log a warning if the client's certificate has expired or expires soon."""
         name = self._security.certificate
-        if name is None or self._looked_at == self._context.generation:
+        if name is None or self._context is None or self._looked_at == self._context.generation:
             return
         from ..transport.tls.certificates.facts import facts_of_file
 

@@ -110,18 +110,21 @@ class ModbusConnection(BaseModbusConnection):
         connect_delay: float | None = None,
     ) -> None:
         super().__init__(params, timeout=timeout, message_spacing=message_spacing, connect_delay=connect_delay)
-        url, options = _endpoint_of(params)
-        known = options_of(parse_endpoint(url))
-        passive = {name: value for name, value in PASSIVE.items() if name in known}
-        connecting = {"connect_timeout": min(self._call_timeout(), 600.0)} if "connect_timeout" in known else {}
-        chosen: Any = {**passive, **connecting, **options}  # their names were looked up, their values are checked
-        self._link: AsyncLink = open_link(url, shared=False, **chosen)
-        self._is_watched = False
+        self._link: AsyncLink = self._new_link()
+        self._is_ready = False
         self._client: AsyncLink | None = None
 
     def for_unit(self, unit_id: int) -> "BuswayUnit":
         """Return the handle of a unit. Nothing is sent."""
         return BuswayUnit(self, unit_id)
+
+    def _new_link(self, context: ssl.SSLContext | None = None) -> AsyncLink:
+        url, options = _endpoint_of(self._params)
+        known = options_of(parse_endpoint(url))
+        passive = {name: value for name, value in PASSIVE.items() if name in known}
+        connecting = {"connect_timeout": min(self._call_timeout(), 600.0)} if "connect_timeout" in known else {}
+        chosen: Any = {**passive, **connecting, **options}  # their names were looked up, their values are checked
+        return open_link(url, shared=False, ssl_context=context, **chosen)
 
     def _call_timeout(self) -> float:
         wanted: float = self._timeout
@@ -129,9 +132,11 @@ class ModbusConnection(BaseModbusConnection):
 
     async def _connect_client(self) -> AsyncLink:
         try:
-            if not self._is_watched:
+            if not self._is_ready:
+                if isinstance(self._params, ModbusTlsParams):
+                    self._link = self._new_link(await self._params.create_ssl_context())
                 self._link.on_state(self._on_state)
-                self._is_watched = True
+                self._is_ready = True
             if self._link.state == ConnectionState.BACKING_OFF.value:
                 await asyncio.sleep(2 * SHORTEST_PAUSE)  # the link has failed just now, and refuses so long
             await self._link.connect()
@@ -183,26 +188,9 @@ def _endpoint_of(params: Params) -> tuple[str, dict[str, object]]:
         }
     host = f"[{params.host}]" if ":" in params.host else params.host
     if isinstance(params, ModbusTlsParams):
-        return f"tls://{host}:{params.port}", _tls_options(params)
+        return f"tls://{host}:{params.port}", {}
     carrier = "tcp" if isinstance(params, ModbusTcpParams) else "udp"
     return f"{_FRAMING_SCHEME[params.framer or 'socket']}{carrier}://{host}:{params.port}", {}
-
-
-def _tls_options(params: ModbusTlsParams) -> dict[str, object]:
-    """The options of a TLS link. busway reads certificates from files, and takes no context."""
-    if params.sslctx is not None:
-        raise ValueError("busway makes its own TLS context: give verify, client_cert and client_key, not sslctx")
-    if params.client_key_password is not None:
-        raise ValueError("busway reads the password of a key from a file only; give a key that is not encrypted")
-    if not params.check_hostname and params.verify:
-        raise ValueError("busway always checks the name where it verifies the certificate")
-    options: dict[str, object] = {"certificate": params.client_cert, "key": params.client_key}
-    if params.verify is False:
-        return {**options, "verify": "off-insecure"}
-    trusted = params.verify if isinstance(params.verify, str) else ssl.get_default_verify_paths().cafile
-    if trusted is None:
-        raise ValueError("the system has no file of trusted authorities; name one with verify=")
-    return {**options, "authority": trusted}
 
 
 def _was_timeout(error: BaseException | None) -> bool:
@@ -266,7 +254,11 @@ class BuswayUnit:
     def __init__(self, connection: ModbusConnection, unit_id: int) -> None:
         self._connection = connection
         self._unit_id = unit_id
-        self._unit: AsyncUnit = connection._link.unit(unit_id)
+        connection._link.unit(unit_id)  # one that cannot be is an error now
+
+    @property
+    def _unit(self) -> AsyncUnit:
+        return self._connection._link.unit(self._unit_id)
 
     @property
     def _timeout(self) -> float:
@@ -439,9 +431,7 @@ async def connect_tls(
     sslctx: ssl.SSLContext | None = None,
     **pacing: float | None,
 ) -> ModbusConnection:
-    """Open a Modbus/TLS connection; ``pacing`` as of `connect_tcp`. Raises what that raises, and `ValueError` for what
-    `ModbusConnection` cannot do: a context, an encrypted key, a certificate without its name.
-    """
+    """Open a Modbus/TLS connection; ``pacing`` as of `connect_tcp`. Raises what that raises."""
     params = ModbusTlsParams(
         host=host,
         port=port,
