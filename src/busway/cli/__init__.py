@@ -31,6 +31,7 @@
 `query`           `busway query`: prints samples from a store of the collector
 `read`            `busway read`: shows values of a device, once or repeatedly
 `read_points`     `busway read --points FILE`: reads the points of a device by name, in few requests
+`replay`          `busway replay`: what was said in a capture file, what was wrong, and a simulator of it
 `sd_notify`       Tells systemd (sd_notify) that the program is ready, reloads, stops or is alive
 `running`         What `busway serve` and `gateway` have in common: options, what they print, and reloading at SIGHUP
 `scan`            `busway scan`: finds the units that answer on a serial line, or behind an address

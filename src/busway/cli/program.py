@@ -44,6 +44,7 @@ COMMANDS = {
     "status": "Show the status of a running server or gateway.",
     "sniff": "Listen to a line, never send.",
     "decode": "Explain frames, field by field.",
+    "replay": "Show what was said in a capture file, and what was wrong.",
     "points": "Convert device descriptions of other programs.",
     "config": "Check and explain configuration files.",
     "policy": "Say what a policy permits.",

@@ -1,0 +1,132 @@
+"""What a client and a unit said to each other in a capture: counts, items, times, and what was wrong.
+
+Knows exchanges; prints nothing. The memory depends on the number of conversations, and not on that of packets.
+
+1. A conversation is that of a client address, a server and a unit: connections that were made anew belong to it.
+2. Bytes whose unit is unknown belong to a conversation of their own, without a unit.
+3. Limits: `MOST_CONVERSATIONS`; what comes after them is counted in `CapturedConversations.left_out`.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from ...codes import Table
+from ...observe.pairing import ResponseTimes
+from ...pdu.message import Request
+from .exchanges import CapturedExchange, Trouble, TroubleKind
+from .item_ranges import ItemRanges
+
+MOST_CONVERSATIONS: Final = 10_000
+
+
+@dataclass(slots=True)
+class Troubles:
+    """What was wrong of one kind: how often, the first case, and the worst where one is worse than another."""
+
+    count: int
+    first: Trouble
+    worst: Trouble | None = None
+    seconds: float = 0.0
+
+
+@dataclass(slots=True)
+class CapturedConversation:
+    """What a client and a unit said to each other.
+
+    Attributes:
+        client: address of the client; empty for a serial line.
+        server: address and port of the server; name of a serial line.
+        unit: unit identifier; None for bytes whose unit is unknown.
+        first, last: seconds since 1970 of the first and of the last exchange.
+        requests: by function code, broadcasts included.
+        replies: number of replies to requests, exceptions included.
+        exceptions: by function code and exception code.
+        items: what each function touched, by table.
+        waiting: requests that still waited when the capture ended.
+        broadcasts: requests that no unit answers.
+        times: of the replies.
+        slowest_packet: packet of the slowest reply.
+        troubles: what was wrong, by kind.
+    """
+
+    client: str
+    server: str
+    unit: int | None
+    first: float
+    last: float
+    requests: Counter[int] = field(default_factory=Counter)
+    replies: int = 0
+    exceptions: Counter[tuple[int, int]] = field(default_factory=Counter)
+    items: dict[int, dict[Table, ItemRanges]] = field(default_factory=dict)
+    waiting: int = 0
+    broadcasts: int = 0
+    times: ResponseTimes = field(default_factory=ResponseTimes)
+    slowest_packet: int = 0
+    troubles: dict[TroubleKind, Troubles] = field(default_factory=dict)
+
+    def add(self, exchange: CapturedExchange) -> None:
+        """Count an exchange."""
+        self.first, self.last = min(self.first, exchange.time), max(self.last, exchange.time)
+        for trouble in exchange.troubles:
+            self._trouble(trouble, exchange.seconds or 0.0)
+        if exchange.asked is None:
+            return
+        code = exchange.asked.pdu[0]
+        self.requests[code] += 1
+        self.waiting += exchange.is_open
+        self.broadcasts += exchange.is_broadcast
+        if isinstance(exchange.request, Request):
+            tables = self.items.setdefault(code, {})
+            for span in exchange.request.spans():
+                tables.setdefault(span.table, ItemRanges()).add(span.address, span.count)
+        if exchange.answered is None:
+            return
+        self.last = max(self.last, exchange.answered.time)
+        self.replies += 1
+        if exchange.exception is not None:
+            self.exceptions[code, exchange.exception] += 1
+        if exchange.seconds is not None:
+            if not self.times.count or exchange.seconds > self.times.slowest:
+                self.slowest_packet = exchange.answered.packet
+            self.times.add(exchange.seconds)
+
+    def _trouble(self, trouble: Trouble, seconds: float) -> None:
+        found = self.troubles.get(trouble.kind)
+        if found is None:
+            found = self.troubles[trouble.kind] = Troubles(0, trouble)
+        found.count += 1
+        if trouble.kind in (TroubleKind.LATE_REPLY, TroubleKind.SLOW_REPLY) and seconds > found.seconds:
+            found.worst, found.seconds = trouble, seconds
+
+
+class CapturedConversations:
+    """All conversations of a capture.
+
+    Attributes:
+        left_out: exchanges of conversations beyond the limit.
+    """
+
+    def __init__(self) -> None:
+        self.left_out: int = 0
+        self._found: dict[tuple[str, str, int | None], CapturedConversation] = {}
+
+    def add(self, exchange: CapturedExchange) -> None:
+        """Count an exchange in the conversation that it belongs to."""
+        channel = exchange.channel
+        key = channel.client_text, channel.server_text, exchange.unit
+        conversation = self._found.get(key)
+        if conversation is None:
+            if len(self._found) == MOST_CONVERSATIONS:
+                self.left_out += 1
+                return
+            conversation = self._found[key] = CapturedConversation(*key, exchange.time, exchange.time)
+        conversation.add(exchange)
+
+    def __iter__(self) -> Iterator[CapturedConversation]:
+        """Yield the conversations in the order in which they began in the file."""
+        return iter(self._found.values())
+
+    def __len__(self) -> int:
+        return len(self._found)

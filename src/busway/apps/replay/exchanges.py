@@ -1,0 +1,383 @@
+"""Finds the reply to each request of a capture, and what is wrong with the two.
+
+Knows frames of a capture and the rules of replies; knows no file. What it gives is counted by `conversations`.
+
+1. On TCP and UDP a reply answers the oldest request with its transaction number that still waits. Frames of RTU and
+   ASCII have none: over a network a reply answers the request before it, on a line `busway.observe.pairing` decides.
+2. A request waits until its reply comes, its number is used again after ``reply_window``, or the connection ends. A
+   reply after ``reply_window`` is late. What waits when the capture ends, and not longer than that, is no fault.
+3. A missing reply is not the device's fault where the capture lacks bytes of that direction: the trouble says so.
+4. Limits: `MOST_WAITING` requests of a connection wait; then the oldest is given up.
+"""
+
+from collections import OrderedDict, deque
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Final
+
+from ...codes import exception_meaning, function_name
+from ...framing.received import Direction
+from ...observe.capture_files.traffic import (
+    CapturedChannel,
+    CapturedFrame,
+    ChannelEnd,
+    ChannelEnding,
+    FaultyBytes,
+    TrafficEvent,
+    TrafficFault,
+)
+from ...observe.pairing import Heard, Kind, Pairing
+from ...pdu.functions import STANDARD, AnyRequest
+from ...pdu.general import ExceptionResponse, MalformedRequest
+from ...pdu.malformed import MalformedPdu
+from ...pdu.message import Message, Request
+from ...values import Address, format_address
+
+MOST_WAITING: Final = 4096
+_REMEMBERED: Final = 16
+"""Frames of a line whose packets are remembered: those that `Pairing` may speak of again."""
+
+
+class TroubleKind(Enum):
+    """What can be wrong in a conversation."""
+
+    NO_REPLY = "no reply"
+    LATE_REPLY = "late reply"
+    SLOW_REPLY = "slow reply"
+    EXCEPTION = "exception"
+    UNMATCHED = "reply without a request"
+    DUPLICATE = "transaction number in use already"
+    REPEATED = "request sent again"
+    WRONG_UNIT = "reply of another unit"
+    WRONG_FUNCTION = "reply of another function"
+    BAD_REQUEST = "malformed request"
+    BAD_REPLY = "reply that does not fit"
+    BAD_LENGTH = "bad length"
+    DAMAGED = "bad CRC or LRC"
+    CUT_OFF = "frame cut off"
+    FOREIGN_PROTOCOL = "another protocol"
+    SKIPPED = "bytes that are no frame"
+    MISSING = "missing in the capture"
+
+
+_OF_BYTES: Final = {
+    TrafficFault.MISSING: TroubleKind.MISSING,
+    TrafficFault.SKIPPED: TroubleKind.SKIPPED,
+    TrafficFault.BAD_LENGTH: TroubleKind.BAD_LENGTH,
+    TrafficFault.CUT_OFF: TroubleKind.CUT_OFF,
+    TrafficFault.FOREIGN_PROTOCOL: TroubleKind.FOREIGN_PROTOCOL,
+    TrafficFault.DAMAGED: TroubleKind.DAMAGED,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Something wrong: what, in which packet, when (seconds since 1970), and in words."""
+
+    kind: TroubleKind
+    packet: int
+    time: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class CapturedExchange:
+    """A request and its reply in a capture, or one without the other, or bytes that are neither.
+
+    Attributes:
+        channel: connection or line.
+        unit: unit identifier; None for bytes whose unit is unknown.
+        asked: the frame of the request; None for a reply without one.
+        request: the same, decoded.
+        answered: the frame of the reply.
+        reply: the same, decoded; None where it is malformed.
+        seconds: from request to reply.
+        troubles: what is wrong.
+        is_open: whether the request still waited when the capture ended.
+        is_broadcast: whether no unit answers it.
+        time: seconds since 1970 of its first frame.
+    """
+
+    channel: CapturedChannel
+    unit: int | None
+    time: float
+    asked: CapturedFrame | None = None
+    request: AnyRequest | None = None
+    answered: CapturedFrame | None = None
+    reply: Message | None = None
+    seconds: float | None = None
+    troubles: tuple[Trouble, ...] = ()
+    is_open: bool = False
+    is_broadcast: bool = False
+
+    @property
+    def exception(self) -> int | None:
+        """The exception code of the reply, if it is one."""
+        return self.reply.exception if isinstance(self.reply, ExceptionResponse) else None
+
+
+class Exchanges:
+    """Takes what `CapturedTraffic` gives, and gives the exchanges of all connections and lines.
+
+    Args:
+        reply_window: seconds after which a reply is late.
+        slow: seconds after which a reply is slow.
+    """
+
+    def __init__(self, reply_window: float = 3.0, slow: float = 1.0) -> None:
+        self._reply_window = reply_window
+        self._slow = slow
+        self._matchers: dict[int, _NetworkMatcher | _LineMatcher] = {}
+
+    def take(self, event: TrafficEvent) -> Iterator[CapturedExchange]:
+        """Yield the exchanges that this event completes."""
+        channel = event.channel
+        matcher = self._matchers.get(channel.number)
+        if matcher is None:
+            matcher = (
+                _LineMatcher(self._reply_window) if channel.client is None else _NetworkMatcher(self._reply_window)
+            )
+            self._matchers[channel.number] = matcher
+        if isinstance(event, ChannelEnd):
+            del self._matchers[channel.number]
+        for exchange in matcher.take(event):
+            yield self._judged(exchange)
+
+    def _judged(self, exchange: CapturedExchange) -> CapturedExchange:
+        """Return an exchange with what its time and its exception add to the troubles."""
+        answered, seconds = exchange.answered, exchange.seconds
+        if answered is None:
+            return exchange
+        added = []
+        if seconds is not None and seconds > self._reply_window:
+            added.append((TroubleKind.LATE_REPLY, f"after {seconds:.3f} s"))
+        elif seconds is not None and seconds > self._slow:
+            added.append((TroubleKind.SLOW_REPLY, f"after {seconds:.3f} s"))
+        if exchange.exception is not None:
+            asked = f"{function_name(answered.pdu[0] & 0x7F)}{_place(exchange.request)}"
+            meaning = f"{exchange.exception:02X}, {exception_meaning(exchange.exception)}"
+            added.append((TroubleKind.EXCEPTION, f"{meaning}, to {asked}"))
+        if not added:
+            return exchange
+        troubles = tuple(Trouble(kind, answered.packet, answered.time, text) for kind, text in added)
+        return replace(exchange, troubles=exchange.troubles + troubles)
+
+
+def _place(request: AnyRequest | None) -> str:
+    """Return which items a request touches, for a sentence."""
+    if not isinstance(request, Request):
+        return ""
+    return "".join(
+        f", {each.count} from {format_address(Address(each.table, each.address))} on" for each in request.spans()[:1]
+    )
+
+
+def _decoded(asked: CapturedFrame) -> tuple[AnyRequest, list[Trouble]]:
+    request = STANDARD.decode_request(asked.pdu)
+    if isinstance(request, MalformedRequest):
+        return request, [Trouble(TroubleKind.BAD_REQUEST, asked.packet, asked.time, request.reason)]
+    return request, []
+
+
+def _reply_to(request: AnyRequest, answered: CapturedFrame) -> tuple[Message | None, list[Trouble]]:
+    """Return the decoded reply, and what does not fit the request."""
+    try:
+        reply = STANDARD.decode_reply(answered.pdu)
+        if isinstance(request, Request) and not isinstance(reply, ExceptionResponse):
+            request.prepare()
+            reply = request.accept(answered.pdu)
+    except MalformedPdu as error:
+        return None, [Trouble(TroubleKind.BAD_REPLY, answered.packet, answered.time, error.reason)]
+    return reply, []
+
+
+def _of_bytes(event: FaultyBytes, unit: int | None) -> CapturedExchange:
+    trouble = Trouble(_OF_BYTES[event.fault], event.packet, event.time, event.text)
+    return CapturedExchange(event.channel, unit, event.time, troubles=(trouble,))
+
+
+def _unmatched(answered: CapturedFrame, text: str) -> CapturedExchange:
+    trouble = Trouble(TroubleKind.UNMATCHED, answered.packet, answered.time, text)
+    return CapturedExchange(answered.channel, answered.unit, answered.time, answered=answered, troubles=(trouble,))
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """A request that waits for its reply, what is wrong with it, and whether the capture lacks bytes of replies."""
+
+    asked: CapturedFrame
+    request: AnyRequest
+    troubles: list[Trouble]
+    lacks_bytes: bool = False
+
+    def exchange(self, *more: Trouble, is_open: bool = False) -> CapturedExchange:
+        asked = self.asked
+        troubles = (*self.troubles, *more)
+        return CapturedExchange(
+            asked.channel, asked.unit, asked.time, asked, self.request, troubles=troubles, is_open=is_open
+        )
+
+    def unanswered(self, why: str = "") -> CapturedExchange:
+        """Return the exchange of a request whose reply the capture does not have."""
+        kind, text = TroubleKind.NO_REPLY, f"to {function_name(self.asked.pdu[0])}{_place(self.request)}{why}"
+        if self.lacks_bytes:
+            kind, text = TroubleKind.MISSING, f"perhaps the reply {text}"
+        return self.exchange(Trouble(kind, self.asked.packet, self.asked.time, text))
+
+    def answered_by(self, answered: CapturedFrame) -> CapturedExchange:
+        asked = self.asked
+        packet, time = answered.packet, answered.time
+        troubles = list(self.troubles)
+        reply: Message | None = None
+        if answered.unit != asked.unit:
+            text = f"unit {answered.unit}, where {asked.unit} was asked"
+            troubles.append(Trouble(TroubleKind.WRONG_UNIT, packet, time, text))
+        if answered.pdu[0] & 0x7F != asked.pdu[0] & 0x7F:
+            text = f"function {answered.pdu[0] & 0x7F}, where {asked.pdu[0]} was asked"
+            troubles.append(Trouble(TroubleKind.WRONG_FUNCTION, packet, time, text))
+        else:
+            reply, wrong = _reply_to(self.request, answered)
+            troubles += wrong
+        seconds = max(time - asked.time, 0.0)
+        return CapturedExchange(
+            asked.channel, asked.unit, asked.time, asked, self.request, answered, reply, seconds, tuple(troubles)
+        )
+
+
+class _NetworkMatcher:
+    """Finds replies on one connection, where addresses tell requests from replies."""
+
+    def __init__(self, reply_window: float) -> None:
+        self._window = reply_window
+        self._waiting: OrderedDict[int | None, deque[_Waiting]] = OrderedDict()
+        self._size = 0
+
+    def take(self, event: TrafficEvent) -> Iterator[CapturedExchange]:
+        if isinstance(event, ChannelEnd):
+            yield from self._end(event)
+        elif isinstance(event, FaultyBytes):
+            yield self._faulty(event)
+        elif event.direction is Direction.REQUEST:
+            yield from self._request(event)
+        else:
+            yield self._reply(event)
+
+    def _request(self, asked: CapturedFrame) -> Iterator[CapturedExchange]:
+        request, troubles = _decoded(asked)
+        number = asked.transaction
+        queue = self._waiting.setdefault(number, deque())
+        while queue and (number is None or asked.time - queue[0].asked.time > self._window):
+            yield self._pop(number).unanswered()
+            queue = self._waiting.setdefault(number, deque())
+        if queue:
+            text = f"{number}, of packet {queue[-1].asked.packet}"
+            repeated = queue[-1].asked.raw == asked.raw
+            kind = TroubleKind.REPEATED if repeated else TroubleKind.DUPLICATE
+            troubles.append(Trouble(kind, asked.packet, asked.time, text))
+        queue.append(_Waiting(asked, request, troubles))
+        self._size += 1
+        if self._size > MOST_WAITING:
+            yield self._pop(next(iter(self._waiting))).unanswered()
+
+    def _reply(self, answered: CapturedFrame) -> CapturedExchange:
+        number = answered.transaction
+        queue = self._waiting.get(number)
+        if not queue:
+            return _unmatched(answered, "" if number is None else f"transaction {number}")
+        if number is None and (answered.unit, answered.pdu[0] & 0x7F) != (queue[0].asked.unit, queue[0].asked.pdu[0]):
+            return _unmatched(answered, f"{function_name(answered.pdu[0] & 0x7F)}")
+        return self._pop(number).answered_by(answered)
+
+    def _pop(self, number: int | None) -> _Waiting:
+        queue = self._waiting[number]
+        found = queue.popleft()
+        self._size -= 1
+        if not queue:
+            del self._waiting[number]
+        return found
+
+    def _faulty(self, event: FaultyBytes) -> CapturedExchange:
+        if event.fault in (TrafficFault.MISSING, TrafficFault.SKIPPED) and event.direction is not Direction.REQUEST:
+            for queue in self._waiting.values():
+                for each in queue:
+                    each.lacks_bytes = True
+        first = next((queue[0].asked.unit for queue in self._waiting.values()), None)
+        return _of_bytes(event, first)
+
+    def _end(self, end: ChannelEnd) -> Iterator[CapturedExchange]:
+        waiting = sorted(
+            (each for queue in self._waiting.values() for each in queue), key=lambda each: each.asked.packet
+        )
+        for each in waiting:
+            if end.ending is ChannelEnding.CAPTURE_ENDS and end.time - each.asked.time <= self._window:
+                yield each.exchange(is_open=True)
+            else:
+                why = {
+                    ChannelEnding.CLOSED: "; the connection was closed",
+                    ChannelEnding.RESET: "; the connection was reset",
+                }.get(end.ending, "")
+                yield each.unanswered(why)
+
+
+class _LineMatcher:
+    """Finds replies on one serial line, from what `Pairing` hears."""
+
+    def __init__(self, reply_window: float) -> None:
+        self._pairing = Pairing(reply_window)
+        self._frames: OrderedDict[int, CapturedFrame] = OrderedDict()
+        self._now = 0.0
+
+    def take(self, event: TrafficEvent) -> Iterator[CapturedExchange]:
+        if isinstance(event, ChannelEnd):
+            asked = self._pairing.deadline()
+            for heard in self._pairing.tick(max(event.time, self._now)):
+                yield from self._told(heard, event)
+            if asked is not None and self._pairing.deadline() is not None:
+                yield from self._still_open()
+            return
+        if event.received is None:
+            yield _of_bytes(event, None) if isinstance(event, FaultyBytes) else _unmatched(event, "")
+            return
+        if isinstance(event, CapturedFrame):
+            self._frames[id(event.received)] = event  # which keeps the object, so its id
+            if len(self._frames) > _REMEMBERED:
+                self._frames.popitem(last=False)
+        self._now = max(self._now, event.received.ended)
+        for heard in self._pairing.heard(event.received):
+            yield from self._told(heard, event)
+
+    def _told(self, heard: Heard, event: TrafficEvent) -> Iterator[CapturedExchange]:
+        frame = None if heard.frame is None else self._frames.get(id(heard.frame))
+        asked = None if heard.request is None else self._frames.get(id(heard.request))
+        if heard.kind is Kind.DAMAGED:
+            assert isinstance(event, FaultyBytes)
+            yield _of_bytes(event, self._asked_unit())
+        elif frame is None:
+            return
+        elif heard.kind is Kind.REPLY and asked is not None:
+            waiting = self._waiting(asked)
+            yield replace(waiting.answered_by(frame), seconds=heard.response_time)
+        elif heard.kind is Kind.STRAY:
+            yield _unmatched(frame, function_name(frame.pdu[0] & 0x7F))
+        elif heard.kind is Kind.UNANSWERED:
+            yield self._waiting(frame).unanswered("; damaged bytes came" if heard.damaged is not None else "")
+        elif heard.kind is Kind.BROADCAST:
+            yield replace(self._waiting(frame).exchange(), is_broadcast=True)
+        elif heard.kind is Kind.REQUEST and heard.is_repeat:
+            trouble = Trouble(TroubleKind.REPEATED, frame.packet, frame.time, function_name(frame.pdu[0]))
+            yield CapturedExchange(frame.channel, frame.unit, frame.time, troubles=(trouble,))
+
+    def _waiting(self, asked: CapturedFrame) -> _Waiting:
+        return _Waiting(asked, *_decoded(asked))
+
+    def _asked_unit(self) -> int | None:
+        if self._pairing.deadline() is None:
+            return None
+        last = next((each for each in reversed(self._frames.values())), None)
+        return None if last is None else last.unit
+
+    def _still_open(self) -> Iterator[CapturedExchange]:
+        last = next((each for each in reversed(self._frames.values())), None)
+        if last is not None:
+            yield self._waiting(last).exchange(is_open=True)

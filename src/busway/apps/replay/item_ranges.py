@@ -1,0 +1,33 @@
+"""The items of a table that requests touched, as ranges that do not overlap.
+
+Knows numbers; knows no request.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
+
+
+class ItemRanges:
+    """A set of offsets, kept as sorted ranges; ranges that touch each other are one."""
+
+    __slots__ = ("_ends", "_firsts")
+
+    def __init__(self) -> None:
+        self._firsts: list[int] = []
+        self._ends: list[int] = []
+
+    def add(self, first: int, count: int) -> None:
+        """Add ``count`` offsets from ``first`` on."""
+        end = first + count
+        low, high = bisect_left(self._ends, first), bisect_right(self._firsts, end)
+        if low < high:
+            first, end = min(first, self._firsts[low]), max(end, self._ends[high - 1])
+        self._firsts[low:high] = [first]
+        self._ends[low:high] = [end]
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        """Yield the ranges: first offset and the one behind the last."""
+        return zip(self._firsts, self._ends, strict=True)
+
+    def __len__(self) -> int:
+        return len(self._firsts)

@@ -1,0 +1,233 @@
+"""``busway replay``: what was said in a capture file, what was wrong, and a simulator file that answers as it did.
+
+What is found is `busway.apps.replay`; here are the arguments, the report and the file. Packets are numbered as
+Wireshark numbers them.
+"""
+
+import sys
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any, Final
+
+import typer
+
+from ..codes import function_name
+from ..errors import ConfigError
+from ..values import Address, format_address
+from ..values.counts import counted
+from ..values.printable import printable
+from .arguments import JSON, QUIET, seconds
+from .captures import PORT, open_packets, say_what_was_left_out, time_text, traffic_of
+from .exits import ExitCode
+from .output import print_json, say
+
+if TYPE_CHECKING:
+    from ..apps.replay.conversations import CapturedConversation, CapturedConversations, Troubles
+    from ..apps.replay.item_ranges import ItemRanges
+    from ..codes import Table
+    from ..observe.capture_files.packet_file import PacketFile
+    from ..observe.capture_files.traffic import CapturedTraffic
+
+EXAMPLES = """\b
+Examples:
+  busway replay site.pcapng
+  busway replay site.pcapng --port 502,5020 --json
+  busway replay line.pcap --reply-window 500ms --slow 100ms
+  tcpdump -w - port 502 | busway replay -
+
+Captures are pcap or pcapng, of Ethernet, Linux cooked, loopback or raw IP, or of a serial line.
+"""
+
+_MOST_RANGES: Final = 12
+"""Ranges of items that are shown of one function."""
+
+
+def replay(
+    capture: str = typer.Argument(..., metavar="CAPTURE", help="A capture file, pcap or pcapng; - for stdin."),
+    port: str | None = PORT,
+    framing: str | None = typer.Option(
+        None, "--framing", metavar="NAME", help="mbap, rtu or ascii on these ports. mbap."
+    ),
+    reply_window: str = typer.Option("3s", "--reply-window", metavar="TIME", help="A reply after this time is late."),
+    slow: str = typer.Option("1s", "--slow", metavar="TIME", help="A reply after this time is slow."),
+    as_json: bool = JSON,
+    quiet: bool = QUIET,
+) -> int:
+    """Show what was said in a capture file, and what was wrong."""
+    from ..apps.replay.conversations import CapturedConversations
+    from ..apps.replay.exchanges import Exchanges
+
+    window = seconds(reply_window, "--reply-window", high=3600)
+    exchanges = Exchanges(window, seconds(slow, "--slow", high=3600))
+    traffic = traffic_of(port, framing)
+    conversations = CapturedConversations()
+    with open_packets(capture) as file:
+        try:
+            for event in _events(file, traffic):
+                for exchange in exchanges.take(event):
+                    conversations.add(exchange)
+        finally:  # of a file that is broken, what stands before that
+            if file.packets:
+                _report(conversations, file, traffic, as_json=as_json)
+                say_what_was_left_out(file, traffic, len(conversations))
+    return ExitCode.DONE
+
+
+def _events(file: "PacketFile", traffic: "CapturedTraffic") -> Iterator[Any]:  # TrafficEvent
+    try:
+        for packet in file:
+            yield from traffic.take(packet)
+    except ConfigError:
+        yield from traffic.finish()
+        raise
+    yield from traffic.finish()
+
+
+# The report.
+
+
+def _report(
+    conversations: "CapturedConversations", file: "PacketFile", traffic: "CapturedTraffic", *, as_json: bool
+) -> None:
+    for number, conversation in enumerate(conversations):
+        if as_json:
+            print_json(_json(conversation))
+            continue
+        if number:
+            print()
+        for line in _lines(conversation):
+            print(line)
+    if as_json:
+        print_json(_summary_json(conversations, file, traffic))
+        return
+    sys.stdout.flush()
+    say("; ".join(_summary(conversations, file, traffic)))
+
+
+def _summary(conversations: "CapturedConversations", file: "PacketFile", traffic: "CapturedTraffic") -> Iterator[str]:
+    yield f"{counted(len(conversations), 'conversation')} in {counted(file.packets, 'packet')}"
+    if traffic.begun_inside:
+        yield f"{counted(traffic.begun_inside, 'connection')} began before the capture"
+    if traffic.repeated or traffic.out_of_order:
+        again, late = counted(traffic.repeated, "byte"), counted(traffic.out_of_order, "segment")
+        yield f"TCP sent {again} again and {late} out of order"
+    if conversations.left_out:
+        yield f"{conversations.left_out} exchanges of further conversations are not shown"
+
+
+def _summary_json(
+    conversations: "CapturedConversations", file: "PacketFile", traffic: "CapturedTraffic"
+) -> dict[str, Any]:  # what JSON has
+    return {
+        "kind": "summary",
+        "packets": file.packets,
+        "truncated_at": file.truncated_at,
+        "conversations": len(conversations),
+        "left_out": conversations.left_out,
+        "begun_before_the_capture": traffic.begun_inside,
+        "tcp_bytes_repeated": traffic.repeated,
+        "tcp_segments_out_of_order": traffic.out_of_order,
+        "ignored": dict(traffic.ignored),
+    }
+
+
+def _name(conversation: "CapturedConversation") -> str:
+    ends = printable(conversation.server)
+    if conversation.client:
+        ends = f"{conversation.client} → {ends}"
+    return f"{ends}, {'no unit' if conversation.unit is None else f'unit {conversation.unit}'}"
+
+
+def _lines(conversation: "CapturedConversation") -> Iterator[str]:
+    yield _name(conversation)
+    span = conversation.last - conversation.first
+    yield f"  {time_text(conversation.first)} UTC, {_time(span)}"
+    if conversation.requests:
+        yield f"  {', '.join(_counts(conversation))}"
+    for code, count in sorted(conversation.requests.items()):
+        ranges = ", ".join(_ranges(conversation.items.get(code, {})))
+        yield f"    {count:6} × {function_name(code)}{f': {ranges}' if ranges else ''}"
+    times = conversation.times
+    if times.count:
+        yield (
+            f"  replies after {_time(times.fastest)} to {_time(times.slowest)} (packet {conversation.slowest_packet}),"
+            f" {_time(times.mean)} on average"
+        )
+    for kind, troubles in conversation.troubles.items():
+        yield f"  ! {troubles.count} × {kind.value}: {_cases(troubles)}"
+
+
+def _counts(conversation: "CapturedConversation") -> Iterator[str]:
+    yield counted(sum(conversation.requests.values()), "request")
+    yield f"{conversation.replies} {'reply' if conversation.replies == 1 else 'replies'}"
+    if conversation.exceptions:
+        yield counted(sum(conversation.exceptions.values()), "exception")
+    if conversation.broadcasts:
+        yield counted(conversation.broadcasts, "broadcast")
+    if conversation.waiting:
+        yield f"{conversation.waiting} without a reply yet when the capture ended"
+
+
+def _cases(troubles: "Troubles") -> str:
+    shown = troubles.worst or troubles.first
+    which = "" if troubles.count == 1 else "the worst in " if troubles.worst else "first in "
+    return f"{which}packet {shown.packet}{f': {shown.text}' if shown.text else ''}"
+
+
+def _ranges(tables: "dict[Table, ItemRanges]") -> Iterator[str]:
+    for table, ranges in tables.items():
+        for number, (first, end) in enumerate(ranges):
+            if number == _MOST_RANGES:
+                yield f"and {len(ranges) - number} more ranges"
+                break
+            yield _range(table, first, end)
+
+
+def _range(table: "Table", first: int, end: int) -> str:
+    text = format_address(Address(table, first))
+    return text if end == first + 1 else f"{text}-{format_address(Address(table, end - 1))}"
+
+
+def _time(span: float) -> str:
+    """Return a number of seconds as text in the unit that fits."""
+    return f"{span * 1e3:.1f} ms" if span < 1 else f"{span:.1f} s"
+
+
+def _json(conversation: "CapturedConversation") -> dict[str, Any]:  # what JSON has
+    return {
+        "kind": "conversation",
+        "client": conversation.client or None,
+        "server": conversation.server,
+        "unit": conversation.unit,
+        "first": conversation.first,
+        "last": conversation.last,
+        "requests": {str(code): count for code, count in sorted(conversation.requests.items())},
+        "replies": conversation.replies,
+        "exceptions": [
+            {"function": code, "exception": exception, "count": count}
+            for (code, exception), count in sorted(conversation.exceptions.items())
+        ],
+        "broadcasts": conversation.broadcasts,
+        "waiting": conversation.waiting,
+        "items": {str(code): _ranges_json(tables.items()) for code, tables in sorted(conversation.items.items())},
+        "fastest": round(conversation.times.fastest, 6) if conversation.times.count else None,
+        "slowest": round(conversation.times.slowest, 6) if conversation.times.count else None,
+        "slowest_packet": conversation.slowest_packet or None,
+        "mean": round(conversation.times.mean, 6) if conversation.times.count else None,
+        "troubles": [
+            {
+                "trouble": kind.value,
+                "count": troubles.count,
+                "packet": (troubles.worst or troubles.first).packet,
+                "text": (troubles.worst or troubles.first).text,
+            }
+            for kind, troubles in conversation.troubles.items()
+        ],
+    }
+
+
+def _ranges_json(tables: "Iterable[tuple[Table, ItemRanges]]") -> list[dict[str, Any]]:  # what JSON has
+    return [
+        {"table": table.value, "first": first, "count": end - first}
+        for table, ranges in tables
+        for first, end in ranges
+    ]
