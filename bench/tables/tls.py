@@ -2,7 +2,7 @@
 
 Both sides show certificates of one authority (P-256, made for the run), TLS 1.3 as OpenSSL chooses it. FC03 for 10
 registers. The floor is a minimal server in C over the same OpenSSL; the bare loop is Python's own TLS with nothing
-behind it, the least that a server in Python can take.
+behind it, the least that a server in Python can take. With one request in flight busway on TCP stands beside it.
 """
 
 import tempfile
@@ -19,9 +19,11 @@ from harness.serving import Shape, load, start
 
 from busway.testing.certificates import CertificateFiles, CertificateStore
 
-SHAPES = (Shape(16, 16), Shape(16, 1), Shape(1, 1))
+FULL, SINGLE = Shape(16, 16), Shape(16, 1)
+SHAPES = (FULL, SINGLE, Shape(1, 1))
 FLOOR, PYMODBUS, OURS, OURS_UVLOOP = "floor (C)", "pymodbus", "busway", "busway, uvloop"
 BARE = "bare loop, checks nothing"
+PLAIN = "busway, TCP without TLS"
 STARTING = 3.0
 
 
@@ -32,19 +34,23 @@ def run(bench: Bench) -> Table:
     with ExitStack() as running:
         store = CertificateStore(Path(running.enter_context(tempfile.TemporaryDirectory())))
         servers = start(bench, running, _contenders(bench, _paths(store.server())))
-        seconds = bench.turn(len(shapes) * len(servers), apart=STARTING, overhead=0.12)
+        seconds = bench.turn(len(shapes) * len(servers) + 1, apart=STARTING, overhead=0.12)
         client = _paths(store.client())
+        plain = start(bench, running, {PLAIN: lambda: bench.ours("servers.busway_server")})
         for shape in shapes:
             bench.say(f"tls: {shape}, {seconds:.2f} s a turn")
             turns: dict[str, Callable[[], Sample]] = {
                 name: partial(load, bench, server, shape, seconds, *client) for name, server in servers.items()
             }
+            if shape == SINGLE:
+                turns |= {name: partial(load, bench, server, shape, seconds) for name, server in plain.items()}
             results[shape] = alternate(turns, bench.rounds, (ChildFailed,), bench.say)
             for series in results[shape].values():
                 add_rates(table, str(shape), series)
-    full = results[SHAPES[0]]
+    full, single = results[FULL], results.get(SINGLE, {})
     table.bars = [
-        Bar("16 x 16 over TLS: busway / pymodbus, rate", ratio(full.get(OURS), full.get(PYMODBUS), "rate"), ">=", 5)
+        Bar("16 x 16 over TLS: busway / pymodbus, rate", ratio(full.get(OURS), full.get(PYMODBUS), "rate"), ">=", 5),
+        Bar("16 x 1: over TLS / over TCP, rate", ratio(single.get(OURS), single.get(PLAIN), "rate"), ">=", 0.75),
     ]
     return table
 
