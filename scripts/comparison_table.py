@@ -1,7 +1,7 @@
 """Writes the table of README.md that compares busway with others. With ``--check``: only compares.
 
-Knows three pages and the rows it takes from them; every figure is one of docs/performance.md, docs/serial.md or
-docs/reference/check-peers.md. A program without a figure on these pages has none here.
+Knows four pages and the rows it takes from them; every figure is one of docs/performance.md, docs/serial.md,
+docs/reference/check-peers.md or docs/how-to/migrate-from-mbusd.md. A program without a figure there has none here.
 """
 
 import re
@@ -12,7 +12,8 @@ from marked import ROOT, replaced, update
 SPEED: Final = "docs/performance.md"
 LINES: Final = "docs/serial.md"
 CHECKS: Final = "docs/reference/check-peers.md"
-PROGRAMS: Final = ("busway", "pymodbus", "pyModbusTCP", "minimalmodbus", "libmodbus")
+GATEWAYS: Final = "docs/how-to/migrate-from-mbusd.md"
+PROGRAMS: Final = ("busway", "pymodbus", "pyModbusTCP", "minimalmodbus", "libmodbus", "mbusd")
 RATES: Final = (
     ("server speed: replies a second, 16 connections with 16 requests each", "Servers: FC03", "16 x 16 x 10"),
     ("server speed: replies a second, 16 connections with one request each", "Servers: FC03", "16 x 1 x 10"),
@@ -25,7 +26,8 @@ RATES: Final = (
 
 def render() -> str:
     """The table."""
-    speed, lines, checks = ((ROOT / page).read_text(encoding="utf-8") for page in (SPEED, LINES, CHECKS))
+    pages = (SPEED, LINES, CHECKS, GATEWAYS)
+    speed, lines, checks, gateways = ((ROOT / page).read_text(encoding="utf-8") for page in pages)
     rows = ["| | " + " | ".join(PROGRAMS) + " |", "| --- |" + " ---: |" * len(PROGRAMS)]
     wrong = [first(rf"^\| {name}(?: [\d.]+)? \| \d+ \| (\d+) \|", lines) for name in PROGRAMS]
     rows.append(row("wrong values in 500 reads of a slave with late replies", f"{LINES}#{MASTERS}", wrong))
@@ -37,6 +39,10 @@ def render() -> str:
         rows.append(row(what, SPEED, rates))
     failed = [first(rf"^\| {name} [\d.]+ \| \d+ \| (\d+) \|", checks) for name in PROGRAMS]
     rows.append(row("checks of a server against the specification that fail", CHECKS, failed))
+    unhurried = first(r"^\| mbusd [\d.]+ with `-R 1` \| ([\d.]+) \|", gateways)
+    taken = [first(rf"^\| {name}(?: [\d.]+)? \| ([\d.]+) \|", gateways) for name in PROGRAMS]
+    taken[-1] += f"; with `-R 1` {unhurried}"
+    rows.append(row("milliseconds of a read through a gateway to a serial line", GATEWAYS, taken))
     return "\n".join(rows)
 
 
