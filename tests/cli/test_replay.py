@@ -106,6 +106,25 @@ def test_standard_input_is_read(run: Callable[..., Any], talk: Talk) -> None:
     assert "unit 2" in run("replay", "-", stdin=pcap(talk.packets)).out
 
 
+def test_a_simulation_file_is_written_once_and_says_whom_it_stands_for(
+    run: Callable[..., Any], tmp_path: Path, talk: Talk
+) -> None:
+    capture, plant = written(tmp_path, pcap(talk.packets)), tmp_path / "plant.toml"
+    result = run("replay", capture, "--simulate", str(plant), "--delays", "--values", "last", "--quiet")
+    assert result.code == 0
+    assert "left out, they did not answer: units 2" in result.err
+    assert run("simulate", str(plant), "--check").out.splitlines() == [
+        "unit 1: 2 points, 0 with a behaviour",
+        "fault unit 1, typical delay: late, on",
+    ]
+    again = run("replay", capture, "--simulate", str(plant))
+    assert (again.code, again.out) == (2, "")
+    assert "is there already; --force writes over it" in again.err
+    forced = run("replay", capture, "--simulate", str(plant), "--force")
+    assert forced.code == 0
+    assert f"{plant} is written: 1 unit of 10.0.0.5:502: 1" in forced.err
+
+
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -113,6 +132,11 @@ def test_standard_input_is_read(run: Callable[..., Any], talk: Talk) -> None:
         (["."], "cannot be opened: it is a directory"),
         (["site.pcap", "--reply-window", "x"], "--reply-window: a time such as"),
         (["site.pcap", "--port", "0"], "--port: a whole number 1…65535"),
+        (["site.pcap", "--server", "10.0.0.5"], "--server: goes with --simulate only"),
+        (["site.pcap", "--force"], "--force: goes with --simulate only"),
+        (["site.pcap", "--simulate", "x.toml", "--values", "all"], "--values: first or last is needed"),
+        (["site.pcap", "--simulate", "x.toml", "--server", "10.0.0.7"], "--server: no unit of 10.0.0.7 answered"),
+        (["site.pcap", "--simulate", "no/x.toml"], "no/x.toml: cannot be written: no such file"),
         (["site.pcap", "--framing", "tls"], "--framing: one of mbap, rtu, ascii"),
     ],
 )

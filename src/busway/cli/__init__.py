@@ -16,7 +16,7 @@
 `demo`            `busway demo`: a small plant on a serial line, a gateway in front of it
 `dissection`      How commands print an explained frame: a line for each field, or an object of JSON
 `exits`           The exit codes of all commands, and which error ends with which code
-`files`           Files that commands read, and capture files that they write for Wireshark
+`files`           Files that commands read, new files and capture files that they write
 `fleet`           `busway fleet`: several collectors share the links of a plant, as a coordinator says
 `fleet_demo`      `busway fleet demo`: a plant of 200 devices, three collectors that share it, and one of them is killed
 `fleet_servers`   `busway fleet server-config`: configuration of NATS servers, and a secret for each role

@@ -5,7 +5,6 @@
 3. A file that is there is not overwritten without ``--force``, and that is known before the device is asked.
 """
 
-import os
 import re
 import time
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING
 from ..errors import ConfigError
 from .arguments import opened_unit, seconds
 from .exits import ExitCode
+from .files import refuse_to_replace, write_new
 from .output import say, warn
 
 if TYPE_CHECKING:
@@ -76,8 +76,8 @@ def clone_device(options: CloneOptions) -> int:
         raise ConfigError("does not go with --map", key="--thorough" if options.ranges is None else "--range")
     if options.force and options.out is None:
         raise ConfigError("goes with --out only", key="--force")
-    if options.out is not None and not options.force and os.path.lexists(options.out):
-        raise _there_already(options.out)
+    if options.out is not None:
+        refuse_to_replace(options.out, force=options.force)
     with opened_unit(
         options.url, unit=options.unit, timeout=options.timeout, retries=options.retries, verbose=options.verbose
     ) as unit:
@@ -85,7 +85,12 @@ def clone_device(options: CloneOptions) -> int:
     for remark in clone.remarks:
         warn(remark)
     remarks = [f"Recorded from {options.url}, unit {unit.number}.", *clone.remarks]
-    _put_out(device_text([clone.section], remarks=remarks, compact=options.map is None), options)
+    text = device_text([clone.section], remarks=remarks, compact=options.map is None)
+    if options.out is None:
+        print(text, end="")
+    else:
+        write_new(options.out, text, force=options.force, kind="recording")
+        say(f"{options.out} is written")
     return ExitCode.DONE
 
 
@@ -124,29 +129,3 @@ def _ranges(text: str) -> list[range]:
             raise ConfigError(f"offsets 0…{_LAST} such as 0-999,40000-40199 are needed, not {part!r}", key="--range")
         found.append(range(first, last + 1))
     return found
-
-
-def _there_already(out: str) -> ConfigError:
-    return ConfigError("is there already; --force writes over it", file=out)
-
-
-def _put_out(text: str, options: CloneOptions) -> None:
-    from ..safe_files import open_to_replace, past_links
-
-    out = options.out
-    if out is None:
-        print(text, end="")
-        return
-    try:
-        if options.force:
-            handle = open_to_replace(out, is_ours=lambda head: True, kind="recording")
-        else:
-            handle = os.open(past_links(out), os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError as error:  # it came while the device was asked
-        raise _there_already(out) from error
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(f"cannot be written: {reason[:1].lower()}{reason[1:]}", file=out) from error
-    say(f"{out} is written")

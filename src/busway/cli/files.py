@@ -1,4 +1,4 @@
-"""Files that commands read, and capture files that they write for Wireshark.
+"""Files that commands read, new files and capture files that they write.
 
 Knows paths; what a file means is known where its schema stands (`busway.config.files`, `busway.observe`).
 """
@@ -37,7 +37,45 @@ def open_capture(name: str) -> "Capture":
         raise ConfigError(f"cannot be written: {reason[:1].lower()}{reason[1:]}", file=name) from error
 
 
-__all__ = ["capturing", "open_capture", "read_text"]
+def refuse_to_replace(path: str, *, force: bool) -> None:
+    """Raise `ConfigError` where a file is there that may not be replaced, before anything is done for it."""
+    if not force and os.path.lexists(path):
+        raise _there_already(path)
+
+
+def write_new(path: str, text: str, *, force: bool, kind: str) -> None:
+    """Write a text file that is not there yet; with ``force`` one that is there is replaced.
+
+    Args:
+        path: the file.
+        text: its contents.
+        force: whether a file that is there may be replaced.
+        kind: what is written, for the sentence of a refusal.
+
+    Raises:
+        ConfigError: it is there, or cannot be written; names the file.
+    """
+    from ..safe_files import open_to_replace, past_links
+
+    try:
+        if force:
+            handle = open_to_replace(path, is_ours=lambda head: True, kind=kind)
+        else:
+            handle = os.open(past_links(path), os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError as error:  # it came in the meantime
+        raise _there_already(path) from error
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"cannot be written: {reason[:1].lower()}{reason[1:]}", file=path) from error
+
+
+def _there_already(path: str) -> ConfigError:
+    return ConfigError("is there already; --force writes over it", file=path)
+
+
+__all__ = ["capturing", "open_capture", "read_text", "refuse_to_replace", "write_new"]
 
 
 @contextlib.contextmanager

@@ -6,6 +6,7 @@ Wireshark numbers them.
 
 import sys
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import typer
@@ -18,11 +19,13 @@ from ..values.printable import printable
 from .arguments import JSON, QUIET, seconds
 from .captures import PORT, open_packets, say_what_was_left_out, time_text, traffic_of
 from .exits import ExitCode
-from .output import print_json, say
+from .files import refuse_to_replace, write_new
+from .output import print_json, say, warn
 
 if TYPE_CHECKING:
     from ..apps.replay.conversations import CapturedConversation, CapturedConversations, Troubles
     from ..apps.replay.item_ranges import ItemRanges
+    from ..apps.replay.recorded_devices import RecordedDevices
     from ..codes import Table
     from ..observe.capture_files.packet_file import PacketFile
     from ..observe.capture_files.traffic import CapturedTraffic
@@ -33,6 +36,7 @@ Examples:
   busway replay site.pcapng --port 502,5020 --json
   busway replay line.pcap --reply-window 500ms --slow 100ms
   tcpdump -w - port 502 | busway replay -
+  busway replay site.pcapng --simulate plant.toml --server 10.0.0.5
 
 Captures are pcap or pcapng, of Ethernet, Linux cooked, loopback or raw IP, or of a serial line.
 """
@@ -49,13 +53,28 @@ def replay(
     ),
     reply_window: str = typer.Option("3s", "--reply-window", metavar="TIME", help="A reply after this time is late."),
     slow: str = typer.Option("1s", "--slow", metavar="TIME", help="A reply after this time is slow."),
+    simulate: str | None = typer.Option(
+        None, "--simulate", metavar="FILE", help="Write a simulation file that answers as the devices did: plant.toml."
+    ),
+    server: str | None = typer.Option(
+        None, "--server", metavar="HOST", help="With --simulate: which server, if there are several: 10.0.0.5."
+    ),
+    values: str | None = typer.Option(
+        None, "--values", metavar="NAME", help="With --simulate: the first values of the capture, or the last. first."
+    ),
+    delays: bool = typer.Option(False, "--delays", help="With --simulate: reply after the typical time of each unit."),
+    force: bool = typer.Option(False, "--force", help="Write over the file of --simulate."),
     as_json: bool = JSON,
     quiet: bool = QUIET,
 ) -> int:
     """Show what was said in a capture file, and what was wrong."""
     from ..apps.replay.conversations import CapturedConversations
     from ..apps.replay.exchanges import Exchanges
+    from ..apps.replay.recorded_devices import RecordedDevices
 
+    wanted = _Wanted(simulate, server, values, delays, force)
+    wanted.check()
+    devices = RecordedDevices()
     window = seconds(reply_window, "--reply-window", high=3600)
     exchanges = Exchanges(window, seconds(slow, "--slow", high=3600))
     traffic = traffic_of(port, framing)
@@ -65,11 +84,48 @@ def replay(
             for event in _events(file, traffic):
                 for exchange in exchanges.take(event):
                     conversations.add(exchange)
+                    if simulate is not None:
+                        devices.add(exchange)
         finally:  # of a file that is broken, what stands before that
             if file.packets:
                 _report(conversations, file, traffic, as_json=as_json)
                 say_what_was_left_out(file, traffic, len(conversations))
+    wanted.write(devices)
     return ExitCode.DONE
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """The options of ``--simulate``, as texts."""
+
+    path: str | None
+    server: str | None
+    values: str | None
+    delays: bool
+    force: bool
+
+    def check(self) -> None:
+        """Refuse what goes with ``--simulate`` only, a word that is none, and a file that is there."""
+        if self.values not in (None, "first", "last"):
+            raise ConfigError(f"first or last is needed, not {self.values!r}", key="--values")
+        if self.path is not None:
+            refuse_to_replace(self.path, force=self.force)
+            return
+        given = {"--server": self.server, "--values": self.values, "--delays": self.delays, "--force": self.force}
+        for option, value in given.items():
+            if value:
+                raise ConfigError("goes with --simulate only", key=option)
+
+    def write(self, devices: "RecordedDevices") -> None:
+        """Write the simulation file, if one is wanted, and what it cannot say as warnings."""
+        if self.path is None:
+            return
+        file = devices.file(self.server, last=self.values == "last", delays=self.delays)
+        for remark in file.remarks:
+            warn(remark)
+        write_new(self.path, file.text, force=self.force, kind="recording")
+        units = ", ".join(map(str, file.units))
+        say(f"{self.path} is written: {counted(len(file.units), 'unit')} of {printable(file.server)}: {units}")
 
 
 def _events(file: "PacketFile", traffic: "CapturedTraffic") -> Iterator[Any]:  # TrafficEvent

@@ -15,10 +15,9 @@ to the device.
    the cloning; the error names the point or range that was asked for.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import groupby
 from typing import Any, Final, TypeVar
 
 from pydantic import ValidationError
@@ -31,6 +30,7 @@ from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSecti
 from ...errors import BadReply, ExceptionReply, InvalidRequest, ModbusError
 from ...values import Address, ValueType, format_address
 from ...values.counts import counted
+from .recorded_tables import item_keys
 
 Answer = TypeVar("Answer")
 Progress = Callable[[str], None]
@@ -122,9 +122,8 @@ def clone_tables(
     """
     keys = _identity(unit, progress)
     remarks: list[str] = []
-    any_item = False
+    found: dict[Table, dict[int, int]] = {}
     refusal: ExceptionReply | None = None
-    points: list[dict[str, Any]] = []
     for table in Table:
         items: dict[int, int] = {}
         scanner = _Scanner(unit, table, thorough=thorough)
@@ -135,23 +134,14 @@ def clone_tables(
                 remarks.append(f"{table.label}s are not offered")
                 break
         refusal = scanner.refusal or refusal
-        runs = list(_runs(items))
-        any_item = any_item or bool(runs)
+        found[table] = items
         progress(counted(len(items), table.label))
-        if len(runs) == 1:
-            keys[table.value] = _table_keys(table, *runs[0])
-        else:
-            points += [
-                _unnamed(table, offset, value) for first, values in runs for offset, value in enumerate(values, first)
-            ]
-    if not any_item:
+    if not any(found.values()):
         if refusal is None:
             raise InvalidRequest("there is nothing to clone in no range at all")
         refusal.message = f"nothing to clone, everything was refused; the last time {refusal.message}"
         raise refusal
-    if points:
-        keys["point"] = points
-    return Clone(SimulatedUnitSection.model_validate(keys), remarks)
+    return Clone(SimulatedUnitSection.model_validate(keys | item_keys(found)), remarks)
 
 
 def watch_points(
@@ -385,28 +375,6 @@ class _Scanner:
             raise
         found.update(zip(range(first, first + count), map(int, values), strict=True))
         return True
-
-
-def _runs(items: Mapping[int, int]) -> Iterator[tuple[int, list[int]]]:
-    """Return items grouped into runs without a gap: the first offset and the values of each."""
-    for _, group in groupby(enumerate(sorted(items)), lambda pair: pair[1] - pair[0]):
-        offsets = [offset for _, offset in group]
-        yield offsets[0], [items[offset] for offset in offsets]
-
-
-def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
-    """Return the keys that declare a table in a device file; zeros at the end are left out."""
-    said = len(values)
-    while said and not values[said - 1]:
-        said -= 1
-    kept: list[Any] = [bool(value) for value in values[:said]] if table.holds_bits else values[:said]
-    return {"first": first, "count": len(values)} | ({"values": kept} if kept else {})
-
-
-def _unnamed(table: Table, offset: int, value: int) -> dict[str, Any]:
-    """Return the keys that declare an item without a name in a device file."""
-    address = format_address(Address(table, offset))
-    return {"name": address, "address": address, "value": bool(value) if table.holds_bits else value}
 
 
 def _identity(unit: BlockingUnit, progress: Progress) -> dict[str, Any]:

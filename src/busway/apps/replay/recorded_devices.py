@@ -1,0 +1,405 @@
+"""What the units of a capture hold and refuse, and the simulation file that answers as they did.
+
+Knows exchanges and simulation files; writes no file.
+
+1. Each item has the value that was seen first, read or written, so that the requests of the capture, sent again in
+   their order, get the replies of the capture; or the one that was seen last.
+2. Items that were never read or written do not exist: they are refused with 02. Any other exception of the device, and
+   one for items that do exist, becomes a fault of the file, for this function and the items that it never gave.
+3. Units that never answered are left out. Where the capture shows such, the file asks for silence, else the simulator
+   answers 0B for them.
+4. What a file cannot say is a remark: functions that hold no items, values that changed by themselves, requests that
+   were answered and refused, a second server with the same units.
+5. Limits: `MOST_ITEMS` and `MOST_REQUESTS` of all units together; what comes after them is a remark.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any, Final
+
+from ...codes import ExceptionCode, FunctionCode, Table, function_name
+from ...config.files.device import OBJECT_NUMBERS
+from ...config.files.fault_sections import FaultSection
+from ...config.files.simulation import SimulatedUnitSection
+from ...errors import ConfigError
+from ...pdu.bits import unpack_bits
+from ...pdu.diagnostics import ReadExceptionStatus, ReportServerId
+from ...pdu.encapsulated import ReadDeviceIdentification
+from ...pdu.functions import STANDARD
+from ...pdu.message import Request, Span
+from ...pdu.read_items import ReadBits, ReadRegisters, unpack_registers
+from ...pdu.write_items import (
+    MaskWriteRegister,
+    ReadWriteMultipleRegisters,
+    WriteMultipleCoils,
+    WriteMultipleRegisters,
+    WriteSingleCoil,
+    WriteSingleRegister,
+)
+from ...values import Address, format_address
+from ...values.counts import counted
+from ..simulator.device_text import device_text, written
+from ..simulator.recorded_tables import item_keys
+from .exchanges import CapturedExchange, TroubleKind
+from .item_ranges import ItemRanges
+
+MOST_ITEMS: Final = 1_000_000
+MOST_REQUESTS: Final = 100_000
+_MOST_TIMES: Final = 10_000
+"""Reply times that the median of a unit is taken of: the first ones."""
+_NOT_THERE: Final = frozenset((ExceptionCode.GATEWAY_PATH_UNAVAILABLE, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND))
+_KEPT: Final = frozenset(
+    (
+        *range(1, 8),
+        FunctionCode.DIAGNOSTICS,
+        FunctionCode.WRITE_MULTIPLE_COILS,
+        FunctionCode.WRITE_MULTIPLE_REGISTERS,
+        FunctionCode.REPORT_SERVER_ID,
+        FunctionCode.MASK_WRITE_REGISTER,
+        FunctionCode.READ_WRITE_MULTIPLE_REGISTERS,
+        FunctionCode.ENCAPSULATED_INTERFACE,
+    )
+)
+"""Functions that the simulator answers from what the file has."""
+
+_INDIVIDUAL: Final = 0x80
+"""Bit of a conformity level: single objects can be asked for, too. The simulator always offers that."""
+
+_Asked = tuple[int, tuple[Span, ...]]
+
+
+@dataclass(slots=True)
+class RecordedFile:
+    """A simulation file made of a capture.
+
+    Attributes:
+        text: the file.
+        server: the server that it stands for.
+        units: numbers of its units.
+        remarks: what it cannot say, one sentence each.
+    """
+
+    text: str
+    server: str
+    units: list[int]
+    remarks: list[str] = field(default_factory=list)
+
+
+class RecordedDevices:
+    """Collects what the devices of a capture answered, exchange by exchange."""
+
+    def __init__(self) -> None:
+        self._servers: dict[str, dict[int, _RecordedUnit]] = {}
+        self._limits = _Limits()
+
+    def add(self, exchange: CapturedExchange) -> None:
+        """Take an exchange of the capture."""
+        if exchange.unit is None or exchange.asked is None or exchange.is_broadcast:
+            return
+        units = self._servers.setdefault(exchange.channel.server_text, {})
+        unit = units.get(exchange.unit)
+        if unit is None:
+            unit = units[exchange.unit] = _RecordedUnit(exchange.unit, self._limits)
+        unit.add(exchange)
+
+    def file(self, server: str | None = None, *, last: bool = False, delays: bool = False) -> RecordedFile:
+        """Return the simulation file that answers as one server of the capture did.
+
+        Args:
+            server: address of the server, with or without its port, or name of a line; None for the only one.
+            last: whether items have the value that was seen last, and not first.
+            delays: whether replies take as long as they typically did.
+
+        Raises:
+            ConfigError: no unit of the server answered; or there are several servers, which it names.
+        """
+        name, units = self._chosen(server)
+        there = [unit for _, unit in sorted(units.items()) if unit.is_there]
+        remarks = [remark for unit in there for remark in unit.remarks()]
+        if self._limits.is_reached:
+            remarks.append("the capture has more items or requests than are recorded")
+        sections = [SimulatedUnitSection.model_validate(unit.keys(last=last)) for unit in there]
+        absent = [unit for _, unit in sorted(units.items()) if not unit.is_there]
+        silent = [unit.number for unit in absent if unit.unanswered and not unit.refusals]
+        if silent:
+            remarks.append(f"left out, they did not answer: units {', '.join(map(str, silent))}")
+        head = [f"Recorded from a capture of {name}.", *remarks]
+        text = device_text(sections, remarks=head, compact=True)
+        if silent and len(silent) == len(absent):
+            text += '\n[server]\nunlisted = "silence"\n'
+        for unit in there:
+            for fault in unit.faults(delays=delays):
+                FaultSection.model_validate(fault)
+                lines = [f"{key} = {written(value)}" for key, value in fault.items()]
+                text += "\n" + "\n".join(["[[fault]]", *lines]) + "\n"
+        return RecordedFile(text, name, [unit.number for unit in there], remarks)
+
+    def _chosen(self, server: str | None) -> "tuple[str, dict[int, _RecordedUnit]]":
+        there = {name: units for name, units in self._servers.items() if any(unit.is_there for unit in units.values())}
+        if server is not None:
+            found = {name: units for name, units in there.items() if server in (name, _host(name))}
+            if not found:
+                raise ConfigError(f"no unit of {server} answered; those who did: {_listed(there)}", key="--server")
+            there = found
+        if not there:
+            raise ConfigError("no unit answered in this capture, so there is nothing to simulate", key="--simulate")
+        if len(there) > 1:
+            raise ConfigError(f"there are several: {_listed(there)}", key="--server")
+        return next(iter(there.items()))
+
+
+def _host(name: str) -> str:
+    """Return a server's address without its port."""
+    return name.rpartition(":")[0].strip("[]")
+
+
+def _listed(names: Sequence[str] | dict[str, Any]) -> str:
+    shown = sorted(names)
+    return ", ".join(shown[:10]) + (f" and {len(shown) - 10} more" if len(shown) > 10 else "") or "none"
+
+
+@dataclass(slots=True)
+class _Limits:
+    """How many items and requests are recorded, of all units together."""
+
+    items: int = 0
+    requests: int = 0
+    is_reached: bool = False
+
+    def has_room(self, *, items: int = 0, requests: int = 0) -> bool:
+        if self.items + items > MOST_ITEMS or self.requests + requests > MOST_REQUESTS:
+            self.is_reached = True
+            return False
+        self.items += items
+        self.requests += requests
+        return True
+
+
+class _RecordedUnit:
+    """What one unit of a capture holds and refuses.
+
+    Attributes:
+        number: its unit identifier.
+        answered: number of positive replies.
+        unanswered: number of requests without a reply.
+        refusals: exceptions by function and items, with their number.
+    """
+
+    def __init__(self, number: int, limits: _Limits) -> None:
+        self.number = number
+        self.answered = 0
+        self.unanswered = 0
+        self.refusals: dict[_Asked, Counter[int]] = {}
+        self._limits = limits
+        self._first: dict[Table, dict[int, int]] = {table: {} for table in Table}
+        self._last: dict[Table, dict[int, int]] = {table: {} for table in Table}
+        self._changed: set[tuple[Table, int]] = set()
+        self._given: dict[int, dict[Table, ItemRanges]] = {}  # what each function gave
+        self._accepted: set[_Asked] = set()
+        self._objects: dict[int, bytes] = {}
+        self._conformity = _INDIVIDUAL
+        self._server_id: bytes | None = None
+        self._status: int | None = None
+        self._other: set[int] = set()
+        self._times: list[float] = []
+
+    @property
+    def is_there(self) -> bool:
+        """Whether the unit answered, and not a gateway for it."""
+        return self.answered > 0 or any(code not in _NOT_THERE for codes in self.refusals.values() for code in codes)
+
+    def add(self, exchange: CapturedExchange) -> None:
+        asked, request = exchange.asked, exchange.request
+        assert asked is not None
+        if exchange.answered is None:
+            self.unanswered += any(trouble.kind is TroubleKind.NO_REPLY for trouble in exchange.troubles)
+            return
+        if exchange.reply is None or any(trouble.kind is TroubleKind.WRONG_UNIT for trouble in exchange.troubles):
+            return
+        if exchange.seconds is not None and len(self._times) < _MOST_TIMES:
+            self._times.append(exchange.seconds)
+        spans = request.spans() if isinstance(request, Request) else ()
+        key = asked.pdu[0], spans
+        if exchange.exception is not None:
+            is_request = isinstance(request, Request) or asked.pdu[0] not in STANDARD
+            if is_request and (key in self.refusals or self._limits.has_room(requests=1)):
+                self.refusals.setdefault(key, Counter())[exchange.exception] += 1
+            return
+        self.answered += 1
+        if key not in self._accepted and self._limits.has_room(requests=1):
+            self._accepted.add(key)
+        for span in spans:
+            tables = self._given.setdefault(asked.pdu[0], {})
+            tables.setdefault(span.table, ItemRanges()).add(span.address, span.count)
+        if isinstance(request, Request):
+            self._take(request, exchange.reply)
+        if asked.pdu[0] not in _KEPT:
+            self._other.add(asked.pdu[0])
+
+    # Values.
+
+    def _take(self, request: Request, reply: Any) -> None:  # Any: the reply class of the request
+        match request:
+            case ReadBits(reads=touch) if touch is not None:
+                self._read(touch.table, request.address, [int(bit) for bit in reply.bits(request.count)])
+            case ReadRegisters(reads=touch) if touch is not None:
+                self._read(touch.table, request.address, unpack_registers(reply.data))
+            case WriteSingleCoil():
+                self._write(Table.COILS, request.address, [int(request.value != 0)])
+            case WriteSingleRegister():
+                self._write(Table.HOLDING_REGISTERS, request.address, [request.value])
+            case WriteMultipleCoils():
+                bits = [int(bit) for bit in unpack_bits(request.data, request.count)]
+                self._write(Table.COILS, request.address, bits)
+            case WriteMultipleRegisters():
+                self._write(Table.HOLDING_REGISTERS, request.address, unpack_registers(request.data))
+            case ReadWriteMultipleRegisters():
+                self._write(Table.HOLDING_REGISTERS, request.write_address, unpack_registers(request.data))
+                self._read(Table.HOLDING_REGISTERS, request.read_address, unpack_registers(reply.data))
+            case MaskWriteRegister():
+                self._mask(request)
+            case ReadDeviceIdentification():
+                self._objects |= {each.number: each.value for each in reply.objects}
+                self._conformity = reply.conformity
+            case ReportServerId():
+                self._server_id = reply.data
+            case ReadExceptionStatus():
+                self._status = reply.status
+            case _:
+                pass
+
+    def _read(self, table: Table, address: int, values: Sequence[int]) -> None:
+        last = self._last[table]
+        for offset, value in enumerate(values, address):
+            if last.get(offset, value) != value:
+                self._changed.add((table, offset))
+        self._write(table, address, values)
+
+    def _write(self, table: Table, address: int, values: Sequence[int]) -> None:
+        first, last = self._first[table], self._last[table]
+        for offset, value in enumerate(values, address):
+            if offset not in first:
+                if not self._limits.has_room(items=1):
+                    return
+                first[offset] = value
+            last[offset] = value
+
+    def _mask(self, request: MaskWriteRegister) -> None:
+        known = self._last[Table.HOLDING_REGISTERS].get(request.address)
+        if known is not None:
+            value = known & request.and_mask | request.or_mask & ~request.and_mask & 0xFFFF
+            self._write(Table.HOLDING_REGISTERS, request.address, [value])
+
+    # The file.
+
+    def keys(self, *, last: bool) -> dict[str, Any]:  # what TOML has
+        """Return the keys of the unit in a simulation file."""
+        keys: dict[str, Any] = {"unit": self.number}
+        if self._objects:
+            names = {number: name for name, number in OBJECT_NUMBERS.items()}
+            keys["identification"] = {
+                names.get(number, f"0x{number:02X}"): {"hex": value.hex()}
+                for number, value in sorted(self._objects.items())
+            }
+        if self._server_id is not None:
+            keys["server_id"] = {"hex": self._server_id.hex()}
+        if self._status is not None:
+            keys["exception_status"] = self._status
+        missing = self._missing_functions()
+        if missing:
+            keys["functions"] = sorted(set(STANDARD.codes()) - missing)
+        tables = self._last if last else self._first
+        return keys | item_keys({table: items for table, items in tables.items() if items})
+
+    def _missing_functions(self) -> set[int]:
+        """Return the functions that were answered with 01 and never otherwise."""
+        refused = {
+            function for (function, _), codes in self.refusals.items() if ExceptionCode.ILLEGAL_FUNCTION in codes
+        }
+        known = {function for function, _ in self._accepted}
+        known |= {
+            function for (function, _), codes in self.refusals.items() if set(codes) != {ExceptionCode.ILLEGAL_FUNCTION}
+        }
+        return refused - known
+
+    def faults(self, *, delays: bool) -> Iterator[dict[str, Any]]:  # what TOML has
+        """Yield the ``[[fault]]`` sections that make the unit refuse what it refused, and take as long as it took."""
+        wanted: dict[tuple[int, int], dict[Table, ItemRanges]] = {}
+        for function, code, spans in self._unlike():
+            tables = wanted.setdefault((function, code), {})
+            for span in spans:
+                tables.setdefault(span.table, ItemRanges()).add(span.address, span.count)
+        for (function, code), tables in wanted.items():
+            fault: dict[str, Any] = {
+                "name": f"unit {self.number}, function {function}, exception {code:02X}",
+                "fault_profile": "odd-exception",
+                "units": self.number,
+                "functions": function,
+            }
+            if tables:
+                fault["addresses"] = [_range(table, *ends) for table, ranges in tables.items() for ends in ranges]
+            yield fault | {"parameters": {"code": code}}
+        if delays and self._times:
+            delay = float(f"{median(self._times):.3g}")
+            name = f"unit {self.number}, typical delay"
+            yield {"name": name, "fault_profile": "late", "units": self.number, "parameters": {"delay": delay}}
+
+    def _unlike(self) -> Iterator[tuple[int, int, list[Span]]]:
+        """Yield the refusals that the items of the file do not explain: function, code, items that were never given."""
+        missing = self._missing_functions()
+        for (function, spans), codes in self.refusals.items():
+            code = codes.most_common(1)[0][0]
+            if function in missing or (function, spans) in self._accepted or function not in STANDARD:
+                continue
+            if code == ExceptionCode.ILLEGAL_DATA_ADDRESS and not all(map(self._has, spans)):
+                continue
+            never = [part for span in spans for part in self._never_given(function, span)]
+            if never or not spans:
+                yield function, code, never
+
+    def _has(self, span: Span) -> bool:
+        return all(offset in self._first[span.table] for offset in range(span.address, span.address + span.count))
+
+    def _never_given(self, function: int, span: Span) -> Iterator[Span]:
+        """Yield the parts of a refused range that this function gave in no other request."""
+        at, end = span.address, span.address + span.count
+        for first, behind in self._given.get(function, {}).get(span.table, ()):
+            if at < first < end:
+                yield Span(span.table, at, first - at, span.writes)
+            if first < end and behind > at:
+                at = behind
+        if at < end:
+            yield Span(span.table, at, end - at, span.writes)
+
+    def remarks(self) -> Iterator[str]:
+        """Yield what the file cannot say of this unit."""
+        of = f"unit {self.number}"
+        if self._changed:
+            yield f"{of}: {counted(len(self._changed), 'item')} changed; the file has one value of each"
+        for function in sorted(self._other):
+            yield f"{of}: function {function_name(function)} was answered and is not recorded"
+        if not self._conformity & _INDIVIDUAL:
+            yield f"{of}: conformity level {self._conformity:02X}; that of the simulator offers single objects too"
+        both = [key for key in self.refusals if key in self._accepted]
+        if both:
+            yield f"{of}: answered and also refused, now answered: {counted(len(both), 'request')}"
+        missing = self._missing_functions()
+        for (function, spans), codes in self.refusals.items():
+            if len(codes) > 1:
+                yield f"{of}: {function_name(function)} was refused with several codes; the file has the most frequent"
+            code = codes.most_common(1)[0][0]
+            hidden = spans and not any(part for span in spans for part in self._never_given(function, span))
+            if (
+                hidden
+                and function not in missing
+                and (function, spans) not in self._accepted
+                and all(map(self._has, spans))
+            ):
+                yield f"{of}: exception {code:02X} to {function_name(function)}, for items that it gave elsewhere"
+
+
+def _range(table: Table, first: int, end: int) -> str:
+    text = format_address(Address(table, first))
+    return text if end == first + 1 else f"{text}-{format_address(Address(table, end - 1))}"

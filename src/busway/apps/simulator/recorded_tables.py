@@ -1,0 +1,53 @@
+"""Declares items that were read from a device, with their values, as the keys of a unit in a simulation file.
+
+Knows tables and the keys of a unit; knows no device.
+
+1. A table whose items follow each other is one declaration. Where there are holes, each item is a point, so that
+   everything else is refused, as on the device.
+"""
+
+from collections.abc import Iterator, Mapping
+from itertools import groupby
+from typing import Any
+
+from ...codes import Table
+from ...values import Address, format_address
+
+
+def item_keys(tables: Mapping[Table, Mapping[int, int]]) -> dict[str, Any]:  # Any: what TOML has
+    """Return the keys that declare these items: for each table their values, by offset."""
+    keys: dict[str, Any] = {}
+    points: list[dict[str, Any]] = []
+    for table, items in tables.items():
+        runs = list(_runs(items))
+        if len(runs) == 1:
+            keys[table.value] = _table_keys(table, *runs[0])
+        else:
+            points += [
+                _unnamed(table, offset, value) for first, values in runs for offset, value in enumerate(values, first)
+            ]
+    if points:
+        keys["point"] = points
+    return keys
+
+
+def _runs(items: Mapping[int, int]) -> Iterator[tuple[int, list[int]]]:
+    """Return items grouped into runs without a gap: the first offset and the values of each."""
+    for _, group in groupby(enumerate(sorted(items)), lambda pair: pair[1] - pair[0]):
+        offsets = [offset for _, offset in group]
+        yield offsets[0], [items[offset] for offset in offsets]
+
+
+def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
+    """Return the keys that declare a table; zeros at the end are left out."""
+    said = len(values)
+    while said and not values[said - 1]:
+        said -= 1
+    kept: list[Any] = [bool(value) for value in values[:said]] if table.holds_bits else values[:said]
+    return {"first": first, "count": len(values)} | ({"values": kept} if kept else {})
+
+
+def _unnamed(table: Table, offset: int, value: int) -> dict[str, Any]:
+    """Return the keys that declare an item without a name."""
+    address = format_address(Address(table, offset))
+    return {"name": address, "address": address, "value": bool(value) if table.holds_bits else value}
