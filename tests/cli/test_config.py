@@ -104,3 +104,65 @@ def test_wrong_use_costs_one_sentence(run: Callable[..., Any], arguments: list[s
     assert (result.code, result.out) == (2, "")
     (sentence,) = result.err.splitlines()
     assert words in sentence
+
+
+METER = '[[unit]]\n[[unit.point]]\nname = "level"\naddress = "4x1"\ntype = "uint16"\n'
+COLLECTOR = """\
+[poll_class]
+all.period = 0.1
+[[link]]
+name = "a"
+url = "tcp://127.0.0.1:9"
+[[device]]
+name = "meter-7"
+link = "a"
+profile = "meter.toml"
+[[sink]]
+name = "broker"
+url = "mqtt://127.0.0.1:9"
+"""
+GATEWAY = 'listen = ["tcp://127.0.0.1:5020"]\n[[link]]\nname = "line"\nurl = "tcp://10.0.0.5"\n'
+WAVE = 'behaviour = { kind = "sine", amplitude = 5, period = 60 }\n'
+SIMULATION = GOOD + '[[unit.point]]\nname = "level"\naddress = "4x1"\ntype = "uint16"\n' + WAVE
+
+
+@pytest.mark.parametrize(
+    ("text", "rows", "shown_by"),
+    [
+        (
+            COLLECTOR,
+            [
+                ["collector", "store"],
+                ["link", "a", "tcp://127.0.0.1:9"],
+                ["device", "meter-7", "link a; unit 255; 1 point"],
+                ["sink", "broker", "mqtt"],
+            ],
+            "busway collect plan",
+        ),
+        (GATEWAY, [["listener", "tcp://127.0.0.1:5020"], ["link", "line", "tcp://10.0.0.5"]], "busway gateway check"),
+        (SIMULATION, [["unit", "3:", "tank:"]], "busway simulate"),
+    ],
+)
+def test_check_knows_files_of_other_programs_and_show_names_their_command(
+    run: Callable[..., Any], tmp_path: Path, text: str, rows: list[list[str]], shown_by: str
+) -> None:
+    (tmp_path / "meter.toml").write_text(METER)
+    file = tmp_path / "plant.toml"
+    file.write_text(text)
+    result = run("config", "check", str(file))
+    assert result.code == 0, result.err
+    lines = [line.split(maxsplit=2) for line in result.out.splitlines()]
+    for row in rows:
+        assert any(line[: len(row)] == row or (line[2:] and line[2].startswith(row[-1])) for line in lines), lines
+    shown = run("config", "show", str(file))
+    assert (shown.code, shown.out) == (2, "")
+    assert shown_by in shown.err
+
+
+def test_check_says_what_is_wrong_with_a_collector_file(run: Callable[..., Any], tmp_path: Path) -> None:
+    file = tmp_path / "plant.toml"
+    file.write_text(COLLECTOR.replace('link = "a"', 'link = "b"').replace("meter.toml", "none.toml"))
+    result = run("config", "check", str(file))
+    assert (result.code, result.out) == (2, "")
+    assert f"{file}:8: device[0].link: there is no link 'b', but a" in result.err
+    assert "unknown" not in result.err

@@ -1,10 +1,12 @@
 """``busway config``: explains a configuration file or its errors, and lists the options.
 
-1. ``check`` opens what the file names (certificates, the audit log's folder), and no connection.
+1. ``check`` opens what the file names (certificates, the audit log's folder), and no connection. It recognises files of
+   collectors, gateways and simulations by their keys, and checks them as what they are.
 2. What was understood goes to stdout; what is odd, or wrong, to stderr, each with file, line and key.
 """
 
 import sys
+import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING
 
@@ -27,6 +29,13 @@ Examples:
   busway config options
   busway config options rtu:///dev/ttyUSB0
 """
+
+
+_SHOWN_BY = {
+    "collector": "busway collect plan {}",
+    "gateway": "busway gateway check {}",
+    "simulation": "busway simulate {} --check",
+}
 
 
 def config(
@@ -61,7 +70,80 @@ def config(
     return ExitCode.DONE
 
 
+def _kind_of(file: str) -> str:
+    """Return what a file is for, by the keys that only such files have: collector, gateway, simulation or server."""
+    from ..config.files import collector, gateway, simulation, system
+    from ..config.files.schema import keys_of
+    from ..config.reading import read_text
+
+    try:
+        data = tomllib.loads(read_text(file))
+    except ValueError:
+        return "server"  # whose check says what is wrong with it
+    common = keys_of(system.SystemFile).keys()
+    for kind, schema in (
+        ("collector", collector.CollectorFile),
+        ("gateway", gateway.GatewayFile),
+        ("simulation", simulation.SimulationFile),
+    ):
+        if data.keys() & (keys_of(schema).keys() - common):
+            return kind
+    if "link" in data and "unit" not in data and data.keys() & {"listen", "listener"}:
+        return "gateway"
+    is_simulated = any(map(simulation.is_only_of_simulations, _unit_keys(data.get("unit"))))
+    return "simulation" if is_simulated else "server"
+
+
+def _unit_keys(units: object) -> Iterator[str]:
+    """Return the path of each key of units and their points: ``unit[0].point[2].behaviour``."""
+    for number, unit in enumerate(units if isinstance(units, list) else []):
+        for key, value in unit.items() if isinstance(unit, dict) else []:
+            yield f"unit[{number}].{key}"
+            points = value if key == "point" and isinstance(value, list) else []
+            for index, point in enumerate(points):
+                yield from (
+                    f"unit[{number}].point[{index}].{name}" for name in (point if isinstance(point, dict) else ())
+                )
+
+
 def _check(file: str) -> None:
+    kind = _kind_of(file)
+    if kind == "collector":
+        _check_collector(file)
+    elif kind == "gateway":
+        from .gateway import check_file
+
+        check_file(file)
+    elif kind == "simulation":
+        from .simulate import check_file as check_simulation
+
+        check_simulation(file)
+    else:
+        _check_server(file)
+
+
+def _check_collector(file: str) -> None:
+    from ..apps.collector.configuration import load_collector
+    from ..apps.collector.knowledge import Knowledge
+    from ..values.counts import counted
+
+    found = load_collector(file)
+    rows = [("collector", "", f"store {found.store}; page {found.file.collector.page}")]
+    rows += [("link", link.name, link.url) for link in found.links.values()]
+    rows += [
+        ("device", each.name, f"link {each.link}; unit {each.unit}; {counted(len(each.points), 'point')}")
+        for each in found.devices.values()
+    ]
+    rows += [("sink", each.name, str(each.url).partition(":")[0]) for each in found.file.sink]
+    print_aligned(rows)
+    for warning in found.common.warnings:
+        print(warning, file=sys.stderr)
+    for load in found.loads(Knowledge()):
+        for problem in load.problems:
+            print(f"{file}: warning: link {load.link}: {problem}", file=sys.stderr)
+
+
+def _check_server(file: str) -> None:
     from ..apps.server.configuration import load_configuration
     from ..apps.server.overview import overview
 
@@ -72,6 +154,9 @@ def _check(file: str) -> None:
 
 
 def _show(file: str) -> None:
+    kind = _kind_of(file)
+    if kind != "server":
+        raise ConfigError(f"this is a file of a {kind}, which is shown by: {_SHOWN_BY[kind].format(file)}", file=file)
     from ..apps.server.configuration import load_configuration
     from ..apps.server.effective import effective
 

@@ -160,6 +160,7 @@ def fleet(
             count,
             every,
             partial(open_coordinator, url, keys_zone(zone), options),
+            zone,
             partial(_take_commands, zone, options, table),
             zone if stream else None,
             options.replicas,
@@ -306,6 +307,7 @@ async def _run(
     shards: int,
     every: float,
     open_keys: Callable[[], Awaitable["Coordinator"]],
+    zone: str,
     take_commands: Callable[[AsyncExitStack, "FleetCollector"], Awaitable[None]],
     stream_zone: str | None,
     replicas: int,
@@ -342,6 +344,7 @@ async def _run(
                     stream=stream,
                     revision=shared.revision,
                     keys=keys,
+                    zone="" if getattr(table, "client", None) is None else zone,
                 )
             )
             member.collector.more_metrics.append(lambda: fleet_families(member))

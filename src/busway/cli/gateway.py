@@ -168,13 +168,17 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
 
 
 def _check(words: list[str]) -> None:
+    if len(words) != 1:
+        raise ConfigError("check needs one file", key="FILE")
+    check_file(words[0])
+
+
+def check_file(file: str) -> None:
     """Print what a gateway file means, without starting it; warnings and errors go to stderr."""
     from ..apps.gateway.configuration import load_gateway
     from ..apps.gateway.overview import ROUTING_HEADINGS, gateway_rows, routing_rows
 
-    if len(words) != 1:
-        raise ConfigError("check needs one file", key="FILE")
-    configuration = load_gateway(words[0], preflight=True)
+    configuration = load_gateway(file, preflight=True)
     print_aligned(list(gateway_rows(configuration)))
     print()
     print_aligned([ROUTING_HEADINGS, *routing_rows(configuration)])

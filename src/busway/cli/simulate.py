@@ -242,6 +242,14 @@ def _page(simulation: "Simulation", api: str, token_file: str | None, file: str)
     return ControlPage(simulation, api, token=token, name=Path(file).stem)
 
 
+def check_file(file: str) -> None:
+    """Print what a simulation file comes to, without running it; errors are raised."""
+    from ..apps.simulator.includes import load_declaration
+    from ..apps.simulator.simulation import Simulation
+
+    _print_units(Simulation(replace(load_declaration(file), state=None)))
+
+
 def _print_units(simulation: "Simulation") -> None:
     for unit in simulation.units.values():
         moving = sum(point.behaviour != "" for point in unit.points.values())

@@ -33,6 +33,7 @@ from .commands.claims import KeyClaims
 from .commands.command import CommandResult, CommandValue
 from .commands.inputs import CommandReceiver, InputStatus
 from .commands.journal import CommandJournal
+from .commands.other_owners import OtherOwners
 from .commands.runner import CommandRunner
 from .commands.targets import CollectedTargets
 from .configuration import CollectedDevice, CollectorConfiguration, load_collector
@@ -101,6 +102,7 @@ class Collector:
         permit: Callable[[str], None] | None = None,
         claims: KeyClaims | None = None,
         plant: Callable[[], CollectorConfiguration] | None = None,
+        others: OtherOwners | None = None,
     ) -> None:
         """Create a collector from its configuration; nothing is opened yet.
 
@@ -112,9 +114,11 @@ class Collector:
                 alone.
             plant: gives the configuration of a whole fleet, of which ``configuration`` is the part that this collector
                 polls; None for a collector that works alone.
+            others: the other collectors of a fleet, for messages with commands; None for a collector that works alone.
         """
         self.configuration: CollectorConfiguration = configuration
-        self._permit, self._claims, self._plant = permit, claims, plant
+        self._permit, self._claims = permit, claims
+        self._plant, self._others = plant, others
         self._committer: Committer | None = None
         self.knowledge: Knowledge = Knowledge()
         self._learnt = LearntFile(configuration.learnt_path)
@@ -261,7 +265,9 @@ class Collector:
     def _receive_commands(self) -> None:
         """Start to receive write commands from the servers (MQTT, …) of those sinks that may send some."""
         for name, made in self.configuration.inputs.items():
-            receiver = CommandReceiver(name, made, self.commands, lambda: self.configuration, plant=self._plant)
+            receiver = CommandReceiver(
+                name, made, self.commands, lambda: self.configuration, plant=self._plant, others=self._others
+            )
             task = asyncio.create_task(receiver.run(), name=f"busway commands of {name}")
             task.add_done_callback(_log_defect)
             self._receivers.append(receiver)

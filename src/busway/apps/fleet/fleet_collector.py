@@ -11,7 +11,8 @@ Knows the collector, the member and the log of ownership; what is owned is decid
    Who takes a link from an owner that fell silent records the time since that one's last renewal: samples that the
    other still sends shrink this gap.
 5. The key of each command that writes a point is taken for the whole zone before the wire (`key_table`), whatever way
-   the command came: page, HTTP, MQTT, NATS.
+   the command came: page, HTTP, MQTT, NATS. A message with a command is executed and answered by the owner of its link;
+   with `zone` a server gives it to one collector, which passes it on.
 6. Where it was started with a revision, another configuration of the zone is taken when it comes, as a whole: one that
    is refused, by its check or because a sink is another, changes nothing and is told. The store stays the one with
    which the collector was started, whatever the new configuration names.
@@ -23,15 +24,16 @@ import random
 import secrets
 import sqlite3
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import AsyncExitStack, aclosing
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from ...errors import ConfigError, LinkDown
 from ..collector.collector import Collector
+from ..collector.commands.command import CommandState, PointCommand
 from ..collector.configuration import CollectorConfiguration
 from ..collector.reloading import refuse_what_cannot_change
 from ..collector.samples import NANOSECONDS, Reason, StateInterval
@@ -46,6 +48,8 @@ from .ownership_log import OwnershipLog
 from .plant import costs_by_link, longest_transaction, refuse_slow_links, restricted, with_short_user_timeout
 from .shards import checked_name, links_by_shard
 
+LOOK_AGAIN: Final = 1.0
+"""Seconds after which a link that seems to have no owner is looked at again: its new owner may not be shown yet."""
 RECORD_AGAIN: Final = 1.0
 """Seconds after which it is tried again to record what is owned."""
 END_LIMIT: Final = 10.0
@@ -70,6 +74,8 @@ class FleetCollector:
         revision: the revision of the configuration, if that is from the coordinator; then it is followed (rule 6).
         keys: the table of the keys of commands, the same for all collectors; not closed here. None for that of the
             coordinator.
+        zone: the name of the zone, where `FleetCommands` passes on commands for links that others own; empty where
+            commands cannot be passed on.
         now: the clock of leases.
 
     Attributes:
@@ -79,6 +85,7 @@ class FleetCollector:
         outbox: sends its samples on; None without a stream.
         revision: the revision of the configuration in force; 0 for one that is not from the coordinator.
         unowned_seconds: seconds in which links that it took had no owner, as far as known, all links together.
+        pass_on: asks the owner of a link to execute a command; None while that is not possible.
         refused: why the newest configuration of the zone was not taken; None if it was.
     """
 
@@ -100,6 +107,7 @@ class FleetCollector:
         stream: SampleStream | None = None,
         revision: int = 0,
         keys: Coordinator | None = None,
+        zone: str = "",
         now: Callable[[], float] = boot_time,
     ) -> None:
         times = times or LeaseTimes()
@@ -112,6 +120,8 @@ class FleetCollector:
         self.refused: str | None = None
         self.unowned_seconds: float = 0.0
         self.outbox = None
+        self.pass_on: Callable[[str, PointCommand], Awaitable[dict[str, Any]]] | None = None
+        self._others = _OtherOwners(self, name, f"busway-{zone}" if zone else "")
         self._set_configuration(configuration)
         self.member: FleetMember = FleetMember(
             checked_name(name, "collector"),
@@ -148,6 +158,7 @@ class FleetCollector:
                 permit=self._permit,
                 claims=self._keys,
                 plant=lambda: self._configuration,
+                others=self._others,
             )
             self.collector = await unless_started.enter_async_context(collector)
             self._tell_costs()
@@ -216,6 +227,19 @@ class FleetCollector:
             revision_of=self.ownership.revision_of,
             now=self._now,
         )
+
+    def link_of(self, device: str) -> str:
+        """Return the link of a device of the plant; empty if there is no such device."""
+        return self._link_of.get(device, "")
+
+    def is_responsible(self, link: str) -> bool:
+        """Whether this collector answers for a link that it may not own: where no other one owns it, and this one is
+        the first of those that live.
+        """
+        lease = self.member.leases().get(self.shard_of(link))
+        living = {each.name for each in self.member.members(self._now())} | {self.member.name}
+        owner = lease.owner if lease is not None and lease.held else ""
+        return (owner if owner in living else min(living)) == self.member.name
 
     def shard_of(self, link: str) -> str:
         """Return the name of the shard (group of links) that a link belongs to; "none" if the file does not have it."""
@@ -418,3 +442,29 @@ class FleetCollector:
         await self.collector.reload(restricted(self._configuration, self._active), by=self.member.name, origin="fleet")
         for told in self._link_followers:
             told()
+
+
+class _OtherOwners:
+    """The other collectors of a fleet, as messages with commands see them."""
+
+    def __init__(self, fleet: FleetCollector, member: str, group: str) -> None:
+        self._fleet = fleet
+        self.member, self.group = member, group
+
+    def owns(self, device: str) -> bool:
+        return self._fleet.link_of(device) in self._fleet.links
+
+    async def answers(self, device: str | None) -> bool:
+        link = "" if device is None else self._fleet.link_of(device)
+        if link in self._fleet.links:
+            return True
+        if not self._fleet.is_responsible(link):
+            return False
+        await asyncio.sleep(LOOK_AGAIN)
+        return self._fleet.is_responsible(link)
+
+    async def pass_on(self, command: PointCommand) -> dict[str, Any]:
+        if self._fleet.pass_on is None:
+            reason = f"the link of {command.device} is not owned here, and commands cannot be passed on now"
+            return {"key": command.key, "state": CommandState.REFUSED.value, "reason": f"{reason}; nothing was sent"}
+        return await self._fleet.pass_on(self._fleet.link_of(command.device), command)

@@ -8,7 +8,8 @@ its key and the wire are the collector's own. Works with nats-server 2.9.
 2. Its key is taken as that of any write of a collector of a fleet (`key_table`).
 3. The end of each command of this collector, whatever way it came, is a message of the stream of audit lines,
    ``busway.<zone>.audit``, too.
-4. Rights are those of subjects: who may send on a link's subject is the server's decision, and ``by`` is what the
+4. A command that reached a collector as a message, for a link that another one owns, goes the same way to its owner.
+5. Rights are those of subjects: who may send on a link's subject is the server's decision, and ``by`` is what the
    sender says of itself.
 """
 
@@ -35,6 +36,9 @@ from .streams import make_audit_stream
 LONGEST_REQUEST: Final = 64 * 1024
 START_SECONDS: Final = 30.0
 """Seconds for which a server that does not answer is asked for the stream of audit lines."""
+LONGEST_WAIT: Final = 60.0
+ANSWER_SECONDS: Final = 15.0
+"""Seconds beyond the time of a command that was passed on, for its answer: it is read back, and recorded."""
 _KEYS: Final = {"key", "device", "point", "value", "by", "expires"}
 _log = logging.getLogger("busway.fleet")
 
@@ -113,6 +117,7 @@ class FleetCommands:
         await make_audit_stream(self._client, self._zone, self._replicas, start=START_SECONDS)
         await self._messages.__aenter__()
         self._fleet.follow_links(self._changed.set)
+        self._fleet.pass_on = self._pass_on
         self._fleet.collector.commands.subscribe(self._told)
         self._changed.set()
         self._task = asyncio.create_task(self._follow(), name="busway fleet commands")
@@ -123,6 +128,7 @@ class FleetCommands:
     ) -> None:
         """Take no more commands; those that run go on, and are recorded before the collector ends."""
         assert self._task is not None
+        self._fleet.pass_on = None
         await end_tasks([self._task])
         await self._listen(())
         await self._messages.__aexit__(kind, error, trace)
@@ -145,6 +151,18 @@ class FleetCommands:
         for subject in wanted - self._subscribed.keys():
             with contextlib.suppress(errors.Error, OSError):
                 self._subscribed[subject] = await self._client.subscribe(subject, cb=self._came)
+
+    async def _pass_on(self, link: str, command: PointCommand) -> dict[str, Any]:
+        """Ask the owner of a link to execute a command, and return its answer; errors are told in it (rule 4)."""
+        left = max(0.0, command.expires - self._now())
+        content = {"key": command.key, "device": command.device, "point": command.point, "value": command.value}
+        content |= {"by": command.by, "expires": command.expires}
+        try:
+            return await send_command(self._client, self._zone, link, content, min(left, LONGEST_WAIT) + ANSWER_SECONDS)
+        except WriteOutcomeUnknown as error:
+            return {"key": command.key, "state": CommandState.UNKNOWN.value, "reason": error.message}
+        except (LinkDown, ConfigError) as error:
+            return {"key": command.key, "state": CommandState.REFUSED.value, "reason": error.message}
 
     async def _came(self, message: Any) -> None:
         if not self._messages.begin(lambda: self._handle(message)):

@@ -69,6 +69,7 @@ RIGHTS: Final[dict[str, tuple[Right, ...]]] = {
         Right("publishes samples", (_looked_up(_SAMPLES), "busway.{zone}.samples.*")),
         Right("publishes live values", ("busway.{zone}.live.*",)),
         Right("takes commands and answers them", (), ("busway.{zone}.command.*",), answers=True),
+        Right("passes on commands by MQTT and NATS to the owner of the link", ("busway.{zone}.command.*",)),
         Right("remembers keys of commands", (*_followed(_KEYS), "$KV.busway-{zone}-commands.keys.*")),
         Right("adds lines to the audit", (_looked_up(_AUDIT), "busway.{zone}.audit")),
     ),

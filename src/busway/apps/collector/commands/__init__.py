@@ -6,6 +6,7 @@
 `point_read`     The request that reads one point alone, before or after a command, within what its device allows
 `journal`        The record of each command and its result, written before the command is sent
 `claims`         The interface through which a collector of a fleet takes keys of commands for all collectors
+`other_owners`   The interface through which a collector of a fleet deals with commands for links of other collectors
 `runner`         Executes commands that write points of a running collector: checks, records, sends, reads back, reports
 `audit`          Audit lines, as JSON, for commands that write points and for changes of the configuration
 `targets`        Finds points of a running collector as targets of commands, and their last values
@@ -21,4 +22,5 @@ Where it is decided: which points the commands of one server may write, and whet
 Whether a command was given before (also before a crash), and what it gets then: `journal`, in a fleet `claims` too. The
 order of check, record, write and report: `runner`. Which values a point takes, and whether the device shows them
 afterwards: `point_write`. How many messages wait at once: `message_tasks`. What the audit log says: `audit`.
+Which collector of a fleet executes and answers a message: `inputs`, by what `other_owners` says.
 """

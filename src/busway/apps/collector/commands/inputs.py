@@ -9,17 +9,18 @@ Knows messages and the runner of commands; knows no broker.
 3. A retained message is refused: a broker would hand it on again at every connection.
 4. A name as one level of a topic stands for one point; where it stands for two of the plant, neither is written, also
    where the file names only one of them.
-5. The time of a message counts from its arrival, also while it waits for others.
-6. In a fleet every collector gets every message. The one that polls the link now executes and answers it; the others
-   say nothing. While no collector polls it there is no answer, and nothing is written. A topic that stands for no
-   point of the plant is refused by all, in the same words.
+5. In a fleet the owner of a link executes its commands. A server that can gives each message to one collector, which
+   passes it on to the owner; where messages go to all collectors, the owner alone answers. A link without an owner is
+   answered with one error.
+6. The time of a message counts from its arrival, also while it waits for others.
 """
 
 import json
 import logging
+import secrets
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any, Final, Protocol
 
@@ -28,6 +29,7 @@ from ....errors import InvalidRequest
 from ....points.point import Point
 from ....values.refusal import shown
 from .command import CommandResult, CommandState, PointCommand, new_key
+from .other_owners import OtherOwners
 from .runner import CommandRunner
 
 LONGEST_REQUEST: Final = 16_384
@@ -131,6 +133,17 @@ class CommandInput(Protocol):
     def level(self, name: str) -> str:
         """Return a device or point name with the characters that one level of a topic or subject may have."""
 
+    def join(self, group: str, member: str) -> bool:
+        """Receive as one of several collectors; called before `run`.
+
+        Args:
+            group: the name under which they share messages; empty where each gets all of them.
+            member: the name of this one.
+
+        Returns:
+            Whether each message goes to one of them only.
+        """
+
     async def run(self, receiver: "CommandReceiver") -> None:
         """Receive messages and pass them to `CommandReceiver.take`, until cancelled; reconnects after pauses."""
 
@@ -145,6 +158,7 @@ class CommandReceiver:
         configuration: gives what the file says now.
         plant: gives the configuration of a whole fleet, of which ``configuration`` is the part that this collector
             polls now; None for a collector that works alone.
+        others: the other collectors of the fleet (rule 5); None for a collector that works alone.
         now: seconds since 1970 UTC.
         moment: seconds of the monotonic clock.
     """
@@ -157,12 +171,15 @@ class CommandReceiver:
         configuration: Callable[[], "DescribedPlant"],
         *,
         plant: Callable[[], "DescribedPlant"] | None = None,
+        others: OtherOwners | None = None,
         now: Callable[[], float] = time.time,
         moment: Callable[[], float] = time.monotonic,
     ) -> None:
         self._name, self._input, self._runner = name, made, runner
         self._configuration, self._now, self._moment = configuration, now, moment
         self._plant = plant or configuration
+        self._others = others
+        self._is_shared = others is not None and made.join(others.group, others.member)
         self._places: tuple[DescribedPlant, dict[str, tuple[str, str] | None]] | None = None
         self._taken = self._refused = 0
         self._error: str | None = "not connected yet"
@@ -196,16 +213,25 @@ class CommandReceiver:
         self._refuse(where, "too many messages wait")
 
     async def take(self, message: InputMessage) -> bytes | None:
-        """Execute the command in a message. Returns the reply as JSON, errors too; None where another one answers."""
+        """Execute the command in a message.
+
+        Returns:
+            The reply as JSON; errors are told in the reply. None where another collector answers.
+        """
         self._taken += 1
+        device = None
         try:
             device, point = self._place(message.where)
-            if device not in self._configuration().devices:
+            if self._others is None and device not in self._configuration().devices:
                 return None
             given = parsed(message.payload)
             command = self._command(message, given, device, point)
         except InvalidRequest as error:
-            return self._refuse(message.where, error.message)
+            return self._refuse(message.where, error.message) if await self._answers(device) else None
+        # Not later: who owned the link when the message came may have sent it.
+        is_own = self._others is None or self._others.owns(device)
+        if not await self._answers(device):
+            return None
         if message.is_retained:
             refused = CommandResult(command, CommandState.OPEN, self._now())
             self._refused += 1
@@ -214,6 +240,12 @@ class CommandReceiver:
                     refused, "retained commands are not executed: the broker would send them again"
                 ).content()
             )
+        if self._others is not None and not is_own:
+            if not self._is_shared:
+                return self._refuse(message.where, f"no collector owns the link of {device} now; nothing was sent")
+            if "key" not in given:
+                command = replace(command, key=f"write-{secrets.token_hex(12)}")
+            return _encoded(await self._others.pass_on(command))
         try:
             result = await self._runner.write(
                 command.device,
@@ -227,6 +259,10 @@ class CommandReceiver:
         except InvalidRequest as error:
             return self._refuse(message.where, error.message)
         return _encoded(result.content())
+
+    async def _answers(self, device: str | None) -> bool:
+        """Return whether this collector answers a message for a device; None for one that names none (rule 5)."""
+        return self._others is None or self._is_shared or await self._others.answers(device)
 
     def _command(self, message: InputMessage, given: dict[str, Any], device: str, point: str) -> PointCommand:
         now = self._now()

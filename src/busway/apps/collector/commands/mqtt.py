@@ -5,7 +5,9 @@ Knows topics and properties; the protocol is aiomqtt's (``busway[mqtt]``).
 1. The session is clean: a broker keeps no command for the time in which this collector is away.
 2. The answer goes to the response topic of the message, with its correlation data; without one, to the topic of the
    command with ``/result`` behind it. No answer goes to a topic of commands.
-3. A message that was published with the retain flag comes with it, also while connected, and is refused.
+3. Collectors of a fleet share their subscription: the broker gives each message to one of them. It is one of QoS 0,
+   because what a collector has not acknowledged at the end of its connection may be given to another one.
+4. A message that was published with the retain flag comes with it, also while connected, and is refused.
 """
 
 import asyncio
@@ -63,10 +65,18 @@ class MqttCommands:
         self._where = f"{host}:{port}"
         self._address: dict[str, Any] = {"hostname": host, "port": port, "username": user, "password": password}
         self._address |= {"tls_context": tls, "identifier": client_id, "timeout": timeout}
+        self._group = ""
 
     def level(self, name: str) -> str:
         """Return a name as one level of an MQTT topic."""
         return topic_level(name)
+
+    def join(self, group: str, member: str) -> bool:
+        """Share the subscription with the other collectors of a fleet. Returns whether it is shared: with a group."""
+        self._group = group
+        if self._address["identifier"] is not None:  # a broker ends a connection when another one has its name
+            self._address["identifier"] += f"-{member}"
+        return bool(group)
 
     async def run(self, receiver: CommandReceiver) -> None:
         """Receive commands over MQTT until cancelled; reconnect after growing pauses."""
@@ -100,11 +110,14 @@ class MqttCommands:
         )
 
     async def _subscribe(self, client: Any) -> None:
+        shared = bool(self._group)
         options = import_module("paho.mqtt.subscribeoptions").SubscribeOptions(
-            qos=1, noLocal=True, retainAsPublished=True, retainHandling=2
+            qos=0 if shared else 1, noLocal=not shared, retainAsPublished=True, retainHandling=2
         )
         wildcards = self.rights.where.replace("{device}", "+").replace("{point}", "+")
-        await client.subscribe(wildcards, options=options)
+        codes = await client.subscribe(f"$share/{self._group}/{wildcards}" if shared else wildcards, options=options)
+        if any(code.is_failure for code in codes):
+            raise OSError(f"it refuses the subscription: {codes[0]}")
 
     async def _receive(self, client: Any, tasks: MessageTasks, receiver: CommandReceiver) -> None:
         async for message in client.messages:

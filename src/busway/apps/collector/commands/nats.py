@@ -4,6 +4,7 @@ Knows subjects and headers; the protocol is nats-py's (``busway[nats]``). The he
 
 1. Plain subscription: nothing is kept for the time in which this collector is away.
 2. A request gets its answer; a message without a reply subject is done and not answered.
+3. Collectors of a fleet are a queue group: the server gives each message to one of them.
 """
 
 import asyncio
@@ -59,10 +60,16 @@ class NatsCommands:
         given = {"user": user, "password": password, "token": token, "tls": tls}
         self._options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         self._cause = ""
+        self._group = ""
 
     def level(self, name: str) -> str:
         """Return a name as one token of a NATS subject."""
         return subject_token(name)
+
+    def join(self, group: str, member: str) -> bool:
+        """Join the queue group of a fleet's collectors. Returns whether there is one."""
+        self._group = group
+        return bool(group)
 
     async def run(self, receiver: CommandReceiver) -> None:
         """Receive commands over NATS until cancelled; reconnect after growing pauses."""
@@ -113,6 +120,7 @@ class NatsCommands:
         wildcards = self.rights.where.replace("{device}", "*").replace("{point}", "*")
         await client.subscribe(
             wildcards,
+            queue=self._group,
             cb=came,
             pending_msgs_limit=4 * MOST_AT_ONCE,
             pending_bytes_limit=8 * MOST_AT_ONCE * LONGEST_REQUEST,

@@ -83,6 +83,10 @@ class SparkplugCommands:
 
     # In the event loop of the collector.
 
+    def join(self, group: str, member: str) -> bool:
+        """Return False: each collector of a fleet gets all commands of its host."""
+        return False
+
     async def run(self, receiver: CommandReceiver) -> None:
         """Execute the commands of Sparkplug hosts until cancelled."""
         async with MessageTasks() as tasks:
