@@ -72,9 +72,10 @@ class Client:
     """A connection to NATS that answers as it is told."""
 
     def __init__(self, answer: bytes | Exception, cause: str = "") -> None:
-        self.is_connected, self.cause, self._answer = True, cause, answer
+        self.is_connected, self.cause, self._answer, self._told = True, "", answer, cause
 
     async def request(self, *_: object, **__: object) -> Any:
+        self.cause = self._told
         if isinstance(self._answer, Exception):
             raise self._answer
         return type("Message", (), {"data": self._answer})()
