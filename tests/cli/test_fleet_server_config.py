@@ -49,6 +49,8 @@ def test_secrets_are_for_their_owner_alone_never_printed_and_never_overwritten(r
         (("hall", "--out", "{out}", "--servers", "a;b"), "a server is [NAME=]HOST[:PORT], not 'a;b'"),
         (("hall", "--out", "{out}", "--servers", "a:64000"), "a server is [NAME=]HOST[:PORT]"),
         (("hall", "--out", "{out}", "--server-version", "2.8"), "from 2.9 on, not '2.8'"),
+        (("hall", "--out", "{out}", "--sites", "10.7.0.1"), "a site is ZONE=HOST[:PORT] with a zone of its own"),
+        (("hall", "--out", "{out}", "--sites", "hall=10.7.0.1"), "a site is ZONE=HOST[:PORT] with a zone of its own"),
         (("ha ll", "--out", "{out}"), "zone 'ha ll' cannot be a name"),
     ],
 )
@@ -81,3 +83,16 @@ def test_a_credentials_file_that_is_no_seed_is_named(run: Run, tmp_path: Path) -
     assert (found.code, "west.nk: holds no seed of a user" in found.err) == (2, True), found.err
     missing = run("fleet", "status", "--coordinator", "nats://127.0.0.1:1", "--credentials", str(tmp_path / "no.nk"))
     assert (missing.code, "no.nk" in missing.err) == (2, True), missing.err
+
+
+def test_passwords_of_sites_are_in_secret_files_alone(run: Run, tmp_path: Path) -> None:
+    words = ("fleet", "server-config", "hall", "--out", str(tmp_path), "--sites", "yard=10.7.0.1,mill=10.8.0.1:4300")
+    made = run(*words)
+    assert made.code == 0, made.err
+    password = (tmp_path / "yard-leaf.secret").read_text().strip()
+    holders = {path.name for path in tmp_path.iterdir() if password in path.read_text()}
+    assert holders == {"yard-leaf.secret", "yard-leaf.conf", "leafs.conf"}
+    assert all(stat.S_IMODE((tmp_path / name).stat().st_mode) == 0o600 for name in holders)
+    assert password not in made.out + made.err
+    assert run(*words, "--force").code == 0
+    assert (tmp_path / "yard-leaf.secret").read_text().strip() == password

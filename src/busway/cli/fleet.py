@@ -93,6 +93,10 @@ def fleet(
     servers: str | None = typer.Option(
         None, "--servers", metavar="HOST,…", help="server-config: one, three or five: [NAME=]HOST[:PORT]; 0.0.0.0."
     ),
+    sites: str | None = typer.Option(
+        None, "--sites", metavar="ZONE=HOST,…", help="server-config: edge sites, each a zone with its own server."
+    ),
+    domain: str | None = typer.Option(None, "--domain", metavar="SITE", help="Ask an edge site through the centre."),
     server_version: str | None = typer.Option(
         None, "--server-version", metavar="N.N", help="server-config: of nats-server: 2.9."
     ),
@@ -114,13 +118,21 @@ def fleet(
     from ..apps.fleet.coordinators import open_coordinator
     from ..apps.fleet.coordinators.opening import CoordinatorOptions
     from ..apps.fleet.shards import checked_zone, keys_zone
+    from ..apps.fleet.streams import StreamOptions
 
     action, *about = _action(words)
     if lasts is not None and action != "demo":
         raise ConfigError("is for demo", key="--for")
     if action == "demo":
         return _demo(seconds(lasts or "2m", "--for", low=0.1), verbose)
-    given = {"--out": out, "--servers": servers, "--server-version": server_version, "--streams": streams, "--tls": tls}
+    given = {
+        "--out": out,
+        "--servers": servers,
+        "--server-version": server_version,
+        "--streams": streams,
+        "--tls": tls,
+        "--sites": sites,
+    }
     if action == "server-config":
         return _write_servers(about[0], given, force=force)
     for key_of, value in {**given, "--force": force}.items():
@@ -131,6 +143,8 @@ def fleet(
         raise ConfigError("is needed: nats://host:4222, local:FOLDER or postgresql://user@host/db", key="--coordinator")
     if undo and action != "drain":
         raise ConfigError("is for drain", key="--undo")
+    if domain is not None and action == "run":
+        raise ConfigError("is not for run: a collector works with the server of its own site", key="--domain")
     if stream and action != "run":
         raise ConfigError("is for run", key="--stream")
     if (name or folder) and action != "run":
@@ -145,6 +159,7 @@ def fleet(
         ca=ca or os.environ.get("BUSWAY_FLEET_CA"),
         certificate=certificate,
         key=private_key,
+        domain=domain,
         replicas=whole_number(replicas, "--replicas", 1, 5),
     )
     count = whole_number(shards, "--shards", 1, 1024)
@@ -166,7 +181,9 @@ def fleet(
             options.replicas,
             as_json=as_json,
         ),
-        "sink": lambda table: run_sink(table, zone, about[0], options.replicas, every, as_json=as_json),
+        "sink": lambda table: run_sink(
+            table, zone, about[0], StreamOptions(replicas=options.replicas, source=domain), every, as_json=as_json
+        ),
         "write": lambda table: write_point(table, zone, about, key=key, by=by, seconds=limit, as_json=as_json),
         "status": lambda table: _show_status(table, zone, as_json=as_json),
         "drain": lambda table: _drain(table, about[0], undo=undo),
@@ -203,6 +220,7 @@ def _write_servers(zones: str, given: dict[str, str | None], *, force: bool) -> 
         given["--streams"] or "/var/lib/nats",
         None if tls == "off" else tls,
         force=force,
+        sites=given["--sites"],
     )
     return ExitCode.DONE
 
@@ -246,8 +264,8 @@ async def _make_streams(table: "Coordinator", zone: str, options: "CoordinatorOp
 
     for make in (
         lambda: find_bucket(client, f"busway-{zone}-commands", options),
-        lambda: make_stream(client, zone, StreamOptions(replicas=options.replicas)),
-        lambda: make_audit_stream(client, zone, options.replicas),
+        lambda: make_stream(client, zone, StreamOptions(replicas=options.replicas, source=options.domain)),
+        lambda: make_audit_stream(client, zone, options.replicas, domain=options.domain),
     ):
         try:
             await make()

@@ -8,6 +8,7 @@
 
 import os
 import re
+import secrets
 from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
@@ -28,7 +29,15 @@ _MOST_SEED: Final = 1024
 
 
 def write_server_files(
-    zones: str, out: str, servers: str, version: str, store: str, tls: str | None, *, force: bool
+    zones: str,
+    out: str,
+    servers: str,
+    version: str,
+    store: str,
+    tls: str | None,
+    *,
+    force: bool,
+    sites: str | None = None,
 ) -> None:
     """Write the configuration of the servers of some zones, and seeds of users that are missing.
 
@@ -40,53 +49,94 @@ def write_server_files(
         store: the folder of the streams on each server.
         tls: the folder of certificates on each server; None for no encryption.
         force: whether to overwrite configuration files.
+        sites: edge sites, ``ZONE=HOST[:PORT],…``; each is a zone with a server of its own.
 
     Raises:
         ConfigError: something given is wrong, or a file is there already or cannot be written.
         MissingExtra: the package nkeys is not installed.
     """
-    from ..apps.fleet.server_files import ACCOUNTS_FILE, NatsServerOptions, accounts_text, server_text
+    from ..apps.fleet.server_files import (
+        ACCOUNTS_FILE,
+        LEAFS_FILE,
+        NatsServerOptions,
+        accounts_text,
+        leafs_text,
+        server_text,
+        site_secret_text,
+        site_text,
+    )
     from ..apps.fleet.server_rights import RIGHTS
     from ..apps.fleet.shards import checked_name
 
     require("nkeys", "keys of users")
     names = [checked_name(each.strip(), "zone") for each in zones.split(",")]
     plans = parsed_servers(servers)
+    edges = parsed_sites(sites, names)
     options = NatsServerOptions(parsed_version(version), store, tls)
     folder = Path(out)
     _make_folder(folder)
     files = [*(folder / f"{plan.name}.conf" for plan in plans), folder / ACCOUNTS_FILE]
+    if edges:
+        files.append(folder / LEAFS_FILE)
+    for edge in edges:
+        files += [folder / f"{edge.name}{kind}" for kind in (".conf", f"-{ACCOUNTS_FILE}", "-leaf.conf")]
     there = [path for path in files if path.exists()]
     if there and not force:
         raise ConfigError("is there already; --force writes over it, and keeps all seeds", file=str(there[0]))
-    keys = {zone: {role: public_key(folder / f"{zone}-{role}.nk") for role in RIGHTS} for zone in names}
-    texts = [server_text(plan, plans, options) for plan in plans]
-    texts.append(accounts_text(keys, public_key(folder / "status.nk")))
+    seeds = [folder / f"{zone}-{role}.nk" for zone in (*names, *(edge.name for edge in edges)) for role in RIGHTS]
+    seeds.append(folder / "status.nk")
+    public = {path: public_key(path) for path in seeds}
+    status = public[folder / "status.nk"]
+
+    def keys_of(zone: str, *roles: str) -> dict[str, dict[str, str]]:
+        return {zone: {role: public[folder / f"{zone}-{role}.nk"] for role in roles or RIGHTS}}
+
+    passwords = {edge.name: _password(folder / f"{edge.name}-leaf.secret") for edge in edges}
+    zones_of = {zone: keys for name in names for zone, keys in keys_of(name).items()}
+    sites_of = {zone: keys for edge in edges for zone, keys in keys_of(edge.name, "sink", "operator").items()}
+    texts = [server_text(plan, plans, options, has_sites=bool(edges)) for plan in plans]
+    texts.append(accounts_text(zones_of, status, sites_of))
+    if edges:
+        texts.append(leafs_text(passwords))
+    for edge in edges:
+        texts += [site_text(edge, options), accounts_text(keys_of(edge.name), status)]
+        texts.append(site_secret_text(edge, plans, options, passwords[edge.name]))
     for path, text in zip(files, texts, strict=True):
         _write(path, text)
         print(path)
-    for zone in names:
-        for role in RIGHTS:
-            print(folder / f"{zone}-{role}.nk")
-    print(folder / "status.nk")
+    for path in (*seeds, *(folder / f"{edge.name}-leaf.secret" for edge in edges)):
+        print(path)
     _say_what_is_next(folder, plans, options)
 
 
-def parsed_servers(text: str) -> "list[NatsServer]":
+def parsed_servers(text: str, *, any_number: bool = False) -> "list[NatsServer]":
     """Return the servers in ``[NAME=]HOST[:PORT],…``; without names they are n1, n2, n3. Raises `ConfigError`."""
-    from ..apps.fleet.server_files import CLIENT_PORT, ROUTE_PORT, NatsServer
+    from ..apps.fleet.server_files import CLIENT_PORT, LEAF_PORT, ROUTE_PORT, NatsServer
 
     found: list[NatsServer] = []
     for number, each in enumerate(text.split(","), 1):
         match = _SERVER.fullmatch(each.strip())
-        if match is None or int(match[3] or CLIENT_PORT) > 65_535 - ROUTE_PORT + CLIENT_PORT:
+        if match is None or int(match[3] or CLIENT_PORT) > 65_535 - LEAF_PORT + CLIENT_PORT:
             raise ConfigError(f"a server is [NAME=]HOST[:PORT], not {each.strip()!r}", key="--servers")
         port = int(match[3] or CLIENT_PORT)
-        found.append(NatsServer(match[1] or f"n{number}", match[2], port, port + ROUTE_PORT - CLIENT_PORT))
+        routes, leafs = port + ROUTE_PORT - CLIENT_PORT, port + LEAF_PORT - CLIENT_PORT
+        found.append(NatsServer(match[1] or f"n{number}", match[2], port, routes, leafs))
     if len({each.name for each in found}) < len(found) or len({(e.host, e.port) for e in found}) < len(found):
         raise ConfigError("two servers have one name or one address", key="--servers")
-    if len(found) not in (1, 3, 5):
+    if len(found) not in (1, 3, 5) and not any_number:
         raise ConfigError(f"one server, or three or five that agree by majority, not {len(found)}", key="--servers")
+    return found
+
+
+def parsed_sites(text: str | None, zones: Sequence[str]) -> "list[NatsServer]":
+    """Return the servers of edge sites in ``ZONE=HOST[:PORT],…``. Raises `ConfigError`."""
+    from ..apps.fleet.shards import checked_name
+
+    found = [] if text is None else parsed_servers(text, any_number=True)
+    for each, word in zip(found, (text or "").split(","), strict=False):
+        if "=" not in word or each.name in zones:
+            raise ConfigError(f"a site is ZONE=HOST[:PORT] with a zone of its own, not {word}", key="--sites")
+        checked_name(each.name, "zone")
     return found
 
 
@@ -122,6 +172,23 @@ def public_key(path: Path) -> str:
         raise ConfigError("holds no seed of a user; remove it to make a new one", file=str(path)) from error
 
 
+def _password(path: Path) -> str:
+    """Return the password of an edge site in a file, which is made if it is missing. Raises `ConfigError`."""
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, PRIVATE_FILE)
+    except FileExistsError:
+        found = _read_seed(path).decode(errors="replace")
+        if not re.fullmatch(r"[A-Za-z0-9_-]{20,}", found):
+            raise ConfigError("holds no password; remove it to make a new one", file=str(path)) from None
+        return found
+    except OSError as error:
+        raise _refusal(path, "cannot be made", error) from error
+    found = secrets.token_urlsafe(32)
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        file.write(found + "\n")
+    return found
+
+
 def _read_seed(path: Path) -> bytearray:
     from ..safe_files import read_safely
 
@@ -139,7 +206,10 @@ def _write(path: Path, text: str) -> None:
     """Write a file as a whole: a server that reads it meanwhile gets the old one or the new one."""
     beside = path.with_name(f".{path.name}.new")
     try:
-        beside.write_text(text, encoding="utf-8")
+        beside.unlink(missing_ok=True)
+        handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE)
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
         beside.replace(path)
     except OSError as error:
         raise _refusal(path, "cannot be written", error) from error

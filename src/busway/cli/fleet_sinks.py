@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..apps.collector.store.committed_samples import CommittedSample
     from ..apps.fleet.coordinator import Coordinator
     from ..apps.fleet.fleet_collector import FleetCollector
-    from ..apps.fleet.streams import NatsStream
+    from ..apps.fleet.streams import NatsStream, StreamOptions
     from ..options.sinks import DeliveryOptions
 
 
@@ -115,7 +115,9 @@ class _Chosen:
         return found
 
 
-async def run_sink(table: "Coordinator", zone: str, name: str, replicas: int, every: float, *, as_json: bool) -> None:
+async def run_sink(
+    table: "Coordinator", zone: str, name: str, stream: "StreamOptions", every: float, *, as_json: bool
+) -> None:
     """Pass the samples of a zone's stream on to one sink of its configuration, until a signal.
 
     Raises:
@@ -124,7 +126,7 @@ async def run_sink(table: "Coordinator", zone: str, name: str, replicas: int, ev
     from ..apps.fleet.control_entries import read_configuration
     from ..apps.fleet.lease_driver import end_tasks
     from ..apps.fleet.lease_times import LeaseTimes
-    from ..apps.fleet.streams import StreamOptions, StreamSink
+    from ..apps.fleet.streams import StreamSink
 
     client = nats_client(table)
     shared = await read_configuration(table)
@@ -140,9 +142,7 @@ async def run_sink(table: "Coordinator", zone: str, name: str, replicas: int, ev
     def set_aside(sample: "CommittedSample", error: str) -> None:
         warn(f"sink {name}: {sample.device}/{sample.point} at {sample.time} ns is refused for good: {error}")
 
-    handed = StreamSink(
-        client, table, zone, name, _Chosen(sink, options.points), set_aside, StreamOptions(replicas=replicas)
-    )
+    handed = StreamSink(client, table, zone, name, _Chosen(sink, options.points), set_aside, stream)
     with stop_event() as stop:
         running = asyncio.create_task(handed.run(), name="busway fleet sink")
         stopped: asyncio.Task[Any] = asyncio.create_task(stop.wait(), name="busway fleet sink stop")

@@ -4,7 +4,15 @@ import re
 
 import pytest
 
-from busway.apps.fleet.server_files import NatsServer, NatsServerOptions, accounts_text, server_text
+from busway.apps.fleet.server_files import (
+    NatsServer,
+    NatsServerOptions,
+    accounts_text,
+    leafs_text,
+    server_text,
+    site_secret_text,
+    site_text,
+)
 from busway.apps.fleet.server_rights import RIGHTS, permissions, rights_table
 
 KEYS = {"collector": "UC", "sink": "US", "operator": "UO"}
@@ -61,3 +69,22 @@ def test_no_role_may_delete_purge_or_change_streams_and_only_operators_make_them
 
 def test_the_table_has_a_row_for_each_right() -> None:
     assert len(rights_table("hall").splitlines()) == 2 + sum(map(len, RIGHTS.values())) + 1
+
+
+def test_a_site_is_a_domain_and_knows_the_centre_by_a_password_in_a_file_of_its_own() -> None:
+    site = NatsServer("yard", "10.7.0.1")
+    text = site_text(site, NatsServerOptions())
+    assert 'domain: "yard"' in text
+    assert 'include "./yard-leaf.conf"\ninclude "./yard-accounts.conf"' in text
+    secret = site_secret_text(site, THREE[:2], NatsServerOptions(), "pass")
+    assert 'urls: ["tls://yard:pass@10.0.0.1:7422", "tls://yard:pass@10.0.0.2:7422"], account: "zone-yard"' in secret
+    assert '{ user: "yard", password: "pass", account: "zone-yard" }' in leafs_text({"yard": "pass"})
+    centre = server_text(THREE[0], THREE, NatsServerOptions(), has_sites=True)
+    assert ('listen: "10.0.0.1:7422"' in centre, "pass" in centre) == (True, False)
+
+
+def test_at_the_centre_rights_to_the_table_of_a_site_are_those_of_its_domain() -> None:
+    granted = permissions("sink", "yard", is_site=True).publish
+    assert "$JS.yard.API.$KV.busway-yard.cursor.*" in granted
+    assert "$JS.yard.API.STREAM.INFO.KV_busway-yard" in granted
+    assert not [subject for subject in granted if "control" in subject]

@@ -110,12 +110,27 @@ STATUS: Final = Permissions(
 """Of the user of the system account, which only asks how servers are."""
 
 
-def permissions(role: str, zone: str) -> Permissions:
-    """Return the subjects that a role may publish and subscribe to in a zone."""
+def permissions(role: str, zone: str, *, is_site: bool = False) -> Permissions:
+    """Return the subjects that a role may publish and subscribe to in a zone.
+
+    Args:
+        role: of `RIGHTS`.
+        zone: its name.
+        is_site: whether this is the centre, and the zone is that of an edge site: its table is reached by its domain.
+    """
     rights = RIGHTS[role]
     publish = dict.fromkeys(subject.replace("{zone}", zone) for each in rights for subject in each.publish)
+    if is_site:
+        publish |= dict.fromkeys(in_domain(subject, zone) for subject in publish)
     subscribe = dict.fromkeys(subject.replace("{zone}", zone) for each in rights for subject in each.subscribe)
     return Permissions(tuple(publish), tuple(subscribe), any(each.answers for each in rights))
+
+
+def in_domain(subject: str, domain: str) -> str:
+    """Return the subject by which one of JetStream's, or a key of a table, is reached in another domain."""
+    if subject.startswith("$JS.API."):
+        return f"$JS.{domain}.API.{subject.removeprefix('$JS.API.')}"
+    return f"$JS.{domain}.API.{subject}" if subject.startswith("$KV.") else subject
 
 
 def rights_table(zone: str) -> str:

@@ -46,12 +46,15 @@ class StreamOptions:
         max_bytes: bytes on each server, at most.
         max_age: seconds for which messages are kept, at most.
         duplicate_window: seconds in which the server drops a message that it has already.
+        source: the domain of the edge site whose stream is copied into this one; None for a stream that collectors
+            publish to.
     """
 
     replicas: int = 1
     max_bytes: int = 1 << 30
     max_age: float = 86_400.0
     duplicate_window: float = 120.0
+    source: str | None = None
 
 
 async def make_stream(client: Any, zone: str, options: StreamOptions | None = None, *, start: float = 30.0) -> str:
@@ -82,6 +85,10 @@ async def _made_stream(client: Any, zone: str, options: StreamOptions) -> str:
         discard=api.DiscardPolicy.OLD,
         duplicate_window=min(options.duplicate_window, options.max_age),
     )
+    if options.source:
+        await found_or_made(client, config.evolve(num_replicas=1), options.source)
+        there = api.ExternalStream(api=f"$JS.{options.source}.API", deliver=None)
+        config = config.evolve(subjects=None, sources=[api.StreamSource(name=config.name, external=there)])
     found = await found_or_made(client, config)
     if (found.num_replicas or 1) < options.replicas:
         raise ConfigError(
@@ -91,7 +98,9 @@ async def _made_stream(client: Any, zone: str, options: StreamOptions) -> str:
     return str(config.name)
 
 
-async def make_audit_stream(client: Any, zone: str, replicas: int, *, start: float = 30.0) -> None:
+async def make_audit_stream(
+    client: Any, zone: str, replicas: int, *, domain: str | None = None, start: float = 30.0
+) -> None:
     """Find or create the stream of a zone's audit lines. Args and errors as `make_stream`."""
     api = import_module("nats.js.api")
     config = api.StreamConfig(
@@ -102,41 +111,43 @@ async def make_audit_stream(client: Any, zone: str, replicas: int, *, start: flo
         max_age=AUDIT_AGE,
         deny_delete=True,
     )
-    await until_up(lambda: found_or_made(client, config), StreamDown, start)
+    await until_up(lambda: found_or_made(client, config, domain), StreamDown, start)
 
 
-async def found_or_made(client: Any, config: Any) -> Any:
+async def found_or_made(client: Any, config: Any, domain: str | None = None) -> Any:
     """Return the configuration of a message stream of NATS, which is created if missing.
 
     Args:
         client: of nats-py, connected.
         config: of a stream that is created; its name finds an existing one.
+        domain: of an edge site that is asked through the centre; None for the server itself.
 
     Raises:
         ConfigError: it cannot be created or used.
         StreamDown: the server does not answer, or not yet.
     """
     nats, errors = import_module("nats"), import_module("nats.js.errors")
-    jetstream = client.jetstream(timeout=10.0)
+    jetstream = client.jetstream(timeout=10.0, domain=domain)
+    calls = f"$JS.{domain}.API.STREAM" if domain else "$JS.API.STREAM"
     try:
         try:
             looking = jetstream.stream_info(config.name)
-            return (await asked(client, f"$JS.API.STREAM.INFO.{config.name}", looking)).config
+            return (await asked(client, f"{calls}.INFO.{config.name}", looking)).config
         except errors.NotFoundError:
             making = jetstream.add_stream(config)
-            return (await asked(client, f"$JS.API.STREAM.CREATE.{config.name}", making)).config
+            return (await asked(client, f"{calls}.CREATE.{config.name}", making)).config
     except errors.APIError as error:
         if error.err_code in NOT_YET:
             raise StreamDown(f"the stream {config.name} cannot be used yet: {error.description}") from error
         raise ConfigError(f"the stream {config.name} cannot be used: {error.description}", key="coordinator") from error
     except (nats.errors.Error, OSError, TimeoutError) as error:
-        if refused := refused_subject(client, f"$JS.API.STREAM.CREATE.{config.name}"):
+        if refused := refused_subject(client, f"{calls}.CREATE.{config.name}"):
             raise ConfigError(
                 f"the stream {config.name} is not there yet, and the credentials do not permit to make it: an operator "
                 f"makes it by busway fleet apply ({refused})",
                 key="coordinator",
             ) from error
-        if refused := refused_subject(client, f"$JS.API.STREAM.INFO.{config.name}"):
+        if refused := refused_subject(client, f"{calls}.INFO.{config.name}"):
             raise ConfigError(
                 f"the credentials do not permit the stream {config.name}: {refused}", key="coordinator"
             ) from error

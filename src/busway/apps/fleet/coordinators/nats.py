@@ -32,6 +32,7 @@ from ..coordinator import (
     OutcomeUnknown,
     RevisionConflict,
 )
+from ..server_rights import in_domain
 from ..shards import checked_name
 from .opening import CoordinatorOptions, hidden_secrets
 
@@ -59,7 +60,7 @@ async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCo
     except BaseException:
         await client.close()
         raise
-    return NatsCoordinator(client, bucket, options.answer)
+    return NatsCoordinator(client, bucket, options.answer, options.domain)
 
 
 async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py's own
@@ -225,13 +226,14 @@ def _tls(options: CoordinatorOptions) -> ssl.SSLContext:
 async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> None:
     """Find or create a key-value bucket. Raises `ConfigError`, `CoordinatorDown`."""
     nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
-    jetstream = client.jetstream(timeout=4 * options.answer)
+    jetstream = client.jetstream(timeout=4 * options.answer, domain=options.domain)
     stream = f"KV_{bucket}"
+    api_subject = f"$JS.{options.domain}.API.STREAM" if options.domain else "$JS.API.STREAM"
     try:
         try:
             # A cluster without a leader gives no answer: short, so that it is asked again soon.
-            looking = client.jetstream(timeout=options.answer).stream_info(stream)
-            info = await asked(client, f"$JS.API.STREAM.INFO.{stream}", looking)
+            looking = client.jetstream(timeout=options.answer, domain=options.domain).stream_info(stream)
+            info = await asked(client, f"{api_subject}.INFO.{stream}", looking)
         except errors.NotFoundError:
             wanted = api.StreamConfig(
                 name=stream,
@@ -244,10 +246,10 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
                 allow_rollup_hdrs=False,  # else a right to write one key would be one to purge all: Nats-Rollup: all
                 deny_delete=True,
             )
-            info = await asked(client, f"$JS.API.STREAM.CREATE.{stream}", jetstream.add_stream(wanted))
+            info = await asked(client, f"{api_subject}.CREATE.{stream}", jetstream.add_stream(wanted))
     except TimeoutError as error:
         zone = bucket.removeprefix("busway-")
-        if refused := refused_subject(client, f"$JS.API.STREAM.CREATE.{stream}"):
+        if refused := refused_subject(client, f"{api_subject}.CREATE.{stream}"):
             raise ConfigError(
                 f"the bucket {bucket} is not there yet, and the credentials do not permit to make it: an operator "
                 f"makes it by busway fleet apply ({refused})",
@@ -287,10 +289,11 @@ class NatsCoordinator:
         client: the connection, for the streams of the same collector.
     """
 
-    def __init__(self, client: Any, bucket: str, answer: float) -> None:
+    def __init__(self, client: Any, bucket: str, answer: float, domain: str | None = None) -> None:
         self.client: Any = client
         self._bucket, self._answer = bucket, answer
-        self._jetstream = client.jetstream(timeout=answer)
+        self._jetstream = client.jetstream(timeout=answer, domain=domain)
+        self._keys = in_domain(f"$KV.{bucket}.", domain) if domain else f"$KV.{bucket}."
 
     async def create(self, key: str, value: bytes) -> int:
         """Add a new entry to the shared table. Raises as `Coordinator.create`."""
@@ -310,7 +313,7 @@ class NatsCoordinator:
             raise CoordinatorDown(f"{refused}: {cause}" if cause else refused)
         try:
             made = await self._jetstream.publish(
-                f"$KV.{self._bucket}.{key}", value, headers={"Nats-Expected-Last-Subject-Sequence": str(revision)}
+                f"{self._keys}{key}", value, headers={"Nats-Expected-Last-Subject-Sequence": str(revision)}
             )
         except errors.NoStreamResponseError as error:
             raise CoordinatorDown("no server has the bucket now") from error
@@ -321,7 +324,7 @@ class NatsCoordinator:
                 ) from error
             raise OutcomeUnknown(f"the server answers: {self.client.words(error.description)}") from error
         except (nats.errors.Error, OSError, TimeoutError) as error:
-            if refused := refused_subject(self.client, f"$KV.{self._bucket}.{key}"):
+            if refused := refused_subject(self.client, f"{self._keys}{key}"):
                 raise CoordinatorDown(f"the credentials do not permit to change {key}: {refused}") from error
             cause = self.client.cause or self.client.words(error)
             raise OutcomeUnknown(f"the server does not answer: {cause}") from error

@@ -31,6 +31,8 @@ class CoordinatorOptions:
         credentials: path of a NATS credentials file; None for none.
         ca, certificate, key: paths of PEM files for TLS; None for those of the system, or for none.
         replicas: servers that must keep each entry, 1…5 (NATS).
+        domain: the JetStream domain of the edge site that has the table, asked through the centre (NATS); None for that
+            of the server itself.
         answer: seconds after which a change without an answer has an unknown outcome.
         start: seconds for which a server that does not answer is asked again when the coordinator is opened; 0 for
             once. Servers that were started just now have to elect a leader.
@@ -44,6 +46,7 @@ class CoordinatorOptions:
     certificate: str | None = None
     key: str | None = None
     replicas: int = 1
+    domain: str | None = None
     answer: float = 2.5
     start: float = 30.0
 
