@@ -6,6 +6,7 @@ The checks are `busway.apps.check`; here are their arguments, what is printed wh
 import json
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import typer
@@ -80,6 +81,7 @@ def check(
     dialer = dialer_for(endpoint)
     chosen = _level(level)
     target = _target(dialer.framing, dialer.has_connections, unit, probe, scratch, kind)
+    target = replace(target, is_secure=endpoint.carrier == "tls")
     files = _report_files(report)
     before = {} if baseline is None else _baseline(baseline)
     checks = checks_for(target, chosen, [] if only is None else [name.strip() for name in only.split(",")])
@@ -127,9 +129,7 @@ def _target(
     low, high = (0, 255) if framing == "mbap" else (1, LAST_SERIAL_UNIT)
     number = (255 if framing == "mbap" else 1) if unit is None else whole_number(unit, "--unit", low, high)
     registers, coils = _scratch(scratch)
-    return Target(
-        framing, has_connections, number, _items(probe, "--probe", 1), registers, coils, regular=kind == "regular"
-    )
+    return Target(framing, has_connections, number, _items(probe, "--probe", 1), registers, coils)
 
 
 def _items(text: str, key: str, count: int) -> "Items":

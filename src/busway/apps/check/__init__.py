@@ -7,12 +7,14 @@
 `frames`      Frames of checks: requests as bytes, also damaged ones, and replies found in what was received
 `judgement`   Judges what came back for a request: which facets of the exchange are wrong
 `wire`        Connections over which checks send bytes as they are: TCP, TLS and serial ports
+`tls_wire`    Connections whose TLS handshake a secure device must refuse: old versions, weak suites, no certificate
 `run`         Runs checks against a device, one after the other, and says what came of each
 `summary`     What came of a run: counts, comparison with an earlier run, and whether the device passed
 `reports`     Reports of a run: Markdown, JSON, JUnit XML and HTML
 ============  ==========================================================================================
 
-Pure are `check`, `catalogue`, `frames`, `judgement` and `summary`; `wire` has the sockets and ports, `run` the clock.
+Pure are `check`, `catalogue`, `frames`, `judgement` and `summary`; `wire` and `tls_wire` have the sockets and ports,
+`run` the clock.
 
 Where it is decided: what is sent for a clause and what is accepted: `catalogue`. Whether a reply is right: `judgement`.
 How a frame is damaged: `frames`. Whether a device has died, and what is restored: `run`. Whether a run has failed:

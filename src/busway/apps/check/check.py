@@ -86,6 +86,18 @@ class FrameDamage(Enum):
     LOWER_CASE = "its digits are in lower case"
 
 
+class TlsChange(Enum):
+    """How a connection differs from the one that a device has to accept, on purpose."""
+
+    PLAIN = "without TLS"
+    TLS_1_0 = "by TLS 1.0"
+    TLS_1_1 = "by TLS 1.1"
+    SHA_1 = "with suites of SHA-1 alone"
+    NO_ENCRYPTION = "with suites without encryption alone"
+    NO_CERTIFICATE = "without a certificate"
+    FOREIGN_CERTIFICATE = "with a certificate of an unknown authority"
+
+
 @dataclass(frozen=True, slots=True)
 class Accepts:
     """What may come back for one request.
@@ -158,9 +170,10 @@ class Reopen:
 
 @dataclass(frozen=True, slots=True)
 class BesideIt:
-    """Ask over a second connection while the first stays open."""
+    """Ask over a second connection while the first stays open; ``change`` is what differs in its handshake."""
 
     ask: Ask
+    change: TlsChange | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +250,7 @@ class Target:
         unit: the unit that is checked.
         probe: one item that can be read at any time.
         registers, coils: items that may be written; None for none.
-        regular: whether the regular class of a serial line is asked for.
+        is_secure: whether it is reached over TLS.
     """
 
     framing: str
@@ -246,7 +259,7 @@ class Target:
     probe: Items
     registers: Items | None = None
     coils: Items | None = None
-    regular: bool = False
+    is_secure: bool = False
 
 
 @dataclass(frozen=True, slots=True)

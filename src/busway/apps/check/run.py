@@ -38,10 +38,12 @@ from .check import (
     Step,
     Strength,
     Target,
+    TlsChange,
     Together,
 )
 from .frames import Frame, encode_frame, new_search
 from .judgement import CheckedExchange, Finding, is_refused_function, judge
+from .tls_wire import CannotOffer
 from .wire import Dialer, Wire
 
 _OVERLOOKED: Final = frozenset({Facet.UNIT, Facet.PROTOCOL})
@@ -116,9 +118,12 @@ class _Conversation:
         self.open()
         self._dialer.sleep(self._pace.idle)
 
-    def second(self) -> "_Conversation":
+    def second(self, change: TlsChange | None = None) -> "_Conversation":
         """Return another conversation with the same device, not yet open."""
-        return _Conversation(self._dialer, self._target, self._pace)
+        if change is None:
+            return _Conversation(self._dialer, self._target, self._pace)
+        self._tell(f"a connection {change.value} is made")
+        return _Conversation(self._dialer.changed(change), self._target, self._pace)
 
     # Evidence.
 
@@ -370,7 +375,10 @@ class CheckRun:
             return Result(check, Outcome.UNDECIDED, f"it needs function {missing[0]}, which cannot be relied on")
         evidence: tuple[Evidence, ...] = ()
         try:
-            outcome, reason = self._judged(check)
+            try:
+                outcome, reason = self._judged(check)
+            except CannotOffer as error:
+                outcome, reason = Outcome.UNDECIDED, str(error)
             evidence = self._talk.take_evidence()
             if check.facet is None:
                 alive = self._alive(check, outcome, reason)
@@ -447,13 +455,13 @@ class CheckRun:
                 talk.reopen()
             case CutOff(pdu, size):
                 talk.cut_off(pdu, size)
-            case BesideIt(ask):
-                yield self._asked_beside(ask)
+            case BesideIt(ask, change):
+                yield self._asked_beside(ask, change)
 
-    def _asked_beside(self, ask: Ask) -> CheckedExchange:
-        """Ask over a second connection, while the first stays open."""
+    def _asked_beside(self, ask: Ask, change: TlsChange | None) -> CheckedExchange:
+        """Ask over a second connection, while the first stays open. Raises `CannotOffer`."""
         self._talk.open()
-        second = self._talk.second()
+        second = self._talk.second(change)
         try:
             return second.ask(ask)
         except LinkDown:

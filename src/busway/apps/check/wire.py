@@ -14,6 +14,7 @@ from ...errors import ConfigError, LinkDown
 from ...options.endpoints import Endpoint
 from ...transport.serial.waiting import wait_ready
 from ...transport.tcp import link_down
+from .check import TlsChange
 
 _RECEIVE_SIZE = 65_536
 
@@ -45,6 +46,9 @@ class Dialer(Protocol):
 
     def sleep(self, seconds: float) -> None:
         """Let time pass, in which the device may do something."""
+
+    def changed(self, change: TlsChange) -> "Dialer":
+        """Return what opens connections with a changed handshake; raises `CannotOffer` when it opens one it cannot."""
 
 
 def dialer_for(url: str | Endpoint, options: Mapping[str, object] | None = None) -> "NetworkDialer | SerialDialer":
@@ -90,9 +94,35 @@ class NetworkDialer(_RealTime):
         else:
             self._connector = TcpConnector(endpoint, settings.sockets, interface=settings.management.interface)
 
+        self._settings = settings
+
     def open(self) -> "NetworkWire":
         """Open a connection. Raises `LinkDown`."""
         return NetworkWire(self._connector.dial(), self._url)
+
+    def changed(self, change: TlsChange) -> "Dialer":
+        """Return what opens connections with a changed handshake."""
+        return _ChangedDialer(self._settings, change)
+
+
+class _ChangedDialer(_RealTime):
+    """Opens connections with a changed TLS handshake."""
+
+    has_connections = True
+
+    def __init__(self, settings: LinkSettings, change: TlsChange) -> None:
+        self.framing: str = settings.endpoint.framing
+        self._settings, self._change = settings, change
+
+    def open(self) -> "NetworkWire":
+        """Open a connection. Raises `LinkDown`, and `CannotOffer` where this machine cannot make it."""
+        from .tls_wire import changed_channel
+
+        return NetworkWire(changed_channel(self._settings, self._change), self._settings.endpoint.url)
+
+    def changed(self, change: TlsChange) -> "Dialer":
+        """Return what opens connections with another changed handshake."""
+        return _ChangedDialer(self._settings, change)
 
 
 class NetworkWire:
@@ -154,6 +184,10 @@ class SerialDialer(_RealTime):
         self.framing: str = settings.endpoint.framing
         self._path = settings.endpoint.path
         self._port = settings.line.port
+
+    def changed(self, change: TlsChange) -> "Dialer":
+        """Return this dialer: a serial line has no handshake."""
+        return self
 
     def open(self) -> "SerialWire":
         """Open the port. Raises `LinkDown`; `ConfigError` if the port cannot be set so."""

@@ -6,6 +6,7 @@
 `diagnostics`  Checks of diagnostics (08) and of functions that do not exist
 `writes`       Checks of the functions that write: 05, 06, 15, 16, 22 and 23
 `streams`      Checks of the stream of Modbus on TCP/IP and of connections
+`handshakes`   Checks of Modbus/TCP Security: connections that must not lead to an answer
 `lines`        Checks of serial lines: damaged frames, other units, broadcasts
 `words`        Short ways to write checks: what is accepted, and PDUs from numbers
 =============  =====================================================================================
@@ -21,6 +22,7 @@ from ..check import Check, Level, Target
 from ..run import probe_of
 from .basics import basic_checks
 from .diagnostics import diagnostic_checks
+from .handshakes import handshake_checks
 from .lines import line_checks
 from .reads import read_checks
 from .streams import stream_checks
@@ -41,6 +43,7 @@ def checks_for(target: Target, level: Level, only: Collection[str] = ()) -> list
     probe, longer = probe_of(target), probe_of(target, 2)
     checks = basic_checks(target, probe) + read_checks(target)
     checks += stream_checks(target, probe) if target.framing == "mbap" else line_checks(target, probe, longer)
+    checks += handshake_checks(probe) if target.is_secure else []
     checks += diagnostic_checks(target) + write_checks(target)
     known = {name for one in checks for name in (one.id, one.clause)}
     unknown = sorted(set(only) - known)

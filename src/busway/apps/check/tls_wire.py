@@ -1,0 +1,124 @@
+"""Connections whose TLS handshake a secure device must refuse: old versions, weak suites, no certificate.
+
+Knows sockets and TLS contexts; knows no request. What this machine's TLS library cannot offer is said, not guessed.
+"""
+
+import socket
+import ssl
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Final
+
+from ...client.settings import LinkSettings
+from ...errors import LinkDown, MissingExtra
+from ...transport.tcp import link_down
+from ...transport.tls.context import client_context
+from .check import TlsChange
+
+_VERSIONS: Final = {TlsChange.TLS_1_0: ssl.TLSVersion.TLSv1, TlsChange.TLS_1_1: ssl.TLSVersion.TLSv1_1}
+_SUITES: Final = {
+    TlsChange.SHA_1: "ECDHE-ECDSA-AES128-SHA:ECDHE-RSA-AES128-SHA:AES128-SHA:@SECLEVEL=0",
+    TlsChange.NO_ENCRYPTION: "eNULL:@SECLEVEL=0",
+}
+_NOT_HERE: Final = frozenset(
+    {"NO_PROTOCOLS_AVAILABLE", "NO_CIPHERS_AVAILABLE", "NO_CIPHER_MATCH", "UNSUPPORTED_PROTOCOL"}
+)
+
+
+class CannotOffer(Exception):
+    """Error: this machine cannot make such a handshake, so nothing can be said about the device."""
+
+
+def changed_channel(settings: LinkSettings, change: TlsChange) -> "socket.socket | ChangedChannel":
+    """Connect to a device over TCP and make a changed handshake; returns a channel that does not block.
+
+    Raises:
+        LinkDown: the device cannot be reached, or refuses the handshake.
+        CannotOffer: it cannot be tried here.
+    """
+    endpoint, limit = settings.endpoint, settings.sockets.connect_timeout
+    context = None if change is TlsChange.PLAIN else _context(settings, change)
+    try:
+        plain = socket.create_connection((endpoint.host or "127.0.0.1", endpoint.port or 0), limit)
+    except OSError as error:
+        raise link_down(error, endpoint=endpoint.url) from error
+    if context is None:
+        plain.setblocking(False)
+        return plain
+    assert settings.security is not None
+    try:
+        channel = context.wrap_socket(plain, server_hostname=settings.security.server_name or endpoint.host)
+    except OSError as error:
+        plain.close()
+        if isinstance(error, ssl.SSLError) and error.reason in _NOT_HERE:
+            raise CannotOffer(f"the TLS library of this machine offers no connection {change.value}") from error
+        raise LinkDown(f"the handshake is refused: {error}", endpoint=endpoint.url) from error
+    channel.setblocking(False)
+    return ChangedChannel(channel)
+
+
+def _context(settings: LinkSettings, change: TlsChange) -> ssl.SSLContext:
+    assert settings.security is not None
+    if change in (TlsChange.NO_CERTIFICATE, TlsChange.FOREIGN_CERTIFICATE):
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        if change is TlsChange.FOREIGN_CERTIFICATE:
+            _load_foreign(context)
+        return context
+    context = client_context(settings.security)
+    try:
+        if change in _VERSIONS:
+            context.set_ciphers("ALL:@SECLEVEL=0")
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # that it is old is what this is about
+                context.minimum_version = context.maximum_version = _VERSIONS[change]
+        else:
+            context.maximum_version = ssl.TLSVersion.TLSv1_2
+            context.set_ciphers(_SUITES[change])
+    except (ssl.SSLError, ValueError) as error:
+        raise CannotOffer(f"the TLS library of this machine offers no connection {change.value}: {error}") from error
+    return context
+
+
+def _load_foreign(context: ssl.SSLContext) -> None:
+    """Load a certificate of an authority that was made for this alone."""
+    try:
+        from ...transport.tls.certificates.authority import Authority
+
+        issued = Authority.create("busway check").client("busway check")
+    except (ImportError, MissingExtra) as error:
+        raise CannotOffer(f"a foreign certificate cannot be made: {error}") from error
+    with tempfile.TemporaryDirectory() as folder:
+        certificate, key = Path(folder) / "certificate.pem", Path(folder) / "key.pem"
+        issued.write(certificate, key)
+        context.load_cert_chain(certificate, key)
+
+
+class ChangedChannel:
+    """A connection over TLS whose socket does not block."""
+
+    def __init__(self, channel: ssl.SSLSocket) -> None:
+        self._channel = channel
+
+    def fileno(self) -> int:
+        """Return the number of the socket."""
+        return self._channel.fileno()
+
+    def recv_into(self, buffer: bytearray, /) -> int:
+        """Receive bytes; raises `BlockingIOError` while there are none."""
+        try:
+            return self._channel.recv_into(buffer)
+        except (ssl.SSLWantReadError, ssl.SSLWantWriteError) as error:
+            raise BlockingIOError from error
+
+    def send(self, data: bytes, /) -> int:
+        """Send bytes; raises `BlockingIOError` while none are taken."""
+        try:
+            return self._channel.send(data)
+        except (ssl.SSLWantReadError, ssl.SSLWantWriteError) as error:
+            raise BlockingIOError from error
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._channel.close()

@@ -1,0 +1,103 @@
+"""Checks of TLS against a server that takes what it must refuse: each is about one thing, and only that fails."""
+
+import contextlib
+import socket
+import ssl
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from checked_device import target_of
+
+from busway.apps.check.catalogue import checks_for
+from busway.apps.check.catalogue.handshakes import handshake_checks
+from busway.apps.check.check import Level, Outcome, Result, TlsChange
+from busway.apps.check.run import CheckRun, Pace, probe_of
+from busway.apps.check.wire import dialer_for
+from busway.testing.certificates import CertificateStore
+
+PACE = Pace(timeout=60, quiet=0.05, idle=0.05)
+
+
+@contextlib.contextmanager
+def served(context: ssl.SSLContext) -> Iterator[int]:
+    """Yield the port of a server that ends TLS as this context does, and answers each read with a zero."""
+    listening = socket.create_server(("127.0.0.1", 0))
+    threads: list[threading.Thread] = []
+
+    def talk(plain: socket.socket) -> None:
+        with plain, contextlib.suppress(OSError), context.wrap_socket(plain, server_side=True) as channel:
+            while len(asked := channel.recv(12)) == 12:
+                channel.sendall(asked[:4] + bytes((0, 5, asked[6], asked[7], 2, 0, 0)))
+
+    def accept() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                threads.append(threading.Thread(target=talk, args=(listening.accept()[0],)))
+                threads[-1].start()
+
+    accepting = threading.Thread(target=accept)
+    accepting.start()
+    try:
+        yield listening.getsockname()[1]
+    finally:
+        listening.shutdown(socket.SHUT_RDWR)
+        listening.close()
+        for each in (accepting, *threads):
+            each.join(60)
+
+
+def run(port: int, store: CertificateStore) -> dict[str, Result]:
+    """All results of the checks of TLS, by name."""
+    url = f"tls://127.0.0.1:{port}?{store.client().query()}"
+    target = replace(target_of("mbap", 1), is_secure=True)
+    results = CheckRun(dialer_for(url), target, PACE).results(handshake_checks(probe_of(target)))
+    return {one.check.id: one for one in results}
+
+
+def new_context(store: CertificateStore) -> ssl.SSLContext:
+    files = store.server()
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(files.certificate, files.key)
+    context.load_verify_locations(files.authority)
+    context.verify_mode = ssl.CERT_REQUIRED
+    return context
+
+
+def test_a_server_that_asks_for_no_certificate_fails_what_is_about_it(tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    context = new_context(store)
+    context.verify_mode = ssl.CERT_NONE
+    with served(context) as port:
+        results = run(port, store)
+    found = {name: one.outcome for name, one in results.items() if one.outcome is not Outcome.PASSED}
+    found.pop("tls-sha-1", None)  # what a plain context takes depends on the library
+    assert found == {"tls-no-certificate": Outcome.FAILED, "tls-foreign": Outcome.FAILED}
+    assert any("a connection without a certificate" in each.words for each in results["tls-no-certificate"].evidence)
+
+
+def test_weak_suites_that_a_server_takes_are_found(tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    context = new_context(store)
+    context.set_ciphers("ALL:eNULL:@SECLEVEL=0")
+    with served(context) as port:
+        results = run(port, store)
+    found = {name: one.outcome for name, one in results.items() if one.outcome is not Outcome.PASSED}
+    assert found["tls-sha-1"] is Outcome.FAILED
+    assert found.keys() <= {"tls-sha-1", "tls-no-encryption", "tls-1.0", "tls-1.1"}
+
+
+def test_a_device_over_tls_alone_has_them() -> None:
+    target = target_of("mbap")
+    plain = {one.id for one in checks_for(target, Level.DISRUPTIVE)}
+    secure = {one.id for one in checks_for(replace(target, is_secure=True), Level.DISRUPTIVE)}
+    assert len(secure - plain) == len(TlsChange)
+    assert not {one.id for one in checks_for(replace(target, is_secure=True), Level.READ)} & (secure - plain)
+
+
+@pytest.mark.parametrize("change", TlsChange)
+def test_a_serial_line_has_no_handshake_to_change(change: TlsChange) -> None:
+    dialer = dialer_for("rtu:///dev/busway-none?baud=9600")
+    assert dialer.changed(change) is dialer
