@@ -2,6 +2,7 @@
 
 import contextlib
 import sqlite3
+import threading
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -58,6 +59,31 @@ async def test_a_running_collector_takes_links_that_come_and_leaves_links_that_g
         assert one.ownership.revision_of(commit + 1) == revision
         again = await applied(table, tmp_path, devices)
         await until(lambda: one.revision == again and goes.reads > reads, 60)
+
+
+async def test_no_sample_of_the_configuration_before_has_the_newer_revision(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with devices_of(2) as devices, running(tmp_path, devices) as (table, one):
+        await until(lambda: all(device.reads > 1 for device in devices), 60)
+        honest, recording, recorded = one.ownership.set_configuration, threading.Event(), threading.Event()
+
+        def set_configuration(revision: int, commit: int) -> None:
+            recording.set()
+            recorded.wait(60)
+            honest(revision, commit)
+
+        monkeypatch.setattr(one.ownership, "set_configuration", set_configuration)
+        file = tmp_path / "plant.toml"
+        file.write_text(plant(tmp_path / "one", devices).replace("timeout = 0.5", "timeout = 0.4", 1))
+        revision = await apply_configuration(table, str(file))
+        await until(recording.is_set, 60)
+        changed, other = (device.reads for device in devices)
+        await until(lambda: devices[1].reads > other + 3, 60)  # it stays as it is, and is polled meanwhile
+        reads = devices[0].reads
+        recorded.set()
+        assert reads == changed, "it was read between the last commit of the old revision and the new one"
+        await until(lambda: one.revision == revision and devices[0].reads > changed, 60)
 
 
 async def test_what_is_refused_changes_nothing_and_is_told(tmp_path: Path) -> None:

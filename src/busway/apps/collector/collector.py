@@ -519,7 +519,7 @@ class Collector:
         assert self._committer is not None
         self.configuration = configuration
         done: list[str] = []
-        changed = [name for name, link in self._links.items() if link.key != _key_of(configuration, name)]
+        changed = sorted(self.changed_links(configuration))
         for name in changed:  # before anything is awaited: no command of a new point goes to a device of before
             self._links[name].poller.finish()
         await asyncio.gather(*(self._finish_link(name) for name in changed))
@@ -540,6 +540,10 @@ class Collector:
                 done.append(f"link {name} {'began anew' if name in changed else 'began'}")
         self._end_maintenance_of_others()
         return done
+
+    def changed_links(self, configuration: CollectorConfiguration) -> frozenset[str]:
+        """Return the links that are polled now and that a reload with another configuration ends or begins anew."""
+        return frozenset(name for name, link in self._links.items() if link.key != _key_of(configuration, name))
 
     def _end_maintenance_of_others(self) -> None:
         """End the maintenance of devices that are no longer in the configuration."""

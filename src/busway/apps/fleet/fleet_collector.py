@@ -14,7 +14,8 @@ Knows the collector, the member and the log of ownership; what is owned is decid
    the command came: page, HTTP, MQTT, NATS. A message with a command is executed and answered by the owner of its link;
    with `zone` a server gives it to one collector, which passes it on.
 6. Where it was started with a revision, another configuration of the zone is taken when it comes, as a whole: one that
-   is refused, by its check or because a sink is another, changes nothing and is told. The store stays the one with
+   is refused, by its check or because a sink is another, changes nothing and is told. Links that it changes stop before
+   the last commit of the old one: no sample has a revision that it was not taken by. The store stays the one with
    which the collector was started, whatever the new configuration names.
 """
 
@@ -292,16 +293,18 @@ class FleetCollector:
         newer, revision = taken = self._newer
         gone = [link for link in self._active if link not in newer.links]
         self._gone.update((link, self._active.pop(link)) for link in gone)
-        if gone:
-            await self._poll_active()
+        changed = self.collector.changed_links(newer)
+        if changed:  # they stop before the flush: what they take later is of the newer configuration
+            staying = self._active.keys() - changed
+            await self.collector.reload(restricted(self._configuration, staying), by=self.member.name, origin="fleet")
         await self.collector.flush()
         commit = self.collector.newest_commit
         for link, epoch in list(self._gone.items()):
             await asyncio.to_thread(self.ownership.end, [link], epoch, commit, time.time_ns())
             del self._gone[link]
+        await asyncio.to_thread(self.ownership.set_configuration, revision, commit)
         self._set_configuration(newer)
         self.revision = revision
-        await asyncio.to_thread(self.ownership.set_configuration, revision, commit)
         for shard, owned in list(self.member.owned.items()):
             fresh = [link for link in self._links_of.get(shard, ()) if link not in self._active]
             if fresh and owned.leaving is None:
@@ -345,6 +348,7 @@ class FleetCollector:
                 assert self._newer is not None
                 self.refused = f"revision {self._newer[1]} waits: what is owned cannot be recorded: {error}"
                 _log.error("%s", self.refused)
+                await self._poll_active()  # also links that were stopped for the change
                 asyncio.get_running_loop().call_later(RECORD_AGAIN, self._wake.set)
             else:
                 if self._newer is None and self.refused is not None and " waits: " in self.refused:
