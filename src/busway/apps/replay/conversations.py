@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-from ...codes import Table
+from ...codes import TABLE_SIZE, Table
 from ...observe.pairing import ResponseTimes
 from ...pdu.message import Request
 from .exchanges import CapturedExchange, Trouble, TroubleKind
@@ -80,7 +80,8 @@ class CapturedConversation:
         if isinstance(exchange.request, Request):
             tables = self.items.setdefault(code, {})
             for span in exchange.request.spans():
-                tables.setdefault(span.table, ItemRanges()).add(span.address, span.count)
+                inside = min(span.count, TABLE_SIZE - span.address)
+                tables.setdefault(span.table, ItemRanges()).add(span.address, inside)
         if exchange.answered is None:
             return
         self.last = max(self.last, exchange.answered.time)

@@ -173,14 +173,17 @@ def _place(request: AnyRequest | None) -> str:
     )
 
 
-def _decoded(asked: CapturedFrame) -> tuple[AnyRequest, list[Trouble]]:
+def _decoded(asked: CapturedFrame) -> tuple[AnyRequest | None, list[Trouble]]:
+    if not 0 < asked.pdu[0] < 0x80:
+        text = f"a request has a function code 1…127, not {asked.pdu[0]}"
+        return None, [Trouble(TroubleKind.BAD_REQUEST, asked.packet, asked.time, text)]
     request = STANDARD.decode_request(asked.pdu)
     if isinstance(request, MalformedRequest):
         return request, [Trouble(TroubleKind.BAD_REQUEST, asked.packet, asked.time, request.reason)]
     return request, []
 
 
-def _reply_to(request: AnyRequest, answered: CapturedFrame) -> tuple[Message | None, list[Trouble]]:
+def _reply_to(request: AnyRequest | None, answered: CapturedFrame) -> tuple[Message | None, list[Trouble]]:
     """Return the decoded reply, and what does not fit the request."""
     try:
         reply = STANDARD.decode_reply(answered.pdu)
@@ -207,7 +210,7 @@ class _Waiting:
     """A request that waits for its reply, what is wrong with it, and whether the capture lacks bytes of replies."""
 
     asked: CapturedFrame
-    request: AnyRequest
+    request: AnyRequest | None
     troubles: list[Trouble]
     lacks_bytes: bool = False
 

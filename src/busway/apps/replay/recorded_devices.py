@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any, Final
 
-from ...codes import ExceptionCode, FunctionCode, Table, function_name
+from ...codes import TABLE_SIZE, ExceptionCode, FunctionCode, Table, function_name
 from ...config.files.device import OBJECT_NUMBERS
 from ...config.files.fault_sections import FaultSection
 from ...config.files.simulation import SimulatedUnitSection
@@ -221,6 +221,8 @@ class _RecordedUnit:
         if exchange.seconds is not None and len(self._times) < _MOST_TIMES:
             self._times.append(exchange.seconds)
         spans = request.spans() if isinstance(request, Request) else ()
+        if any(span.address + span.count > TABLE_SIZE for span in spans):
+            return  # beyond the table, where there is nothing on the simulator either
         key = asked.pdu[0], spans
         if exchange.exception is not None:
             is_request = isinstance(request, Request) or asked.pdu[0] not in STANDARD
