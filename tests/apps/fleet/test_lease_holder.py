@@ -108,6 +108,34 @@ def test_a_second_process_of_the_same_name_owns_nothing_while_the_first_lives() 
     assert second.member.rival is None
 
 
+def test_a_table_that_is_read_anew_again_and_again_does_not_keep_a_collector_from_its_name() -> None:
+    """As where heartbeats of a watch are missing, so that it begins anew every four seconds."""
+    times = LeaseTimes()
+    member = FleetMember("west", "run", "west", times, random.Random(1), shards=4)
+    dead = Entry("member.west", MemberRecord("west", "another run", "west", 5).encode(), 8)
+    begin = now = 100.0
+    while now < begin + 60.0:
+        member.begin_snapshot()
+        member.entry(dead, now)
+        member.end_snapshot(now)
+        for _ in range(40):
+            if "member.west" in proposed(member, now):
+                assert times.free_at(begin) <= now <= times.free_at(begin) + 5.0
+                return
+            now += 0.1
+    raise AssertionError("the name of a process that has ended is never taken")
+
+
+def test_an_older_record_of_another_process_does_not_take_the_name_back() -> None:
+    member = alone()
+    first = proposed(member, 0.0)
+    member.outcome(first["member.west"], 9, 0.0)
+    member.entry(Entry("member.west", MemberRecord("west", "another run", "west", 5).encode(), 8), 1.0)
+    assert member.rival is None
+    member.entry(Entry("member.west", MemberRecord("west", "another run", "west", 6).encode(), 10), 2.0)
+    assert member.rival == "another run"
+
+
 def test_a_renewal_without_an_answer_is_none() -> None:
     world = settled(1)
     member = world.drivers["c0"].member

@@ -351,8 +351,10 @@ class FleetMember:
         name = entry.key[len(MEMBERS) :]
         record = decode_member(entry.value) if entry.value else None
         if name == self.name:
-            self._my_revision = max(self._my_revision, entry.revision)
             other = record is not None and record.run != self._me.run and not record.gone
+            if other and entry.revision <= self._my_revision:
+                return  # the table is read anew: that process has not renewed, and is waited for no longer than before
+            self._my_revision = max(self._my_revision, entry.revision)
             if other and record is not None:
                 self.rival = record.run
                 self._my_asked = None
