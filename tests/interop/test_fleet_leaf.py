@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, find_bucket
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, open_coordinator
 from busway.apps.fleet.lease_driver import end_tasks
-from busway.apps.fleet.streams import StreamOptions, StreamSink, make_audit_stream, make_stream
+from busway.apps.fleet.streams import SinkLag, StreamOptions, StreamSink, make_audit_stream, make_stream, sink_lags
 from busway.cli.fleet_servers import write_server_files
 
 pytest.importorskip("nats")
@@ -107,4 +108,15 @@ async def test_an_edge_site_stores_while_it_is_cut_off_and_the_centre_has_every_
         assert await names_in(far.client, "busway-samples-yard") == sent, "every message, in order, none twice"
         await send(5)
         await until_taken(55)
+        assert (await sink_lags(far.client, far, "yard"))["broker"] == SinkLag(0, 0.0)
+        await end_tasks([task])
+        await send(3)
+        while True:
+            lag = (await sink_lags(far.client, far, "yard", lambda: time.time() + 100))["broker"]
+            if lag.messages == 3:
+                break
+            await asyncio.sleep(0.05)
+        assert lag.seconds is not None
+        assert lag.seconds >= 100, "the age of the oldest that it has not taken"
+        assert (await sink_lags(reading.client, reading, "yard"))["broker"] == SinkLag(3, None), "not for the sink"
         assert await names_in(far.client, "busway-samples-yard") == sent

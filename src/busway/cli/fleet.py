@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from ..apps.fleet.coordinators.opening import CoordinatorOptions
     from ..apps.fleet.fleet_collector import FleetCollector
     from ..apps.fleet.fleet_status import ZoneStatus
+    from ..apps.fleet.streams import SinkLag
 
 EXAMPLES = """\b
 Examples:
@@ -419,18 +420,25 @@ async def _show_status(table: "Coordinator", zone: str, *, as_json: bool) -> Non
             ]
         )
     if lags:
-        print_aligned([["sink", "messages behind"], *([name, str(behind)] for name, behind in lags.items())])
+        rows = [[name, str(lag.messages), _age_text(lag)] for name, lag in lags.items()]
+        print_aligned([["sink", "messages behind", "oldest waits"], *rows])
 
 
-async def _sink_lags(table: "Coordinator", zone: str) -> dict[str, int]:
-    """Return by sink how many messages of the zone's stream wait for it; nothing where there is no stream."""
+def _age_text(lag: "SinkLag") -> str:
+    if not lag.messages:
+        return "-"
+    return "unknown" if lag.seconds is None else f"{lag.seconds:.1f} s"
+
+
+async def _sink_lags(table: "Coordinator", zone: str) -> "dict[str, SinkLag]":
+    """Return by sink what of the zone's stream waits for it; nothing where there is no stream."""
     from ..apps.fleet.streams import sink_lags
 
     client = getattr(table, "client", None)
     return {} if client is None else await sink_lags(client, table, zone)
 
 
-def _print_json(status: "ZoneStatus", lags: dict[str, int]) -> None:
+def _print_json(status: "ZoneStatus", lags: "dict[str, SinkLag]") -> None:
     print_json(
         {
             "configuration": status.configuration,
@@ -441,7 +449,10 @@ def _print_json(status: "ZoneStatus", lags: dict[str, int]) -> None:
                  "problem": each.record.problem, "shards": list(each.shards)}
                 for each in status.members.values()
             ],
-            "sinks": {name: {"messages_behind": behind} for name, behind in lags.items()},
+            "sinks": {
+                name: {"messages_behind": lag.messages, "oldest_waits_seconds": lag.seconds}
+                for name, lag in lags.items()
+            },
             "shards": {
                 shard: {"owner": each.owner if each.held else None, "epoch": str(each.epoch) if each.epoch else None}
                 for shard, each in status.leases.items()

@@ -13,6 +13,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
@@ -257,20 +258,38 @@ class CursorBook:
                 self.take(entry)
 
 
-async def sink_lags(client: Any, coordinator: Coordinator, zone: str) -> dict[str, int]:
-    """Return by sink how many messages of the stream it has not taken; empty where the zone has no stream.
+@dataclass(frozen=True, slots=True)
+class SinkLag:
+    """How far one sink is behind the stream.
+
+    Attributes:
+        messages: that it has not taken.
+        seconds: the age of the oldest of them, by the clocks of the server and of this machine; 0 where it has all,
+            None where it is not known: the credentials do not permit to read the stream, or it has dropped the message.
+    """
+
+    messages: int
+    seconds: float | None
+
+
+async def sink_lags(
+    client: Any, coordinator: Coordinator, zone: str, now: Callable[[], float] = time.time
+) -> dict[str, SinkLag]:
+    """Return by sink how far it is behind the stream; empty where the zone has no stream.
 
     Args:
         client: of nats-py, connected.
         coordinator: the coordinator of the zone.
         zone: its name.
+        now: seconds since 1970 UTC.
 
     Raises:
         StreamDown: the server does not answer.
     """
     nats, errors = import_module("nats"), import_module("nats.js.errors")
+    stream = f"busway-samples-{zone}"
     try:
-        info = await client.jetstream(timeout=10.0).stream_info(f"busway-samples-{zone}")
+        info = await client.jetstream(timeout=10.0).stream_info(stream)
     except errors.NotFoundError:
         return {}
     except (nats.errors.Error, OSError, TimeoutError) as error:
@@ -281,8 +300,28 @@ async def sink_lags(client: Any, coordinator: Coordinator, zone: str) -> dict[st
             if entry is SNAPSHOT_ENDS:
                 break
             book.take(entry)
-    newest = int(info.state.last_seq)
-    return {name: max(0, newest - sequence) for name, sequence in book.positions().items()}
+    first, newest = int(info.state.first_seq), int(info.state.last_seq)
+    times: dict[int, float | None] = {}
+    found: dict[str, SinkLag] = {}
+    for name, sequence in book.positions().items():
+        behind, oldest = max(0, newest - sequence), max(first, sequence + 1)
+        if behind and oldest not in times:
+            times[oldest] = await _stored_at(client, stream, oldest)
+        at = times.get(oldest)
+        age = None if at is None else max(0.0, now() - at)
+        found[name] = SinkLag(behind, age if behind else 0.0)
+    return found
+
+
+async def _stored_at(client: Any, stream: str, sequence: int) -> float | None:
+    """Return when a message was stored, in seconds since 1970 UTC; None if that cannot be had."""
+    nats = import_module("nats")
+    subject = f"$JS.API.STREAM.MSG.GET.{stream}"
+    try:
+        message = await asked(client, subject, client.jetstream(timeout=5.0).get_msg(stream, sequence))
+    except (nats.errors.Error, OSError, TimeoutError):
+        return None
+    return None if message.time is None else float(message.time.timestamp())
 
 
 class SinkProgress:
