@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from captured import Talk, pcap
 from collected import at, filled
 from control_sockets import short_directory
 
@@ -59,6 +60,9 @@ def plant(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Plant]:
     (folder / "policy.toml").write_text(POLICY, "utf-8")
     (folder / "collect.toml").write_text(COLLECTOR, "utf-8")
     (folder / "map.csv").write_text("name,address,type\nlevel,4x1,uint16\n", "utf-8")
+    talk = Talk()
+    talk.asks("0001 0000 0006 01 03 006b 0001")
+    (folder / "site.pcap").write_bytes(pcap(talk.packets))
     filled(folder / "data", 3).close(at(10))
     device = busway.Device(
         holding_registers=10, identification={0: "Größe AG", 1: "\N{SNOWMAN}", 2: "1"}, server_id=b"caf\xc3\xa9\xff"
@@ -97,6 +101,7 @@ def runs(plant: Plant) -> dict[str, list[list[str]]]:
         "gateway": [["tcp://127.0.0.1:0", url, "--systemd-unit"]],
         "status": [[plant.status], [plant.status, "--json"]],
         "sniff": [["rtu+udp://127.0.0.1:0", "--for", "10ms", *how] for how in ([], ["--json"])],
+        "replay": [[str(folder / "site.pcap"), *how] for how in ([], ["--json"])],
         "decode": [["2b0e0101000001000547 72 c3b6 df".replace(" ", "")], ["03006b0003", "--json"]],
         "config": [["schema"], ["show", str(folder / "plant.toml")]],
         "policy": [["check", str(folder / "policy.toml")]],
