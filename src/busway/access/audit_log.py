@@ -28,7 +28,7 @@ from ..options.declaration import declared
 from ..options.service import AuditParameters, OnFailure
 from ..options.text import build_parameters
 from ..safe_files import open_to_append
-from .denials import About, DenialLine, RepeatedDenials
+from .repeated_denials import About, DenialLine, RepeatedDenials
 
 _log = logging.getLogger("busway.audit")
 

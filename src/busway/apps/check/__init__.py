@@ -17,6 +17,6 @@ Pure are `check`, `catalogue`, `frames`, `judgement` and `summary`; `wire` and `
 `run` the clock.
 
 Where it is decided: what is sent for a clause and what is accepted: `catalogue`. Whether a reply is right: `judgement`.
-How a frame is damaged: `frames`. Whether a device has died, and what is restored: `run`. Whether a run has failed:
-`summary`.
+What that means for the check (passed, failed, warned, not offered): `run`. How a frame is damaged: `frames`. Whether a
+device has died, and what is restored: `run`. Whether a run has failed: `summary`.
 """

@@ -31,7 +31,7 @@ A gateway is a server whose responder hands each request to a link.
 Where it is decided: which upstream gets a request: `routes`. 0A or 0B when an upstream is down, silent or dies:
 `upstream_exception_codes`. Which values are still fresh enough to answer from memory, and whether a write forbids to
 share reads: `read_cache`. Whether the read of a client joins an equal one in flight or goes upstream itself (a priority
-host does not wait behind others): `shared_reads`. How long each client waits: `waiter_deadlines`. Broadcasts: `router`.
-Connecting again: `upstream` and `busway.session.reconnect`. Which sections a reload changes at once: `configuration`
-(``at_once``); how: `gateway`.
+host does not wait behind others): `shared_reads`. Whose request goes next on an upstream: `busway.session.queue`. How
+long each client waits: `waiter_deadlines`. Broadcasts: `router`. Connecting again: `upstream` and
+`busway.session.reconnect`. Which sections a reload changes at once: `configuration` (``at_once``); how: `gateway`.
 """

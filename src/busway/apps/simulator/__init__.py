@@ -15,12 +15,12 @@
 `simulated`        Data of a running simulation: a simulated point, its unit, and a change of its value
 `simulation`       A running simulation: units whose points follow their behaviours
 `state`            Saves the values of a simulation in a JSON file, so that it continues after a restart
-`writes`           Tells a simulation which of its points a Modbus client has written
+`write_watch`      Tells a simulation which of its points a Modbus client has written
 `behaviours`       Behaviours, which make simulated values change
 =================  ===================================================================================================
 
 Where it is decided: which point changes when, and in which order: `engine`. What a write by a client does to a point:
-`simulation`, told by `writes`. Where a point is in memory, and how it is encoded: `registers`. The value at a moment:
-`behaviours`. What is kept over a restart: `state`. What a clone leaves out: `clone`. Columns of a register map:
+`simulation`, told by `write_watch`. Where a point is in memory, and how it is encoded: `registers`. The value at a
+moment: `behaviours`. What is kept over a restart: `state`. What a clone leaves out: `clone`. Columns of a register map:
 `register_map`. Which parameters a fault has: `busway.faults.profiles`.
 """

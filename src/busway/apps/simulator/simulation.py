@@ -37,7 +37,7 @@ from .engine import Engine
 from .includes import SimulationDeclaration, load_declaration
 from .simulated import SIMULATION, PointChanged, SimulatedPoint, SimulatedUnit
 from .state import KeptPoint, KeptState, check_state, load_state, save_state
-from .writes import watch_writes
+from .write_watch import watch_writes
 
 if TYPE_CHECKING:
     from ...faults.fault import Faults

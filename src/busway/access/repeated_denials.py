@@ -1,6 +1,7 @@
 """Counts repeated denials of one client by one rule: the audit log gets the first at once, later only numbers.
 
-Pure: knows names and how to make a line; looks at no clock and writes nothing.
+Pure: knows names and how to make a line; looks at no clock and writes nothing. What a denial is, and with which code a
+request is refused, is decided by `authorizer`.
 
 1. Every denial is in a line: the sum of the lines and their counts is the number of denials.
 2. At most `MOST_APART` combinations are counted separately, the others together, because senders of datagrams can be
