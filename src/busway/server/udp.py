@@ -204,24 +204,20 @@ class _Socket(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
         """Answer a datagram, and those that wait behind it: the loop would wake up for each of them."""
-        self._answer(data, addr)
-        for _ in range(_MOST_AT_ONCE - 1):
-            if self._transport is None or self._transport.is_closing():
+        for left in range(_MOST_AT_ONCE - 1, -1, -1):
+            now = time.monotonic()
+            peer = self._listener.peer_of(self, data, addr, now)
+            if peer is not None:
+                peer.heard(data, now)
+                for reply in peer.session.receive(data, len(data)):
+                    peer.deliver(reply)
+                peer.attend()
+            if not left or self._transport is None or self._transport.is_closing():
                 return
             try:
                 data, addr = self._bound.recvfrom(_LONGEST)
             except OSError:
                 return  # no more; or an error of one peer, which does not concern the others
-            self._answer(data, addr)
-
-    def _answer(self, data: bytes, addr: Any) -> None:
-        now = time.monotonic()
-        peer = self._listener.peer_of(self, data, addr, now)
-        if peer is not None:
-            peer.heard(data, now)
-            for reply in peer.session.receive(data, len(data)):
-                peer.deliver(reply)
-            peer.attend()
 
     def error_received(self, exc: Exception) -> None:
         """Ignore a send error: one peer has gone, which does not concern the others."""

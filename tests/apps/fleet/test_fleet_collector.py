@@ -74,6 +74,27 @@ async def test_every_sample_has_the_epoch_in_which_it_was_taken(tmp_path: Path) 
     assert len(found) >= 10
 
 
+async def test_a_collector_of_which_a_part_has_ended_says_so_and_another_takes_its_links(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("busway.apps.fleet.fleet_collector.END_LIMIT", 0.1)
+    async with devices_of(2) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: all(device.reads > 3 for device in devices))
+        broken = asyncio.create_task(_breaks(), name="busway fleet links")
+        broken.add_done_callback(one._part_ended)
+        await asyncio.wait([broken])
+        await until(lambda: bool(one.problem))
+        assert "busway fleet links has ended: it cannot be; start this collector again" in one.problem
+        assert "collector one owns nothing" in caplog.text
+        async with fleet(tmp_path, "two", devices) as two:
+            await until(lambda: len(two.collector.loads()) == 2, 30)
+            assert all(each.done() for each in one._tasks)
+
+
+async def _breaks() -> None:
+    raise RuntimeError("it cannot be")
+
+
 async def test_a_lapsed_lease_sends_nothing_more_although_the_collector_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

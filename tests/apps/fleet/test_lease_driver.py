@@ -114,3 +114,26 @@ async def test_a_defect_of_a_coordinator_is_an_unknown_outcome_and_ends_nothing(
         monkeypatch.setattr(one.driver._coordinator, "replace", honest)
         renewals = one.member.counts.renewals
         await until(lambda: len(one.member.owned) == 8 and one.member.counts.renewals > renewals + 16)
+
+
+@pytest.mark.parametrize("error", [RuntimeError("a state that it cannot have"), asyncio.CancelledError()], ids=repr)
+async def test_a_watch_that_ends_by_a_defect_is_begun_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    async with running(f"local:{tmp_path}", "one") as one:
+        await until(lambda: len(one.member.owned) == 8)
+        assert one.driver is not None
+        taken_in = one.member.entry
+        left = [error]
+
+        def broken(*entry: object) -> None:
+            if left:
+                raise left.pop()
+            taken_in(*entry)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(one.member, "entry", broken)
+        await until(lambda: not left)
+        renewals = one.member.counts.renewals
+        await until(lambda: len(one.member.owned) == 8 and one.member.counts.renewals > renewals + 16)
+        async with running(f"local:{tmp_path}", "two") as two:
+            await until(lambda: {len(one.member.owned), len(two.member.owned)} == {4})

@@ -144,6 +144,8 @@ class FleetCollector:
         self._newer: tuple[CollectorConfiguration, int] | None = None
         self._gone: dict[str, Epoch] = {}
         self._wake = asyncio.Event()
+        self._defect = ""
+        self._is_ending = False
         self._tasks: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
@@ -175,6 +177,8 @@ class FleetCollector:
                 self._tasks.append(asyncio.create_task(self._follow(), name="busway fleet configuration"))
             if self.outbox is not None:
                 self._tasks.append(asyncio.create_task(self.outbox.run(), name="busway fleet outbox"))
+            for task in self._tasks:
+                task.add_done_callback(self._part_ended)
             unless_started.pop_all()
         return self
 
@@ -202,7 +206,7 @@ class FleetCollector:
     @property
     def problem(self) -> str:
         """Why this collector owns nothing, or its leases are not renewed; empty while all is well."""
-        return self._driver.problem
+        return self._defect or self._driver.problem
 
     @property
     def is_confirmed(self) -> bool:
@@ -319,7 +323,18 @@ class FleetCollector:
             self._newer = None
         _log.info("the configuration of revision %d holds", revision)
 
+    def _part_ended(self, task: asyncio.Task[None]) -> None:
+        """Let go of all links where a part of this collector has ended by a defect: their leases lapse."""
+        if self._is_ending or self._defect:
+            return
+        error = None if task.cancelled() else task.exception()
+        self._defect = f"{task.get_name()} has ended: {error or 'it was cancelled'}; start this collector again"
+        _log.error("collector %s owns nothing: %s", self.member.name, self._defect, exc_info=error)
+        for each in self._tasks:
+            each.cancel()
+
     async def _end_tasks(self) -> None:
+        self._is_ending = True
         await end_tasks(self._tasks)
 
     def _permit(self, link: str) -> None:

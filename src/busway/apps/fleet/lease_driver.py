@@ -5,6 +5,7 @@ Knows tasks and the clock; what is proposed, and what follows from an answer, is
 1. The fence of a transaction is `FleetMember.may_begin`, asked with `boot_time` right before bytes are sent. No task
    has to run first: a process that was frozen finds its leases lapsed, whatever runs first when it goes on.
 2. An error of the coordinator is an outcome that is not known. Nothing here ends for it.
+3. Where following the table ends by an error that a client library should not raise, it is logged, and followed anew.
 """
 
 import asyncio
@@ -12,7 +13,9 @@ import logging
 import time
 from collections.abc import Callable, Iterable
 from contextlib import aclosing
+from typing import Final
 
+from ...errors import ConfigError
 from .coordinator import (
     SNAPSHOT_BEGINS,
     SNAPSHOT_ENDS,
@@ -23,6 +26,8 @@ from .coordinator import (
 )
 from .lease_holder import FleetMember, NotConfirmed, Proposal, ShardEvent
 
+WATCH_AGAIN: Final = 0.5
+"""Seconds before the table is followed anew after an error that should not be."""
 _log = logging.getLogger("busway.fleet")
 
 
@@ -123,6 +128,22 @@ class MemberDriver:
         return True
 
     async def _watch(self) -> None:
+        while True:
+            try:
+                await self._follow_table()
+            except ConfigError:
+                raise
+            except Exception:  # a defect of a client library: else this collector would own nothing for good
+                _log.exception("the table of the zone cannot be followed; it is read anew")
+            except asyncio.CancelledError:
+                end_if_cancelled()
+                _log.error(
+                    "following the table of the zone was cancelled, though not by this collector; it is read anew"
+                )
+            self.member.begin_snapshot()
+            await asyncio.sleep(WATCH_AGAIN)
+
+    async def _follow_table(self) -> None:
         async with aclosing(self._coordinator.watch()) as entries:
             async for entry in entries:
                 if entry is SNAPSHOT_BEGINS:
