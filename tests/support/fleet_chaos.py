@@ -243,6 +243,7 @@ class Run:
             self._lay_out()
             self._start_engines()
             self._plant = self._started_plant()
+            self._plant.ready(READY_SECONDS)
             for name in COLLECTORS:
                 self._start_collector(name)
             if self.has_stream:

@@ -12,6 +12,7 @@ import signal
 import socket
 import subprocess
 import tempfile
+import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +22,8 @@ import pytest
 
 READY_SECONDS = 60.0
 _CHANCE = random.SystemRandom()  # tests that run beside this one must not choose the same
+_given: set[int] = set()
+_giving = threading.Lock()
 
 
 def needed(name: str, *places: str) -> str:
@@ -34,9 +37,17 @@ def needed(name: str, *places: str) -> str:
 
 
 def free_port() -> int:
-    """A port for a program that binds it later, below those from which the system takes clients' ports meanwhile."""
+    """A port for a program that binds it later, below those from which the system takes clients' ports meanwhile.
+
+    It is given once: until its program has bound it, the system would call it free. Each worker of pytest has its own.
+    """
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 4
     while True:
-        port = _CHANCE.randrange(10_000, 32_000)
+        port = _CHANCE.randrange(10_000, 32_000, 4) + worker
+        with _giving:
+            if port in _given:
+                continue
+            _given.add(port)
         with contextlib.suppress(OSError), socket.socket() as probe:
             probe.bind(("127.0.0.1", port))
             return port
