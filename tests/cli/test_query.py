@@ -31,7 +31,22 @@ def test_samples_are_lines_with_time_point_value_quality_and_reason(run: Callabl
         ["2027-01-15T08:00:03.000Z", "pump-1/speed", "9223372036854775808", "good"],
         ["2027-01-15T08:00:04.000Z", "pump-1/speed", "–", "bad", "device", "suspended"],
     ]
-    assert result.out.splitlines()[0].split() == ["2027-01-15T08:00:00.000Z", "meter-7/voltage", "230", "good"]
+    header, first = result.out.splitlines()[:2]
+    assert header.split() == ["time", "point", "value", "quality", "reason"]
+    assert first.split() == ["2027-01-15T08:00:00.000Z", "meter-7/voltage", "230", "good"]
+
+
+def test_the_columns_of_a_long_table_are_named_once(
+    run: Callable[..., Any], data: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("busway.cli.query._CHUNK", 2)
+    assert [line.split()[0] for line in run("query", data, "meter-7/voltage").out.splitlines()].count("time") == 1
+
+
+def test_where_nothing_fits_that_is_said_on_stderr(run: Callable[..., Any], data: str) -> None:
+    result = run("query", data, "meter-7/voltage", "--since", "2030-01-01")
+    assert (result.code, result.out, result.err) == (0, "", "busway: the store has nothing that fits\n")
+    assert run("query", data, "meter-7/voltage", "--since", "2030-01-01", "--quiet").err == ""
 
 
 def test_json_has_nanoseconds_and_csv_a_header(run: Callable[..., Any], data: str) -> None:
@@ -75,7 +90,8 @@ def test_the_journal_of_alarms_is_lines_with_limit_event_value_and_who(run: Call
         rows = list(csv.DictReader(io.StringIO(run("query", str(folder), "pump-1", "--alarms", "--csv").out)))
         assert (rows[0]["value"], rows[0]["text"], rows[0]["limit"]) == ("90.5", "above 80 rpm", "H")
         table = run("query", str(folder), "--alarms", "--since", "2027-01-15T08:00:02").out.split()
-        assert table == [
+        assert table[:7] == ["time", "point", "limit", "event", "value", "text", "by"]
+        assert table[7:] == [
             "2027-01-15T08:00:02.000Z",
             "pump-1/speed",
             "H",
@@ -92,6 +108,7 @@ def test_the_journal_of_alarms_is_lines_with_limit_event_value_and_who(run: Call
 
 def test_the_points_are_listed(run: Callable[..., Any], data: str) -> None:
     assert [line.strip() for line in run("query", data, "--list").out.splitlines()] == [
+        "point            unit of measure",
         "meter-7/voltage",
         "meter-7/current",
         "meter-7/state",

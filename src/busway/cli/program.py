@@ -232,7 +232,7 @@ def _usage_sentence(error: Any) -> str:
 app: typer.Typer = typer.Typer(
     cls=Program,
     name="busway",
-    help="A MODBUS client, server and decoder.",
+    help="Modbus: client, server, gateway, simulator, collector and fleet.",
     epilog="`busway COMMAND --help` shows examples.",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,

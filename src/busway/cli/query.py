@@ -3,6 +3,7 @@
 1. Samples are printed as they are read, so any length of time can be asked for; buckets are summed up first.
 2. Time without reads is a line without a value that says why; in buckets, a bucket with 0 samples.
 3. Times are UTC. A table shows milliseconds; CSV and JSON have nanoseconds, and half of the transaction's length.
+4. The first line of a table and of CSV names the columns.
 """
 
 from collections.abc import Iterable, Iterator
@@ -128,8 +129,9 @@ _CHUNK = 1000
 
 def _print(rows: Iterable[dict[str, Any]], *, as_json: bool, as_csv: bool) -> None:
     chunk: list[dict[str, Any]] = []
-    header = True
+    header, is_empty = True, True
     for row in rows:
+        is_empty = False
         if as_json:
             print_json({name: _iso(value) if name == "time" else json_value(value) for name, value in row.items()})
             continue
@@ -139,6 +141,8 @@ def _print(rows: Iterable[dict[str, Any]], *, as_json: bool, as_csv: bool) -> No
             chunk, header = [], False
     if chunk:
         _print_chunk(chunk, as_csv=as_csv, header=header)
+    if is_empty:
+        say("the store has nothing that fits")
 
 
 def _print_chunk(rows: list[dict[str, Any]], *, as_csv: bool, header: bool) -> None:
@@ -146,8 +150,9 @@ def _print_chunk(rows: list[dict[str, Any]], *, as_csv: bool, header: bool) -> N
         lines = [[_cell(name, value, whole=True) for name, value in row.items()] for row in rows]
         print_csv(list(rows[0]) if header else [], lines)
         return
-    shown = [{name: value for name, value in row.items() if name != "half_width"} for row in rows]
-    print_aligned([[_cell(name, value, whole=False) for name, value in row.items()] for row in shown])
+    names = [name for name in rows[0] if name != "half_width"]
+    lines = [[_cell(name, row[name], whole=False) for name in names] for row in rows]
+    print_aligned([[name.replace("_", " ") for name in names], *lines] if header else lines)
 
 
 def _cell(name: str, value: Any, *, whole: bool) -> str:

@@ -271,6 +271,9 @@ async def _simulate(
             if page is not None:
                 await stack.enter_async_context(page)
                 say(f"control API and page on {page.announced_url}")
+            for unit in simulation.units.values():
+                name = f" is {unit.name}" if unit.name else ""
+                say(f"unit {unit.unit}{name}: {counted(len(unit.points), 'point')}")
             for sentence in simulation.warnings:
                 warn(sentence)
             for each in simulation.board:
