@@ -22,7 +22,7 @@ class Timer(Protocol):
 
 
 class Clock(Protocol):
-    """Interface of a source of time that also calls functions at a time."""
+    """Interface of a clock with timers: it tells the time, and calls a function when a given time has come."""
 
     def now(self) -> float:
         """Return the current time in seconds, monotonic."""

@@ -108,7 +108,7 @@ class WriteRule:
 class ReportRule:
     """When a sample of a point is passed on: by change, by time; a change of quality always is.
 
-    It holds for what a store keeps, or for what a sink gets of that.
+    A store has one, and each sink may have its own: a sink gets only what the store has kept.
 
     Attributes:
         when: at every read, at a change, or at a change and after ``period`` at the latest.

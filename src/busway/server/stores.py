@@ -32,7 +32,7 @@ class ItemStore:
         self._firsts = [run.first for run in runs]
 
     def find(self, address: int, count: int) -> Run | None:
-        """Return the memory of the ``count`` (1 or more) items from ``address`` on; None unless all exist."""
+        """Return the memory that has all ``count`` (1 or more) items from ``address`` on, not a copy; None if none has."""
         index = bisect_right(self._firsts, address) - 1
         if index < 0:
             return None

@@ -31,11 +31,15 @@ class CannotOffer(Exception):
 
 
 def changed_channel(settings: LinkSettings, change: TlsChange) -> "socket.socket | ChangedChannel":
-    """Connect to a device over TCP and make a changed handshake; returns a channel that does not block.
+    """Connect to a device over TCP and make a TLS handshake that breaks one rule; returns a non-blocking channel.
+
+    Args:
+        settings: of the link to the device.
+        change: which rule of the handshake is broken.
 
     Raises:
         LinkDown: the device cannot be reached, or refuses the handshake.
-        CannotOffer: it cannot be tried here.
+        CannotOffer: this machine cannot make such a handshake.
     """
     endpoint, limit = settings.endpoint, settings.sockets.connect_timeout
     context = None if change is TlsChange.PLAIN else _context(settings, change)

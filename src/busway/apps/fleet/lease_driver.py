@@ -96,7 +96,11 @@ class MemberDriver:
         return self.member.problem or self._error or ""
 
     async def run(self) -> None:
-        """Take part in the fleet until cancelled. Raises `ConfigError` if the shared table can never be read."""
+        """Follow the table that all collectors share, and take, renew and release shards, until cancelled.
+
+        Raises:
+            ConfigError: the table can never be read, such as for want of rights.
+        """
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._watch())

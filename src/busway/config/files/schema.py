@@ -155,7 +155,15 @@ class Source:
         return ConfigError(sentence, file=self.name, line=line_of(self.lines, standing), key=_written(standing))
 
     def checked(self, schema: type[File], *at: str | int) -> File:
-        """Return the data as a checked object of a schema class. Raises `FileError` with all problems."""
+        """Return the content of the file, or one part of it, as a checked object of a schema class.
+
+        Args:
+            schema: the class.
+            at: keys and indexes that lead to the part; none for the whole file.
+
+        Raises:
+            FileError: the content is wrong; it has all problems, each with its line.
+        """
         part: Any = self.data  # what TOML has
         for key in at:
             part = part[key]

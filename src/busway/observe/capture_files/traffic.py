@@ -360,7 +360,11 @@ class _Side:
 
 
 class _TcpChannel:
-    """A TCP connection: two directions, in MBAP each by itself, in RTU and ASCII as one line."""
+    """One captured TCP connection.
+
+    With MBAP headers its two directions are read apart; with RTU or ASCII together, because a frame does not say
+    whether it is a request.
+    """
 
     def __init__(self, channel: CapturedChannel) -> None:
         self.channel = channel

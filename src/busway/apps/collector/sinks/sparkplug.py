@@ -548,7 +548,7 @@ class SparkplugSink:
                         await self._births()
 
     def _take_device_command(self, topic: str, content: bytes, *, is_retained: bool) -> None:
-        """Hand the values that a host writes to a device to the collector's commands (rule 7)."""
+        """Pass a host's message that writes to a device (DCMD) on as commands of the collector."""
         assert self.commands is not None
         level = topic.rpartition("/")[2]
         devices = [name for name in self._devices if topic_level(name) == level]

@@ -58,8 +58,8 @@ class StoreStatus:
         waiting: samples that are not yet committed.
         lost: samples that were dropped since the start because the store could not be written.
         error: why the store cannot be written; None while it can.
-        upkeep_error: why parts could not be sealed or dropped, commits not be made durable, or times not be mended,
-            when that was tried last; None if they could.
+        upkeep_error: what failed when it was tried last: to seal or drop a part, to make commits durable, or to correct
+            times; None where all succeeded.
         subscriber_failures: how often a subscriber of commits raised an error.
         passed_over: samples since the start that were not kept, as a rule says.
     """

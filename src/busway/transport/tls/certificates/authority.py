@@ -101,7 +101,14 @@ class Authority:
         return _build(subject, self.issued, days=days, starts_in=starts_in, extensions=extensions)
 
     def client(self, name: str, *, role: str | None = None, days: float = 825.0, starts_in: float = 0.0) -> Issued:
-        """Issue a certificate for a client, with or without a role."""
+        """Issue a certificate for a client.
+
+        Args:
+            name: the name that the certificate says.
+            role: the role of Modbus/TCP Security that it says; None for none.
+            days: how long it is valid.
+            starts_in: days until it becomes valid; below 0 it has begun already.
+        """
         return self.client_with(name, [] if role is None else [encode_role(role)], days=days, starts_in=starts_in)
 
     def client_with(
