@@ -230,7 +230,7 @@ class Option:
 
     @property
     def default_text(self) -> str:
-        """The default as text; where framings have different defaults, each with its framings: ``3 s (RTU); 1 s (TCP)``."""
+        """The default as text; where framings differ, each default with its framings: ``3 s (RTU); 1 s (TCP)``."""
         if not self.by_framing:
             return _shown(self.default)
         names: dict[str, list[str]] = {}
