@@ -32,7 +32,7 @@ class ItemStore:
         self._firsts = [run.first for run in runs]
 
     def find(self, address: int, count: int) -> Run | None:
-        """Return the memory, no copy, that has all ``count`` (1 or more) items from ``address`` on; None if none has."""
+        """Return the memory itself that has all ``count`` (1 or more) items from ``address`` on; None if none has."""
         index = bisect_right(self._firsts, address) - 1
         if index < 0:
             return None
