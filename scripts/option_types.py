@@ -93,7 +93,8 @@ def link_options() -> str:
 def server_options() -> str:
     """``server/option_types.py``."""
     source = Source("server")
-    keys = source.keys(SERVERS) | {"preset": " | ".join(source.texts(Preset))}
+    presets = [text.replace(', "passive"', "") for text in source.texts(Preset)]
+    keys = source.keys(SERVERS) | {"preset": " | ".join(presets)}
     return source.render(
         "ServerOptions",
         "The options of `busway.serve`, for type checkers.",

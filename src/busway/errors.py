@@ -23,7 +23,7 @@ Rules:
 3. The code that raises fills in the fields it knows; the drivers complete the rest with `ModbusError.at`.
 """
 
-from typing import Self
+from typing import Literal, Self, TypeAlias
 
 from .codes import ExceptionCode, exception_meaning, function_name
 
@@ -155,17 +155,41 @@ class ExceptionReply(ModbusError):
         )
 
 
+BadReplyKind: TypeAlias = Literal["stream", "protocol", "unit", "function", "content", "value", "other"]
+"""What is wrong with a reply: the values of `BadReply.kind`."""
+LinkDownKind: TypeAlias = Literal[
+    "unresolved",
+    "refused",
+    "unreachable",
+    "timeout",
+    "tls",
+    "missing",
+    "taken",
+    "lost",
+    "closed",
+    "local",
+    "other",
+]
+"""Why there is no connection: the values of `LinkDown.kind`."""
+
+
 class BadReply(ModbusError):
     """The peer broke the protocol: another function, a wrong length, a wrong echo. ``raw`` holds the bytes.
 
     Attributes:
         reason: what is wrong with them, in words.
+        kind: the same for a program. ``"stream"``: a length field that no message can have, after which nothing can be
+            decoded; ``"protocol"``: the protocol identifier is not 0; ``"unit"``: another unit answered;
+            ``"function"``: it answers another function; ``"content"``: its length, echo or a field does not fit the
+            request; ``"value"``: its registers hold no value of the type that was asked for; ``"other"``: a reply that
+            is not Modbus.
     """
 
     def __init__(
         self,
         reason: str,
         *,
+        kind: BadReplyKind = "other",
         endpoint: str | None = None,
         unit: int | None = None,
         function: int | None = None,
@@ -185,6 +209,7 @@ class BadReply(ModbusError):
             raw=raw,
         )
         self.reason = reason
+        self.kind: BadReplyKind = kind
 
 
 class NoAnswer(ModbusError):
@@ -274,12 +299,19 @@ class LinkDown(NoAnswer, ConnectionError):
 
     Attributes:
         sent: whether bytes of the request may have left this host.
+        kind: why, for a program. ``"unresolved"``: the host name has no address; ``"refused"``: nothing listens there;
+            ``"unreachable"``: no way to the host; ``"timeout"``: no connection in time, or a port takes no bytes;
+            ``"tls"``: the handshake or a certificate failed; ``"missing"``: there is no such port or file;
+            ``"taken"``: another program holds the port; ``"lost"``: the connection or port ended; ``"closed"``: this
+            program closed the link; ``"local"``: this host does not allow it (rights, limits, a local address);
+            ``"other"``: none of these.
     """
 
     def __init__(
         self,
         message: str,
         *,
+        kind: LinkDownKind = "other",
         sent: bool = False,
         endpoint: str | None = None,
         unit: int | None = None,
@@ -300,10 +332,25 @@ class LinkDown(NoAnswer, ConnectionError):
             raw=raw,
         )
         self.sent = sent
+        self.kind: LinkDownKind = kind
 
 
 class LinkClosed(LinkDown):
-    """The program closed this link before the call. Nothing was sent; retrying does not help: open another link."""
+    """The program closed this link before the call. Nothing was sent; retrying does not help: open another link.
+
+    Its ``kind`` is always ``"closed"``.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        endpoint: str | None = None,
+        unit: int | None = None,
+        function: int | None = None,
+        address: int | None = None,
+    ) -> None:
+        super().__init__(message, kind="closed", endpoint=endpoint, unit=unit, function=function, address=address)
 
 
 class ConfigError(ModbusError, ValueError):

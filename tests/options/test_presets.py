@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 
 import busway
-from busway.client.settings import link_settings
+from busway.client.settings import link_settings, options_of
 from busway.config.files.device import parse_device_file
 from busway.errors import ConfigError
 from busway.options.client import MismatchPolicy, TransactionScope
+from busway.options.endpoints import parse_endpoint
 from busway.options.offer import LINKS, LISTENERS, SERVERS, Offer
-from busway.options.presets import Preset, preset_of, strict_settings
+from busway.options.presets import PASSIVE_SETTINGS, Preset, preset_of, strict_settings
 from busway.options.server import ListenerParameters, Scope, UnitPolicy, UnlistedUnit
 from busway.options.tls import TlsParameters
 from busway.server.device import Device
@@ -122,7 +123,7 @@ def test_what_agrees_with_the_preset_or_is_left_to_the_user_may_be_given_beside_
 
 
 def test_a_preset_that_is_not_there_is_refused() -> None:
-    with pytest.raises(ConfigError, match="preset: must be one of standard, strict, not 'lax'"):
+    with pytest.raises(ConfigError, match="preset: must be one of standard, strict, passive, not 'lax'"):
         link_settings("tcp://h?preset=lax", {})
     with pytest.raises(ConfigError, match="preset: must be one of"):
         busway.serve(units=Device(coils=1), preset="lax")
@@ -259,3 +260,21 @@ def test_the_listener_on_502_has_access_rules_and_limits_of_the_one_it_stands_be
     added = busway.serve(beside, units={1: Device(coils=1)}, preset="strict")._settings[1]
     assert added.access is nobody
     assert added.limits == ListenerParameters(max_connections=3, single_adu_segments=True)
+
+
+@pytest.mark.parametrize("url", URLS)
+def test_a_passive_client_repeats_and_recycles_nothing_on_every_scheme(url: str) -> None:
+    found = dict(settings_in(link_settings(url, {"preset": "passive"})))
+    known = options_of(parse_endpoint(url))
+    there = {name: value for name, value in PASSIVE_SETTINGS.items() if name in known}
+    assert {name: found.get(name, value) for name, value in there.items()} == there
+    assert {"retries", "write_retries"} <= there.keys()
+
+
+def test_options_beside_passive_replace_its_own() -> None:
+    assert dict(settings_in(link_settings("tcp://h?preset=passive", {"retries": 2})))["retries"] == 2
+
+
+def test_no_server_is_passive() -> None:
+    with pytest.raises(ConfigError, match="passive is a preset of clients"):
+        busway.serve("tcp://127.0.0.1:0", preset="passive")  # type: ignore[arg-type]

@@ -164,7 +164,7 @@ class FleetDemo:
                     say(f"nats-server on {ports} keeps who polls what, and the stream of samples")
                     return ports
             if server.returncode is not None or time.monotonic() > until:
-                raise LinkDown(f"nats-server does not start: {self._last_words('nats-server')}")
+                raise LinkDown(f"nats-server does not start: {self._last_words('nats-server')}", kind="other")
             await asyncio.sleep(0.1)
 
     async def _start_plant(self) -> Path:
@@ -240,9 +240,9 @@ class FleetDemo:
                 return
             for name in names:
                 if self._programs[name].returncode is not None:
-                    raise LinkDown(f"collector {name} has ended: {self._last_words(name)}")
+                    raise LinkDown(f"collector {name} has ended: {self._last_words(name)}", kind="other")
             await asyncio.sleep(0.2)
-        raise LinkDown(f"the shards were not shared in {START_SECONDS:g} s: {self._shown}")
+        raise LinkDown(f"the shards were not shared in {START_SECONDS:g} s: {self._shown}", kind="timeout")
 
     def _tell_page(self, name: str) -> None:
         for line in (self._folder / f"{name}.log").read_text(encoding="utf-8").splitlines():

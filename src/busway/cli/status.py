@@ -61,7 +61,7 @@ def _ask(where: str | None) -> list[dict[str, Any]]:
         return [ask(find_one(where, *directories))]
     running = find_running(*directories)
     if not running:
-        raise LinkDown("no server or gateway of yours is running, or none with a control socket")
+        raise LinkDown("no server or gateway of yours is running, or none with a control socket", kind="missing")
     if len(running) == 1:
         return [ask(running[0])]
     return list(_tellers(running))

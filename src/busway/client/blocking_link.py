@@ -512,7 +512,7 @@ class BlockingLinkDriver:
             now = time.monotonic()
             if self._life.closed:
                 connection.close()
-                return LinkDown("the link was closed", endpoint=self.name)
+                return LinkDown("the link was closed", kind="closed", endpoint=self.name)
             self._connection = connection
             self.opened = self.last_used = now
             self._trace = None

@@ -49,7 +49,9 @@ def chosen(links: Sequence[AnyLink], settings: LinkSettings, rule: LinkSelection
     """
     if not links:
         raise LinkDown(
-            "no link to it is open, so there is none to choose; nothing was sent", endpoint=settings.endpoint.url
+            "no link to it is open, so there is none to choose; nothing was sent",
+            kind="closed",
+            endpoint=settings.endpoint.url,
         )
     standing = [link for link in links if link.is_connected]
     if not standing:

@@ -566,7 +566,9 @@ class AsyncLinkDriver:
 
     def _failure(self) -> LinkDown:
         failure = self._life.failure
-        again = LinkDown(failure.message if failure else "no connection", endpoint=self.name)
+        if failure is None:
+            return LinkDown("no connection", kind="other", endpoint=self.name)
+        again = LinkDown(failure.message, kind=failure.kind, endpoint=self.name)
         again.__cause__ = failure
         return again
 
@@ -580,7 +582,7 @@ class AsyncLinkDriver:
             return
         except asyncio.CancelledError:
             reason = "the link was closed" if self._life.closed else "no connection: the attempt was cancelled"
-            self._not_connected(LinkDown(reason, endpoint=self.name))
+            self._not_connected(LinkDown(reason, kind="closed", endpoint=self.name))
             raise
         self._connecting = None
         now = self._clock()

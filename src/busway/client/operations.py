@@ -137,7 +137,9 @@ def read_identification(level: str, object_id: int | None) -> Operation:
             return objects
         if reply.next_object <= start:
             raise BadReply(
-                f"more objects are said to follow from {reply.next_object} on, after {start}", raw=reply.encode()
+                f"more objects are said to follow from {reply.next_object} on, after {start}",
+                kind="content",
+                raw=reply.encode(),
             )
         start = reply.next_object
 

@@ -93,4 +93,4 @@ class LinkOptions(TypedDict, total=False):
     baudrate: int
     bytesize: int
     stopbits: int | None
-    preset: Preset | Literal["standard", "strict"]
+    preset: Preset | Literal["standard", "strict", "passive"]

@@ -147,7 +147,9 @@ class LocalConnections:
         candidates = [link for link in standing if link.shared and link.home in (None, newcomer.home)]
         candidates.sort(key=lambda link: link.last_used)
         if not any(link.make_room() for link in candidates):
-            raise LinkDown(f"no connection: all {self.supported} of this process are in use", endpoint=endpoint)
+            raise LinkDown(
+                f"no connection: all {self.supported} of this process are in use", kind="local", endpoint=endpoint
+            )
 
 
 LOCAL: Final = LocalConnections()

@@ -81,7 +81,8 @@ class SerialConnector:
 
     def _named(self, error: LinkDown | ConfigError) -> LinkDown:
         """Return `LinkDown` for an error of opening the port, with that error as its cause."""
-        down = LinkDown(error.message, endpoint=self._endpoint.url)
+        kind = error.kind if isinstance(error, LinkDown) else "other"
+        down = LinkDown(error.message, kind=kind, endpoint=self._endpoint.url)
         down.__cause__ = error
         return down
 

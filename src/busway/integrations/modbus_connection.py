@@ -3,7 +3,7 @@
 Knows the classes, parameters and errors of modbus-connection 4; knows no frames and no connection.
 
 1. A `ModbusConnection` is one link of its own. What modbus-connection decides is left to it: when to connect, when to
-   drop, the spacing of requests, the timeout. With the options `PASSIVE` the link repeats and recycles nothing.
+   drop, the spacing of requests, the timeout. With the preset ``passive`` the link repeats and recycles nothing.
 2. Every error of busway becomes one of modbus-connection, with the operation in its words.
 3. A late reply is never given to another request: so there is no `ModbusDesyncError`, but a `ModbusTimeoutError`.
 """
@@ -49,10 +49,10 @@ from ..errors import (
 )
 from ..errors import ModbusError as BuswayError
 from ..options.endpoints import parse_endpoint
+from ..options.presets import SHORTEST_PAUSE, Preset
 from ..session.reconnect import ConnectionState
 
 __all__ = [
-    "PASSIVE",
     "SUPPORTED_FRAMINGS",
     "BuswayConnection",
     "BuswayUnit",
@@ -70,20 +70,6 @@ SUPPORTED_FRAMINGS: Final[Mapping[str, tuple[str, ...]]] = {
     "serial": ("rtu", "ascii"),
 }
 """The framings this backend carries per transport."""
-SHORTEST_PAUSE: Final = 0.001
-"""Seconds after a failed attempt in which a link makes no other."""
-PASSIVE: Final[Mapping[str, object]] = {
-    "retries": 0,
-    "write_retries": 0,
-    "open_after": 0,
-    "port_wait": 0.0,
-    "reconnect_first": SHORTEST_PAUSE,
-    "reconnect_most": SHORTEST_PAUSE,
-    "recycle_after_timeouts": 1000,
-    "recycle_after_foreign": 1000,
-    "max_connections": 10_000,
-}
-"""Options with which a link decides nothing by itself; those that an endpoint does not have are left out."""
 LEAST_TIMEOUT, LONGEST_TIMEOUT = 0.001, 3600.0
 """Seconds that a timeout may be; others are taken for the nearest."""
 _PARITY: Final = {"N": "none", "E": "even", "O": "odd"}
@@ -121,9 +107,12 @@ class ModbusConnection(BaseModbusConnection):
     def _new_link(self, context: ssl.SSLContext | None = None) -> AsyncLink:
         url, options = _endpoint_of(self._params)
         known = options_of(parse_endpoint(url))
-        passive = {name: value for name, value in PASSIVE.items() if name in known}
         connecting = {"connect_timeout": min(self._call_timeout(), 600.0)} if "connect_timeout" in known else {}
-        chosen: Any = {**passive, **connecting, **options}  # their names were looked up, their values are checked
+        chosen: Any = {
+            "preset": Preset.PASSIVE,
+            **connecting,
+            **options,
+        }  # their names were looked up, their values are checked
         return open_link(url, shared=False, ssl_context=context, **chosen)
 
     def _call_timeout(self) -> float:
@@ -143,7 +132,7 @@ class ModbusConnection(BaseModbusConnection):
         except LinkDown as error:
             serial = isinstance(self._params, ModbusSerialParams)
             where = f"open serial port {self._target}" if serial else f"connect to {self._target}"
-            kind = ModbusTimeoutError if _was_timeout(error) else ModbusConnectionError
+            kind = ModbusTimeoutError if error.kind == "timeout" else ModbusConnectionError
             raise kind(f"could not {where}: {error}") from error
         except BuswayError as error:
             raise ModbusConnectionError(str(error)) from error
@@ -191,15 +180,6 @@ def _endpoint_of(params: Params) -> tuple[str, dict[str, object]]:
         return f"tls://{host}:{params.port}", {}
     carrier = "tcp" if isinstance(params, ModbusTcpParams) else "udp"
     return f"{_FRAMING_SCHEME[params.framer or 'socket']}{carrier}://{host}:{params.port}", {}
-
-
-def _was_timeout(error: BaseException | None) -> bool:
-    """Whether the reason of a failed attempt to connect was that it took too long."""
-    while error is not None:
-        if isinstance(error, TimeoutError):
-            return True
-        error = error.__cause__
-    return False
 
 
 def _translated(error: BaseException, prefix: str) -> ModbusError:

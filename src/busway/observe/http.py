@@ -23,6 +23,7 @@ from typing import Any, Final, NoReturn, cast
 
 from ..errors import LinkDown
 from ..transport.descriptors import is_reserved
+from ..transport.tcp import network_kind
 
 _log = logging.getLogger("busway.http")
 
@@ -316,7 +317,9 @@ def bind_tcp(host: str, port: int) -> socket.socket:
             bound.close()
             raise
     except OSError as error:
-        raise LinkDown(f"cannot listen on {host}:{port}: {error.strerror or error}") from error
+        raise LinkDown(
+            f"cannot listen on {host}:{port}: {error.strerror or error}", kind=network_kind(error)
+        ) from error
     return bound
 
 

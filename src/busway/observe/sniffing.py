@@ -27,7 +27,7 @@ from ..options.sockets import SocketParameters
 from ..session.line_framing import line_framing
 from ..transport.serial.blocking import BlockingSerialPort
 from ..transport.serial.opening import Claim, reopen_policy
-from ..transport.tcp import configure, link_down, network_reason, set_buffers
+from ..transport.tcp import configure, link_down, network_kind, network_reason, set_buffers
 from ..transport.udp import MAX_DATAGRAM
 from .pairing import Heard, Pairing
 
@@ -70,9 +70,9 @@ class SocketEar:
         except TimeoutError:
             return b"", 0
         except OSError as error:
-            raise LinkDown(network_reason(error), endpoint=self._name) from error
+            raise LinkDown(network_reason(error), kind=network_kind(error), endpoint=self._name) from error
         if not data:
-            raise LinkDown("the peer closed the connection", endpoint=self._name)
+            raise LinkDown("the peer closed the connection", kind="lost", endpoint=self._name)
         return data, 0
 
     def close(self) -> None:
@@ -114,14 +114,16 @@ class DatagramEar:
         except TimeoutError:
             return b"", 0
         except OSError as error:
-            raise LinkDown(network_reason(error), endpoint=self._name) from error
+            raise LinkDown(network_reason(error), kind=network_kind(error), endpoint=self._name) from error
 
     def close(self) -> None:
         """Close the local UDP port that receives."""
         self._socket.close()
 
     def _not_here(self, error: OSError) -> LinkDown:
-        down = LinkDown(f"datagrams cannot be taken there: {network_reason(error)}", endpoint=self._name)
+        down = LinkDown(
+            f"datagrams cannot be taken there: {network_reason(error)}", kind=network_kind(error), endpoint=self._name
+        )
         down.__cause__ = error
         return down
 

@@ -1,12 +1,14 @@
 """Presets: named sets of options. ``strict`` meets every "must" of the specifications, which the defaults do not.
 
-Knows how a preset and options go together; what `strict` sets an option to is declared with the option (`Strict`).
+``passive`` is for a client whose caller decides everything: nothing is repeated, suspended, delayed or recycled. Knows
+how a preset and options go together; what `strict` sets an option to is declared with the option (`Strict`).
 
 1. A preset is chosen with ``preset="strict"``, or ``?preset=strict`` in a URL. It sets the options that say so and that
    the scheme has, and leaves all others alone.
 2. An option given beside the preset with another value is refused by name. Where a specification leaves the figure to
    the user it is *adaptable*: the preset supplies a default, and an explicit value replaces it.
-3. Defaults that meet their clause already are declared so too if an option could switch them off.
+3. All that ``passive`` sets is adaptable. It is refused where there are no options of a link, so by every server.
+4. Defaults that meet their clause already are declared so too if an option could switch them off.
 """
 
 from collections.abc import Mapping
@@ -24,10 +26,33 @@ OPTION: Final = "preset"
 
 
 class Preset(Word):
-    """The presets of options. STANDARD: the defaults. STRICT: every "must" of the specifications."""
+    """The presets of options.
+
+    STANDARD: the defaults. STRICT: every "must" of the specifications. PASSIVE (clients only): no retries, no breaker,
+    no pause before the next attempt to connect, no recycled connections.
+    """
 
     STANDARD = "standard"
     STRICT = "strict"
+    PASSIVE = "passive"
+
+
+SHORTEST_PAUSE: Final = 0.001
+"""Seconds after a failed attempt in which a link with the preset ``passive`` makes no other."""
+PASSIVE_SETTINGS: Final[Mapping[str, object]] = {
+    "retries": 0,
+    "write_retries": 0,
+    "open_after": 0,
+    "port_wait": 0.0,
+    "reconnect_first": SHORTEST_PAUSE,
+    "reconnect_most": SHORTEST_PAUSE,
+    "recycle_after_timeouts": 1000,
+    "recycle_after_foreign": 1000,
+    "max_connections": 10_000,
+}
+"""What the preset ``passive`` sets; options that an endpoint does not have are left out."""
+_OF_LINKS: Final = "retries"
+"""An option that every link has, and no server."""
 
 
 def preset_of(value: object) -> Preset:
@@ -54,8 +79,13 @@ def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> d
         ConfigError: there is no such preset, or an option contradicts it.
     """
     values = dict(given)
-    if preset_of(values.pop(OPTION, None)) is Preset.STANDARD:
+    preset = preset_of(values.pop(OPTION, None))
+    if preset is Preset.STANDARD:
         return values
+    if preset is Preset.PASSIVE:
+        if _OF_LINKS not in options:
+            raise ConfigError("passive is a preset of clients; standard and strict are allowed here", key=OPTION)
+        return {name: value for name, value in PASSIVE_SETTINGS.items() if name in options} | values
     for name, strict in (*strict_settings(options).items(), *_characters(values, options).items()):
         if name not in options:
             continue

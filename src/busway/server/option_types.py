@@ -45,4 +45,4 @@ class ServerOptions(TypedDict, total=False):
     receive_buffer: int | None
     send_buffer: int | None
     local_address: str | None
-    preset: Preset | Literal["standard", "strict"]
+    preset: Preset | Literal["standard", "strict", "passive"]

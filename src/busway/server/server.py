@@ -22,7 +22,7 @@ from ..pdu.functions import FunctionTable
 from ..session.pipeline import Authorizer, RequestObserver, RequestPipeline
 from ..session.responder import Responder
 from ..transport.opened_connections import dialled_connections
-from ..transport.tcp import network_reason
+from ..transport.tcp import network_kind, network_reason
 from .connection_management import ConnectionManagement
 from .connection_tap import ConnectionTap
 from .counters import ServerCounters
@@ -232,7 +232,9 @@ class Server:
             raise error.at(endpoint=settings.endpoint.url) from error.__cause__
         except OSError as error:
             await self.stop()
-            down = LinkDown(f"cannot listen: {network_reason(error)}", endpoint=settings.endpoint.url)
+            down = LinkDown(
+                f"cannot listen: {network_reason(error)}", kind=network_kind(error), endpoint=settings.endpoint.url
+            )
             raise down from error
         except BaseException:
             await self.stop()

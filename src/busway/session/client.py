@@ -26,7 +26,7 @@ from functools import partial
 from types import MappingProxyType
 
 from ..codes import TCP_DEVICE_UNIT, ExceptionCode
-from ..errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply
+from ..errors import BadReply, BadReplyKind, ExceptionReply, LinkDown, ModbusError, NoReply
 from ..framing.mbap import HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
 from ..options.client import ClientParameters, MismatchPolicy
 from ..pdu.general import decode_exception
@@ -209,7 +209,7 @@ class TcpClientSession:
             if self.breakers is not None:
                 self.breakers.not_decided(awaited.encoded.unit)
             if awaited.call is not None:
-                error = LinkDown(f"the connection ended before the reply: {reason}", sent=True)
+                error = LinkDown(f"the connection ended before the reply: {reason}", kind="lost", sent=True)
                 self._failed(awaited, awaited.call, error, now, again=True)
         self._pending.clear()
 
@@ -624,13 +624,14 @@ class TcpClientSession:
         request = call.requests[awaited.position]
         function = request.wire[0]
         reason = ""
+        kind: BadReplyKind = "content"
         if protocol:
             self.counters.foreign_protocol += 1
-            reason = f"protocol identifier {protocol} where 0 is Modbus"
+            reason, kind = f"protocol identifier {protocol} where 0 is Modbus", "protocol"
         elif not self._unit_fits(awaited, unit, alone=not self._pending):
-            reason = f"unit {unit} answered where {awaited.encoded.unit} was asked"
+            reason, kind = f"unit {unit} answered where {awaited.encoded.unit} was asked", "unit"
         elif pdu[0] & 0x7F != function:
-            reason = f"function {pdu[0]} answers function {function}"
+            reason, kind = f"function {pdu[0]} answers function {function}", "function"
         if not reason:
             self._unit_lives(call.unit)
             try:
@@ -641,7 +642,7 @@ class TcpClientSession:
         self.counters.bad_replies += 1
         self._timeouts_in_row = self._timeouts_since_reply = 0
         self._start_gap(now)
-        self._failed(awaited, call, BadReply(reason, raw=adu), now, again=False)
+        self._failed(awaited, call, BadReply(reason, kind=kind, raw=adu), now, again=False)
 
     def _accept(self, awaited: RequestInFlight, call: Call, pdu: bytes, now: float) -> None:
         """End the request ``awaited`` with the reply or exception in ``pdu``. Raises `MalformedPdu` if it is broken."""
@@ -714,7 +715,7 @@ class TcpClientSession:
             self._release(awaited)
             if awaited.call is not None:
                 self.counters.bad_replies += 1
-                self._failed(awaited, awaited.call, BadReply(reason, raw=raw), now, again=False)
+                self._failed(awaited, awaited.call, BadReply(reason, kind="stream", raw=raw), now, again=False)
         self._pending.clear()
 
     # Ends of requests.

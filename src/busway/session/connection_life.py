@@ -122,7 +122,7 @@ class ConnectionLife:
         by_peer = not conversation.recycle
         conversation.disconnected(now, reason)
         if by_peer and self.reconnect.is_flapping:
-            self.failure = LinkDown(f"no connection: {reason}, before any reply")
+            self.failure = LinkDown(f"no connection: {reason}, before any reply", kind="lost")
             conversation.unreachable(now, self.failure, keep_repeated=True)
 
     def released(self, now: float, reason: str) -> None:
@@ -132,7 +132,7 @@ class ConnectionLife:
 
     def ended(self, now: float) -> None:
         """Fail all waiting calls, because the link was closed for good."""
-        self._conversation.unreachable(now, LinkDown("the link was closed"))
+        self._conversation.unreachable(now, LinkDown("the link was closed", kind="closed"))
 
     # What calls are told.
 
@@ -146,6 +146,7 @@ class ConnectionLife:
         pause = self.reconnect.not_before - now
         refusal = LinkDown(
             f"{failure.message}; the next attempt is made in {pause:.1f} s at the earliest",
+            kind=failure.kind,
             endpoint=self.endpoint,
             unit=unit,
         )

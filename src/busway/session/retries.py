@@ -126,13 +126,14 @@ class CallTracker:
 
         With ``keep_repeated`` a call that is about to be repeated stays in the queue.
         """
+        kind = error.kind if isinstance(error, LinkDown) else "other"
         for call in list(self.queue):
             if keep_repeated and call.again:
                 continue
             self.queue.remove(call)
             for position, outcome in enumerate(call.outcomes):
                 if outcome is None:
-                    copy = LinkDown(error.message, sent=position in call.attempts)
+                    copy = LinkDown(error.message, kind=kind, sent=position in call.attempts)
                     copy.__cause__ = error.__cause__
                     self._given_up(call, position, copy, now)
 

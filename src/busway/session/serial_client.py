@@ -297,7 +297,10 @@ class SerialClientSession:
             self._owe(awaited)
             what = "connection" if self._framing.is_network else "port"
             self._failed(
-                awaited, LinkDown(f"the {what} was lost before the reply: {reason}", sent=True), now, again=True
+                awaited,
+                LinkDown(f"the {what} was lost before the reply: {reason}", kind="lost", sent=True),
+                now,
+                again=True,
             )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
@@ -620,7 +623,7 @@ class SerialClientSession:
                 return
             # The unit answers, but breaks the protocol: no reason to repeat the request, and none to suspend the unit.
             self.counters.bad_replies += 1
-            outcome = BadReply(error.reason, raw=frame.raw)
+            outcome = BadReply(error.reason, kind="content", raw=frame.raw)
         if not owes_own and (doubt.owed or doubt.unasked is not None):
             doubt.answered(awaited.request)
         if doubt.counting is not None and awaited.call is doubt.counting:

@@ -10,7 +10,7 @@ import struct
 import sys
 from typing import Any
 
-from ..errors import LinkDown
+from ..errors import LinkDown, LinkDownKind
 from ..options.sockets import SocketParameters
 from .serial.waiting import wait_ready
 
@@ -105,6 +105,41 @@ _REASONS = {
 }
 
 
+_KINDS: dict[int, LinkDownKind] = {
+    errno.ECONNREFUSED: "refused",
+    errno.ETIMEDOUT: "timeout",
+    errno.EHOSTUNREACH: "unreachable",
+    errno.ENETUNREACH: "unreachable",
+    errno.ENETDOWN: "unreachable",
+    errno.ECONNRESET: "lost",
+    errno.ECONNABORTED: "lost",
+    errno.EPIPE: "lost",
+    errno.ENOTCONN: "lost",
+    errno.ENOENT: "missing",
+    errno.EADDRINUSE: "taken",
+    errno.EADDRNOTAVAIL: "local",
+    errno.EACCES: "local",
+    errno.EPERM: "local",
+    errno.EMFILE: "local",
+    errno.ENFILE: "local",
+    errno.ENOBUFS: "local",
+}
+_TLS_ERRORS = frozenset({"SSLError", "TlsFailure"})
+"""Told by their names: a program without TLS does not import them."""
+
+
+def network_kind(error: BaseException) -> LinkDownKind:
+    """Return a network error as the kind of a `LinkDown`."""
+    if isinstance(error, socket.gaierror):
+        return "unresolved"
+    if any(one.__name__ in _TLS_ERRORS for one in type(error).__mro__):
+        return "tls"
+    number = getattr(error, "errno", None)
+    if isinstance(error, TimeoutError) and not number:
+        return "timeout"
+    return _KINDS.get(number or 0, "other")
+
+
 def network_reason(error: BaseException) -> str:
     """Return a network error as text for an operator."""
     if isinstance(error, socket.gaierror):
@@ -119,6 +154,6 @@ def network_reason(error: BaseException) -> str:
 
 def link_down(error: BaseException, *, endpoint: str, sent: bool = False) -> LinkDown:
     """Return the `LinkDown` for a network error, which becomes its cause."""
-    down = LinkDown(f"no connection: {network_reason(error)}", sent=sent, endpoint=endpoint)
+    down = LinkDown(f"no connection: {network_reason(error)}", kind=network_kind(error), sent=sent, endpoint=endpoint)
     down.__cause__ = error
     return down

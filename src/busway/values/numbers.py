@@ -220,6 +220,7 @@ class BcdCodec:
             value = text[place * digits : (place + 1) * digits].upper()
             raise BadReply(
                 f"value {place} of the block reads {value}, which is no {self._name}: its digits are 0…9",
+                kind="value",
                 raw=bytes(data),
             )
         return [int(text[start : start + digits]) for start in range(0, len(text), digits)]

@@ -75,6 +75,7 @@ class StringCodec:
         except UnicodeDecodeError as error:
             raise BadReply(
                 f"{shown(content)} is not {self._encoding} text, as {self._name} expects; latin-1 takes every byte",
+                kind="value",
                 raw=bytes(block),
             ) from error
 

@@ -57,7 +57,7 @@ def changed_channel(settings: LinkSettings, change: TlsChange) -> "socket.socket
         plain.close()
         if isinstance(error, ssl.SSLError) and error.reason in _NOT_HERE:
             raise CannotOffer(f"the TLS library of this machine offers no connection {change.value}") from error
-        raise LinkDown(f"the handshake is refused: {error}", endpoint=endpoint.url) from error
+        raise LinkDown(f"the handshake is refused: {error}", kind="tls", endpoint=endpoint.url) from error
     channel.setblocking(False)
     return ChangedChannel(channel)
 

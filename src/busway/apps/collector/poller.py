@@ -447,7 +447,7 @@ class LinkPoller:
         decoder = compiled.decoder
         data = reply.data
         if len(data) != decoder.size:
-            raise BadReply(f"{len(data)} bytes came where {decoder.size} were asked for")
+            raise BadReply(f"{len(data)} bytes came where {decoder.size} were asked for", kind="content")
         compiled.data, compiled.at = data, middle
         found = decoder.decode(data, device.scale_factors)
         if not found.flaws and self._clock.is_right:

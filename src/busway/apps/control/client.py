@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ...errors import BadReply, ConfigError, LinkDown, ModbusError, NoReply
+from ...transport.tcp import network_kind
 from .addresses import (
     HAS_UNIX_SOCKETS,
     KEY,
@@ -94,19 +95,21 @@ def ask(running: Running, resource: str = "/status", *, method: str = "GET", tim
     except TimeoutError as error:
         raise NoReply(f"no answer within {timeout:g} s", endpoint=str(running)) from error
     except http.client.HTTPException as error:
-        raise BadReply(f"no answer in HTTP ({type(error).__name__})", endpoint=str(running)) from error
+        raise BadReply(f"no answer in HTTP ({type(error).__name__})", kind="other", endpoint=str(running)) from error
     except OSError as error:
-        raise LinkDown(f"no program answers: {error.strerror or error}", endpoint=str(running)) from error
+        raise LinkDown(
+            f"no program answers: {error.strerror or error}", kind=network_kind(error), endpoint=str(running)
+        ) from error
     finally:
         connection.close()
     if not kind.startswith("application/json"):
         if response.status == HTTPStatus.OK:
             return body.decode("utf-8", errors="replace")
-        raise BadReply(f"status {response.status}", endpoint=str(running))
+        raise BadReply(f"status {response.status}", kind="other", endpoint=str(running))
     try:
         content = json.loads(body)
     except ValueError as error:
-        raise BadReply("the answer is no JSON", endpoint=str(running)) from error
+        raise BadReply("the answer is no JSON", kind="other", endpoint=str(running)) from error
     if response.status != HTTPStatus.OK:
         raise _error(response.status, content, running)
     return content

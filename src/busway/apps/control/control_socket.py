@@ -21,6 +21,7 @@ from pathlib import Path
 
 from ...errors import ConfigError, LinkDown
 from ...observe.http import bind_tcp, bound_name
+from ...transport.tcp import network_kind
 from .addresses import HAS_UNIX_SOCKETS, KEY, SOCKET_SUFFIX, TOKEN_SUFFIX, ControlAddress, LoopbackAddress, UnixAddress
 
 _LONGEST_PATH = 103
@@ -93,7 +94,7 @@ def bind_unix(address: UnixAddress) -> Bound:
         path.chmod(0o600)
     except OSError as error:
         bound.close()
-        raise LinkDown(f"cannot listen on {path}: {error.strerror or error}") from error
+        raise LinkDown(f"cannot listen on {path}: {error.strerror or error}", kind=network_kind(error)) from error
     return made
 
 
@@ -111,7 +112,9 @@ def bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
         made.remember(path)
     except OSError as error:
         bound.close()
-        raise LinkDown(f"the token cannot be written to {path}: {error.strerror or error}") from error
+        raise LinkDown(
+            f"the token cannot be written to {path}: {error.strerror or error}", kind=network_kind(error)
+        ) from error
     return made
 
 
@@ -154,6 +157,6 @@ def _make_room(path: Path) -> None:
     if not stat.S_ISSOCK(mode):
         raise ConfigError(f"{path} is there and is no socket", key=KEY)
     if is_alive(path):
-        raise LinkDown(f"cannot listen on {path}: a running program answers there")
+        raise LinkDown(f"cannot listen on {path}: a running program answers there", kind="taken")
     with contextlib.suppress(FileNotFoundError):
         path.unlink()

@@ -340,7 +340,7 @@ class FleetCollector:
     def _permit(self, link: str) -> None:
         """Raise `LinkDown` unless this collector owns the link's group and may begin a transaction now (rule 2)."""
         if link not in self._active or not self.member.may_begin(self._shard_of[link], self._now(), self._worst[link]):
-            raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent")
+            raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent", kind="other")
         self._permitted[link] = time.time_ns()
 
     def _told(self, event: ShardEvent) -> None:

@@ -68,12 +68,12 @@ async def send_command(client: Any, zone: str, link: str, content: dict[str, Any
     errors = import_module("nats.errors")
     subject = command_subject(zone, link)
     if not client.is_connected:
-        raise LinkDown("the connection to the coordinator is lost; nothing was sent")
+        raise LinkDown("the connection to the coordinator is lost; nothing was sent", kind="lost")
     try:
         reply = await asked(client, subject, client.request(subject, json.dumps(content).encode(), timeout=seconds))
         answer = json.loads(reply.data)
     except errors.NoRespondersError as error:
-        raise LinkDown(f"no collector of zone {zone} owns link {link} now; nothing was sent") from error
+        raise LinkDown(f"no collector of zone {zone} owns link {link} now; nothing was sent", kind="other") from error
     except (errors.Error, OSError, TimeoutError, ValueError) as error:
         if subject in client.cause and "permissions" in client.cause.lower():
             raise ConfigError(f"the credentials do not permit commands: {client.cause}", key="coordinator") from error

@@ -115,6 +115,7 @@ Whole = Annotated[int, Field(ge=0, le=0xFFFF)]
 TableSize = Annotated[int, Field(ge=0, le=TABLE_SIZE)]
 UnitNumber = Annotated[int, Field(ge=0, le=255)]
 PresetWord = Literal["standard", "strict"]
+LinkPresetWord = Literal["standard", "strict", "passive"]
 OF_GROUP: Final = "its points, with the addresses of the first place."
 
 

@@ -21,7 +21,7 @@ from ...options.declaration import Name, Range
 from ...options.offer import LINKS
 from ...options.service import AuditParameters, ControlParameters, MetricsParameters
 from ...options.tls import TlsParameters
-from .device import DeviceFile, PresetWord, UnitSection
+from .device import DeviceFile, LinkPresetWord, UnitSection
 from .lines import Path
 from .listeners import ListenerSection, Url, clashes
 from .options import OptionSection, with_options_of
@@ -40,7 +40,10 @@ def _unchanged(value: object) -> object:
 class LinkKeys(OptionSection):
     """Base of file sections with options of a link; options that the file leaves out have no value."""
 
-    preset: Annotated[PresetWord | None, "a set of options; `strict` ends each deviation from the documents."] = None
+    preset: Annotated[
+        LinkPresetWord | None,
+        "a set of options; `strict` ends each deviation from the documents, `passive` repeats and delays nothing.",
+    ] = None
 
     def options(self) -> dict[str, Any]:  # of several types
         """Return the options of a link that the section sets, by name."""

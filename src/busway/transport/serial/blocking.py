@@ -99,7 +99,7 @@ class BlockingSerialPort:
         """Return the file descriptor of the port. Raises `LinkDown` if it is closed or has none on this system."""
         self._opened()
         if self._descriptor is None:
-            raise LinkDown(f"{self.path} has no descriptor to wait at on this system")
+            raise LinkDown(f"{self.path} has no descriptor to wait at on this system", kind="local")
         return self._descriptor
 
     def still_sending(self) -> float | None:
@@ -205,7 +205,7 @@ class BlockingSerialPort:
                         return emission.until
                     emission.still_held(held, now)
                 if limit is not None and now >= limit:
-                    raise LinkDown(f"{self.path} did not send within {timeout:g} s", sent=True)
+                    raise LinkDown(f"{self.path} did not send within {timeout:g} s", kind="timeout", sent=True)
                 _sleep_until(emission.until if limit is None else min(emission.until, limit))
         except LinkDown:
             raise
@@ -238,11 +238,13 @@ class BlockingSerialPort:
                 left = left[os.write(descriptor, left) :]
             except BlockingIOError:
                 if not wait_ready([], [descriptor], STUCK_AFTER):
-                    raise LinkDown(f"{self.path} has taken no bytes for {STUCK_AFTER:g} s", sent=True) from None
+                    raise LinkDown(
+                        f"{self.path} has taken no bytes for {STUCK_AFTER:g} s", kind="timeout", sent=True
+                    ) from None
 
     def _opened(self) -> "BaseSerial":
         if self._serial is None:
-            raise LinkDown(f"{self.path} is closed")
+            raise LinkDown(f"{self.path} is closed", kind="closed")
         return self._serial
 
 

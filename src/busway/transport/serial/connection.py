@@ -201,7 +201,7 @@ class SerialConnection:
 
     def _opened(self) -> "tuple[BaseSerialTransport, OpenDevice]":
         if self._transport is None or self._device is None:
-            raise LinkDown(f"{self.path} is closed")
+            raise LinkDown(f"{self.path} is closed", kind="closed")
         return self._transport, self._device
 
     # What `serialx` tells, through `_Events`.

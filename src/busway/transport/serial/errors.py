@@ -8,7 +8,7 @@ Knows the errors of the system and of `serialx`; knows no Modbus.
 
 import errno
 
-from ...errors import ConfigError, LinkDown
+from ...errors import ConfigError, LinkDown, LinkDownKind
 from .lock import holder_of
 
 _REASONS = {
@@ -21,6 +21,16 @@ _REASONS = {
     errno.EMFILE: "this process has no file handles left",
 }
 
+_KINDS: dict[int, LinkDownKind] = {
+    errno.ENOENT: "missing",
+    errno.ENOTDIR: "missing",
+    errno.ENODEV: "missing",
+    errno.ENXIO: "missing",
+    errno.EIO: "lost",
+    errno.EACCES: "local",
+    errno.EPERM: "local",
+    errno.EMFILE: "local",
+}
 _TAKEN = frozenset({errno.EBUSY, errno.EAGAIN})
 _IMPOSSIBLE = frozenset({errno.EINVAL, errno.ENOTTY, errno.EISDIR, errno.EOPNOTSUPP})
 
@@ -37,13 +47,15 @@ def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDo
     ours: LinkDown | ConfigError
     if number in _TAKEN:
         holder = holder_of(port)
-        ours = LinkDown(f"{port} cannot be opened: it is held by {holder or 'another program, which does not show'}")
+        ours = LinkDown(
+            f"{port} cannot be opened: it is held by {holder or 'another program, which does not show'}", kind="taken"
+        )
     elif number == errno.ENOTTY:
         ours = ConfigError(f"{port} is not a serial port", key="port")
     elif number in _IMPOSSIBLE or not isinstance(error, OSError):
         ours = ConfigError(f"{port} cannot be set to {settings or 'these settings'} ({_words(error)})", key="port")
     else:
-        ours = LinkDown(f"{port} cannot be opened: {_words(error)}")
+        ours = LinkDown(f"{port} cannot be opened: {_words(error)}", kind=_KINDS.get(number or 0, "other"))
     ours.__cause__ = error
     return ours
 
@@ -56,7 +68,7 @@ def port_lost(error: BaseException | None, *, port: str, sent: bool = False) -> 
         port: its path.
         sent: whether bytes of a request may have left.
     """
-    down = LinkDown(f"{port} is lost: {_words(error) if error else _REASONS[errno.EIO]}", sent=sent)
+    down = LinkDown(f"{port} is lost: {_words(error) if error else _REASONS[errno.EIO]}", kind="lost", sent=sent)
     down.__cause__ = error
     return down
 

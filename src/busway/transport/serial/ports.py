@@ -102,7 +102,7 @@ def _by_identity(name: str, identity: re.Match[str], listing: Callable[[], Itera
         if (port.vendor, port.product) == (vendor, product) and serial_number in (None, port.serial_number)
     ]
     if not fitting:
-        raise LinkDown(f"no serial port with the USB identity {name.lstrip('/')} is plugged in")
+        raise LinkDown(f"no serial port with the USB identity {name.lstrip('/')} is plugged in", kind="missing")
     if len(fitting) > 1:
         choices = ", ".join(port.path for port in fitting)
         raise ConfigError(
