@@ -99,24 +99,17 @@ async def test_every_sample_of_two_collectors_reaches_the_sink_although_one_is_k
             assert re.search(r"^lines +\d+ +(-|[\d.]+ s)$", status.out, re.MULTILINE), status.out
 
 
-@pytest.mark.parametrize(
-    ("sink", "said"),
-    [
-        ('url = "file://{folder}/archive"\nformat = "parquet"', "take csv or jsonl"),
-        ('url = "file://{folder}/x.csv"\nreport = {{ when = "change" }}', "sink.lines.report: is not applied"),
-    ],
-)
-async def test_a_sink_that_needs_a_store_is_refused(
-    run: Callable[..., Any], tmp_path: Path, sink: str, said: str
-) -> None:
+@pytest.mark.parametrize("words", [["sink", "lines"], ["run", "--stream"]])
+async def test_a_sink_that_needs_a_store_is_refused(run: Callable[..., Any], tmp_path: Path, words: list[str]) -> None:
     pytest.importorskip("pyarrow")
     with nats_server(tmp_path) as server:
         at = ("--coordinator", f"nats://127.0.0.1:{server.port}", "--zone", "hall")
-        file = written(tmp_path, [FleetDevice("a", 502)], sink.format(folder=tmp_path))
+        sink = f'url = "file://{tmp_path}/archive"\nformat = "parquet"'
+        file = written(tmp_path, [FleetDevice("a", 502)], sink)
         applied = await asyncio.to_thread(run, "fleet", "apply", file, *at)
         assert applied.code == 0, applied.err
-        refused = await asyncio.to_thread(run, "fleet", "sink", "lines", *at)
-        assert (refused.code, said in refused.err) == (2, True), refused.err
+        refused = await asyncio.to_thread(run, "fleet", *words, *at)
+        assert (refused.code, "sink.lines: Parquet files are called by commits" in refused.err) == (2, True)
         unknown = await asyncio.to_thread(run, "fleet", "sink", "liens", *at)
         assert "the configuration has no sink liens; there are lines" in unknown.err
 

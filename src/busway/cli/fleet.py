@@ -333,6 +333,7 @@ async def _run(
     *,
     as_json: bool,
 ) -> None:
+    from ..apps.fleet.chosen_samples import refuse_what_needs_a_store
     from ..apps.fleet.control_entries import read_configuration
     from ..apps.fleet.fleet_collector import FleetCollector
     from ..apps.fleet.fleet_metrics import fleet_families
@@ -351,6 +352,7 @@ async def _run(
             stack.push_async_callback(keys.close)
             stream = None
             if stream_zone is not None:
+                refuse_what_needs_a_store(configuration)
                 stream = await open_stream(stack, table, stream_zone, shards, replicas)
                 configuration = replace(configuration, sinks={})
             member = await stack.enter_async_context(

@@ -7,7 +7,6 @@
 
 import asyncio
 from contextlib import AsyncExitStack
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
 from ..errors import ConfigError
@@ -16,14 +15,10 @@ from .output import print_json, say, warn
 from .signals import stop_event
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from ..apps.collector.sinks.interface import Sink
     from ..apps.collector.store.committed_samples import CommittedSample
     from ..apps.fleet.coordinator import Coordinator
     from ..apps.fleet.fleet_collector import FleetCollector
     from ..apps.fleet.streams import NatsStream, StreamOptions
-    from ..options.sinks import DeliveryOptions
 
 
 def nats_client(table: "Coordinator") -> Any:
@@ -73,48 +68,6 @@ def print_stream_status(member: "FleetCollector") -> None:
     print(f"  sinks of the stream: {counted(newest - status.kept, 'commit')} behind", flush=True)
 
 
-def _refuse_what_needs_a_store(file: str, name: str, sink: "Sink", options: "DeliveryOptions") -> None:
-    """Raise `ConfigError` for a sink, or an option of it, that works only beside the store of one collector."""
-    from ..apps.collector.sinks.files import FileSink
-    from ..apps.collector.sinks.sparkplug import SparkplugSink
-
-    key = f"sink.{name}"
-    if isinstance(sink, SparkplugSink):
-        raise ConfigError("Sparkplug needs the store of a collector: run it without --stream", file=file, key=key)
-    if isinstance(sink, FileSink) and sink.is_named_by_commits:
-        raise ConfigError(
-            "Parquet files are called by commits, which several collectors count: take csv or jsonl", file=file, key=key
-        )
-    if options.report is not None:
-        raise ConfigError("is not applied to samples of a stream: leave it out", file=file, key=f"{key}.report")
-
-
-class _Chosen:
-    """A sink that gets only the points that its table of the file names."""
-
-    def __init__(self, sink: "Sink", patterns: "Sequence[str]") -> None:
-        self._sink, self._patterns = sink, patterns
-        self._known: dict[tuple[str, str], bool] = {}
-
-    async def open(self) -> None:
-        await self._sink.open()
-
-    async def send(self, samples: "Sequence[CommittedSample]") -> None:
-        chosen = [each for each in samples if self._is_chosen(each.device, each.point)]
-        if chosen:
-            await self._sink.send(chosen)
-
-    async def close(self) -> None:
-        await self._sink.close()
-
-    def _is_chosen(self, device: str, point: str) -> bool:
-        found = self._known.get((device, point))
-        if found is None:
-            found = any(fnmatchcase(f"{device}/{point}", pattern) for pattern in self._patterns)
-            self._known[device, point] = found
-        return found
-
-
 async def run_sink(
     table: "Coordinator", zone: str, name: str, stream: "StreamOptions", every: float, *, as_json: bool
 ) -> None:
@@ -123,6 +76,8 @@ async def run_sink(
     Raises:
         ConfigError: the zone has no such sink, or the coordinator no stream.
     """
+    from ..apps.collector.report_rules import sink_rules
+    from ..apps.fleet.chosen_samples import ChosenSamples, refuse_what_needs_a_store, sinks_without_alarms
     from ..apps.fleet.control_entries import read_configuration
     from ..apps.fleet.lease_driver import end_tasks
     from ..apps.fleet.lease_times import LeaseTimes
@@ -137,12 +92,16 @@ async def run_sink(
         there = ", ".join(configuration.sinks) or "none"
         raise ConfigError(f"the configuration has no sink {name}; there are {there}", key="NAME")
     sink, options = configuration.sinks[name]
-    _refuse_what_needs_a_store(shared.name, name, sink, options)
+    refuse_what_needs_a_store(configuration, name)
+    if name in sinks_without_alarms(configuration):
+        warn(f"warning: sink {name} gets samples alone: events of alarms do not go through the stream")
 
     def set_aside(sample: "CommittedSample", error: str) -> None:
         warn(f"sink {name}: {sample.device}/{sample.point} at {sample.time} ns is refused for good: {error}")
 
-    handed = StreamSink(client, table, zone, name, _Chosen(sink, options.points), set_aside, stream)
+    handed = StreamSink(
+        client, table, zone, name, ChosenSamples(sink, options, sink_rules(configuration)), set_aside, stream
+    )
     with stop_event() as stop:
         running = asyncio.create_task(handed.run(), name="busway fleet sink")
         stopped: asyncio.Task[Any] = asyncio.create_task(stop.wait(), name="busway fleet sink stop")

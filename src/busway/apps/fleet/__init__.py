@@ -18,6 +18,7 @@
 `messages`         samples of one link as a message
 `outbox`           what a collector has stored, sent until the sinks of the fleet have it
 `streams`          the stream of a zone: samples go in from collectors, and out to sinks
+`chosen_samples`   the samples of the stream that one sink gets: its points, by report rules
 `fleet_collector`  a collector that polls what it owns
 `fleet_commands`   commands by request and reply on a subject of the link
 `key_memory`       the keys of commands that one entry of the table remembers, and for how long

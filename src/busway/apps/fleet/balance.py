@@ -14,6 +14,7 @@ Pure; knows loads and names. Every collector computes the same from what it sees
 from bisect import bisect_left, insort
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from heapq import heapify, heappop, heappush
 from typing import Final
 
 from .shards import hosts_of
@@ -65,12 +66,11 @@ def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]
         free: the cost of each free shard.
         shares: the collectors that live; they are not changed.
     """
-    able = [Share(each.name, each.host, each.load, each.capacity) for each in shares if not each.draining]
+    able = _Takers(Share(each.name, each.host, each.load, each.capacity) for each in shares if not each.draining)
     found: dict[str, str] = {}
     for shard, cost in sorted(free.items(), key=lambda item: (-item[1], item[0])):
-        taker = _taker(shard, cost, able)
+        taker = able.take(shard, cost)
         if taker is not None:
-            taker.load += cost
             found[shard] = taker.name
     return found
 
@@ -100,12 +100,13 @@ def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, mo
 def _drained(owned: Mapping[str, tuple[str, float]], state: Mapping[str, Share], able: list[Share]) -> list[Move]:
     """Return the moves of shards (groups of links) away from collectors that are being emptied."""
     found: list[Move] = []
-    leaving = [(cost, shard, owner) for shard, (owner, cost) in owned.items() if owner in state]
+    draining = {name for name, each in state.items() if each.draining}
+    leaving = [(cost, shard, owner) for shard, (owner, cost) in owned.items() if owner in draining]
+    takers_of_all = _Takers(able)
     for cost, shard, owner in sorted(leaving, reverse=True):
-        if len(found) < MOST_MOVES and state[owner].draining:
-            taker = _taker(shard, cost, able)
+        if len(found) < MOST_MOVES:
+            taker = takers_of_all.take(shard, cost)
             if taker is not None:
-                taker.load += cost
                 state[owner].load -= cost
                 found.append(Move(shard, owner, taker.name))
     return found
@@ -123,25 +124,29 @@ def _level(
     # In order of load, so that a zone of a thousand collectors costs a look no more than a few of them.
     order = sorted((each.relative(), each.name) for each in able)
     by_name = {each.name: each for each in able}
-    stuck: set[str] = set()
-    while len(found) < MOST_MOVES and (order[-1][0] > fair * (1 + END) or order[0][0] < fair * (1 - END)):
-        name = next((name for _, name in reversed(order) if name not in stuck), None)
-        if name is None:
-            return
-        giver, taker = by_name[name], by_name[order[0][1]]
+    givers = order[:]  # without those that have nothing to give
+    while givers and len(found) < MOST_MOVES and (order[-1][0] > fair * (1 + END) or order[0][0] < fair * (1 - END)):
+        giver, taker = by_name[givers[-1][1]], by_name[order[0][1]]
         best = _best(costs[giver.name], giver, taker)
         if best is None:
-            stuck.add(giver.name)
+            givers.pop()
             continue
         for share in (giver, taker):
-            del order[bisect_left(order, (share.relative(), share.name))]
+            was = (share.relative(), share.name)
+            share.load += -best[0] if share is giver else best[0]
+            for each in (order, givers):
+                _replace(each, was, (share.relative(), share.name))
         costs[giver.name].remove(best)
         insort(costs[taker.name], best)
-        giver.load -= best[0]
-        taker.load += best[0]
-        for share in (giver, taker):
-            insort(order, (share.relative(), share.name))
         found.append(Move(best[1], giver.name, taker.name))
+
+
+def _replace(order: list[tuple[float, str]], was: tuple[float, str], now: tuple[float, str]) -> None:
+    """Replace an entry of a sorted list where the list has it."""
+    place = bisect_left(order, was)
+    if place < len(order) and order[place] == was:
+        del order[place]
+        insort(order, now)
 
 
 def _best(costs: list[tuple[float, str]], giver: Share, taker: Share) -> tuple[float, str] | None:
@@ -154,13 +159,38 @@ def _best(costs: list[tuple[float, str]], giver: Share, taker: Share) -> tuple[f
     return min(near, key=lambda each: (abs(each[0] - wanted), each[1]), default=None)
 
 
-def _taker(shard: str, cost: float, able: list[Share]) -> Share | None:
-    hosts = hosts_of(shard)
-    for host in hosts:
-        there = [each for each in able if each.host == host]
-        if there:
-            return min(there, key=lambda each: (each.relative(cost), each.name))
-    return None if hosts else min(able, key=lambda each: (each.relative(cost), each.name), default=None)
+class _Takers:
+    """The collectors that may take shards (groups of links); each finds its taker without a look at all of them.
+
+    Args:
+        able: the collectors; `take` adds to their loads.
+    """
+
+    def __init__(self, able: Iterable[Share]) -> None:
+        self._hosts: dict[str, list[Share]] = {}
+        self._heaps: dict[float, list[tuple[float, str, Share]]] = {}
+        for each in able:
+            self._hosts.setdefault(each.host, []).append(each)
+            self._heaps.setdefault(each.capacity, []).append((each.load, each.name, each))
+        for heap in self._heaps.values():
+            heapify(heap)
+
+    def take(self, shard: str, cost: float) -> Share | None:
+        """Add a shard to the collector that should have it; None where no collector may own it."""
+        hosts = hosts_of(shard)
+        there = next((self._hosts[host] for host in hosts if host in self._hosts), [])
+        able = there if hosts else [self._least_loaded(heap) for heap in self._heaps.values()]
+        taker = min(able, key=lambda each: (each.relative(cost), each.name), default=None)
+        if taker is not None:
+            taker.load += cost
+            heappush(self._heaps[taker.capacity], (taker.load, taker.name, taker))
+        return taker
+
+    def _least_loaded(self, heap: list[tuple[float, str, Share]]) -> Share:
+        """Return the first of the collectors of one capacity."""
+        while heap[0][0] != heap[0][2].load:  # it was the load before another shard was taken
+            heappop(heap)
+        return heap[0][2]
 
 
 def _is_off(able: list[Share], fair: float, limit: float) -> bool:

@@ -38,6 +38,7 @@ from ..collector.commands.command import CommandState, PointCommand
 from ..collector.configuration import CollectorConfiguration
 from ..collector.reloading import refuse_what_cannot_change
 from ..collector.samples import NANOSECONDS, Reason, StateInterval
+from .chosen_samples import refuse_what_needs_a_store
 from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration, refuse_other_figures
 from .coordinator import Coordinator, Entry
 from .key_table import KeyTable
@@ -279,6 +280,8 @@ class FleetCollector:
         try:
             shared = decode_configuration(entry)
             newer = await asyncio.to_thread(shared.parsed, self.member.times)
+            if self._stream is not None:
+                refuse_what_needs_a_store(newer)
             sinks = newer.sinks if self._stream is None else {}  # its samples reach sinks through the stream
             newer = replace(newer, store=self._configuration.store, sinks=sinks)
             refuse_what_cannot_change(self._configuration, newer)

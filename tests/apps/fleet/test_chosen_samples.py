@@ -1,0 +1,86 @@
+"""What one sink of a stream gets: its points, by report rules."""
+
+from collections.abc import Sequence
+
+import pytest
+
+from busway.apps.collector.samples import NANOSECONDS
+from busway.apps.collector.sinks.interface import SinkDown
+from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.fleet.chosen_samples import ChosenSamples
+from busway.options.sinks import DeliveryOptions
+from busway.points.point_rules import ReportRule
+
+CHANGE = ReportRule("change", deadband=1.0)
+
+
+class Taken:
+    """A sink that remembers, and can be down."""
+
+    def __init__(self) -> None:
+        self.values: list[object] = []
+        self.is_down = False
+
+    async def open(self) -> None:
+        pass
+
+    async def send(self, samples: Sequence[CommittedSample]) -> None:
+        if self.is_down:
+            raise SinkDown("away")
+        self.values += [each.value for each in samples]
+
+    async def close(self) -> None:
+        pass
+
+
+def samples(*values: float, begin: int = 100, point: str = "level") -> list[CommittedSample]:
+    return [
+        CommittedSample(begin + place, "tank", point, (begin + place) * NANOSECONDS, 0, value, 0, "m")
+        for place, value in enumerate(values)
+    ]
+
+
+async def test_a_rule_of_a_point_holds_across_batches() -> None:
+    taken = Taken()
+    chosen = ChosenSamples(taken, DeliveryOptions(), {("tank", "level"): CHANGE})
+    await chosen.send(samples(1.0, 1.5, 2.5))
+    await chosen.send(samples(2.6, 3.4, 9.0, begin=200))
+    assert taken.values == [1.0, 2.5, 9.0]
+
+
+async def test_the_rule_of_the_sink_goes_before_that_of_the_point_and_others_get_all() -> None:
+    taken = Taken()
+    every = ReportRule("change_or_period", period=2.0, deadband=100.0)
+    chosen = ChosenSamples(taken, DeliveryOptions(report=every), {("tank", "level"): CHANGE})
+    await chosen.send(samples(1.0, 5.0, 2.0, 3.0, 4.0))
+    assert taken.values == [1.0, 2.0, 4.0]
+    plain = Taken()
+    await ChosenSamples(plain, DeliveryOptions(), {}).send(samples(1.0, 1.0))
+    assert plain.values == [1.0, 1.0]
+
+
+async def test_what_a_sink_did_not_take_is_chosen_again() -> None:
+    taken = Taken()
+    chosen = ChosenSamples(taken, DeliveryOptions(), {("tank", "level"): CHANGE})
+    taken.is_down = True
+    with pytest.raises(SinkDown):
+        await chosen.send(samples(1.0, 5.0))
+    taken.is_down = False
+    await chosen.send(samples(1.0, 5.0))
+    assert taken.values == [1.0, 5.0]
+
+
+async def test_samples_from_before_the_last_one_are_passed_on_and_change_nothing() -> None:
+    taken = Taken()
+    chosen = ChosenSamples(taken, DeliveryOptions(), {("tank", "level"): CHANGE})
+    await chosen.send(samples(1.0))
+    await chosen.send(samples(1.0, 1.0, begin=50))
+    await chosen.send(samples(1.0, begin=101))
+    assert taken.values == [1.0, 1.0, 1.0]
+
+
+async def test_only_named_points_reach_the_sink() -> None:
+    taken = Taken()
+    chosen = ChosenSamples(taken, DeliveryOptions(points=("tank/level",)), {})
+    await chosen.send([*samples(1.0), *samples(2.0, point="flow")])
+    assert taken.values == [1.0]
