@@ -8,7 +8,14 @@ from waiting import until
 
 from busway.apps.collector.commands.claims import KeysUnavailable
 from busway.apps.collector.commands.command import CommandResult, CommandState, PointCommand
-from busway.apps.fleet.coordinator import SNAPSHOT_ENDS, CoordinatorDown, Entry, OutcomeUnknown, RevisionConflict
+from busway.apps.fleet.coordinator import (
+    SNAPSHOT_BEGINS,
+    SNAPSHOT_ENDS,
+    CoordinatorDown,
+    Entry,
+    OutcomeUnknown,
+    RevisionConflict,
+)
 from busway.apps.fleet.key_memory import decode_memory
 from busway.apps.fleet.key_table import KeyTable, slot_of
 
@@ -214,3 +221,26 @@ async def test_a_table_with_an_entry_that_this_program_cannot_read_refuses() -> 
         with pytest.raises(KeysUnavailable, match="cannot be read by this program"):
             await west.claim(opened("k1"))
         assert west.known(opened("k1")) is None
+
+
+async def test_a_table_that_showed_revisions_too_high_and_is_read_anew_can_be_changed_again() -> None:
+    """As where the watch of a server with another count was left for that of the server that leads."""
+    shared, wrong = Shared(), Shared()
+    table = MemoryTable(shared)
+    first = await table.create(slot_of("k"), b"")
+    wrong.entries[slot_of("k")] = Entry(slot_of("k"), b"", first + 15)
+
+    class ReadAnew(MemoryTable):
+        async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
+            for entry in wrong.entries.values():
+                yield entry
+            yield SNAPSHOT_ENDS
+            await asyncio.sleep(0.05)
+            yield SNAPSHOT_BEGINS
+            async for entry in super().watch(prefix):
+                yield entry
+
+    async with KeyTable(ReadAnew(shared), "west") as keys:
+        await until(lambda: bool(keys._seen), 10)
+        assert await keys.claim(opened("k")) is None
+    assert shared.entries[slot_of("k")].revision == first + 1

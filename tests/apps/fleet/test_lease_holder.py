@@ -11,7 +11,7 @@ from busway.apps.fleet.balance import BEGIN
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.lease_holder import FleetMember, NotConfirmed, Proposal, _SeenLease
 from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.fleet.records import LEASES, MemberRecord, ZoneRecord
+from busway.apps.fleet.records import LEASES, LeaseRecord, MemberRecord, ZoneRecord
 
 COSTS = {f"{number:04d}": 0.02 + 0.001 * (number % 7) for number in range(32)}
 
@@ -377,3 +377,30 @@ def test_what_is_owned_is_given_back_where_the_figures_of_the_zone_change() -> N
     world.run(5)
     assert not member.owned
     assert "8 shards" in member.problem
+
+
+def test_revisions_that_were_shown_too_high_are_replaced_when_the_table_is_read_anew() -> None:
+    """As where the watch of a server with another count was left for that of the server that leads."""
+    times = LeaseTimes()
+    member = FleetMember("west", "run", "west", times, random.Random(1), shards=4)
+    member.set_shards({"0001": 0.1})
+    held = LeaseRecord("east", "dead", True, 3, 0.1, None)
+    dead = MemberRecord("west", "another run", "west", 5)
+    for lead, now in ((15, 100.0), (0, 104.0)):
+        member.begin_snapshot()
+        member.entry(Entry("zone", ZoneRecord(4, times.ttl, times.guard).encode(), 2), now)
+        member.entry(Entry("lease.0001", held.encode(), 50 + lead), now)
+        member.entry(Entry("member.west", dead.encode(), 51 + lead), now)
+        member.end_snapshot(now)
+    asked: dict[str, int] = {}
+    revision, now = 60, 104.0
+    while now < 180.0 and "lease.0001" not in asked:
+        for proposal in member.turn(now):
+            asked.setdefault(proposal.key, proposal.revision)
+            revision += 1
+            if proposal.key == "member.west":
+                member.entry(Entry(proposal.key, proposal.value, revision), now)
+            member.outcome(proposal, revision, now)
+        now += 0.1
+    assert asked["lease.0001"] == 50
+    assert asked["member.west"] == 51

@@ -1,12 +1,15 @@
 """A sink says that it keeps a commit only if it has every sample up to it, whatever a stream loses."""
 
 import random
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.messages import SampleMessage
-from busway.apps.fleet.streams import SinkProgress
+from busway.apps.fleet.streams import MISSING_SECONDS, CursorBook, SinkCursors, SinkProgress, StreamSink
 
 
 def message(collector: str, commits: list[int], complete: int, kept: int) -> SampleMessage:
@@ -65,3 +68,38 @@ def test_what_a_sink_says_that_it_keeps_it_has(seed: int) -> None:
             found = message(each.name, commits, begins, each.kept)
             progress.take(sequence + len(stream), found)
         assert progress.cursors.commits[f"{each.name}/s"] == each.made, "what is sent again is believed"
+
+
+def test_cursors_that_are_shown_with_lower_revisions_are_taken_when_the_table_is_read_anew() -> None:
+    book = CursorBook()
+    book.take(Entry("cursor.history", SinkCursors(7, {"one/s": 5}).encode(), 65))
+    book.take(Entry("cursor.history", SinkCursors(6, {"one/s": 4}).encode(), 50))
+    assert book.of("history") == (SinkCursors(7, {"one/s": 5}), 65)
+    book.begin_snapshot()
+    book.take(Entry("cursor.history", SinkCursors(7, {"one/s": 5}).encode(), 50))
+    assert book.of("history") == (SinkCursors(7, {"one/s": 5}), 50)
+
+
+async def test_a_message_that_the_stream_does_not_give_is_left_out_after_some_time_and_proves_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Stream:
+        async def stream_info(self, name: str) -> Any:
+            return SimpleNamespace(state=SimpleNamespace(first_seq=1))
+
+    def given(sequence: int) -> Any:
+        return SimpleNamespace(metadata=SimpleNamespace(sequence=SimpleNamespace(stream=sequence)))
+
+    now = 100.0
+    monkeypatch.setattr("busway.apps.fleet.streams.time.monotonic", lambda: now)
+    sink = StreamSink(None, None, "hall", "history", None)  # type: ignore[arg-type]
+    sink._progress.take(1, message("one", [1], 0, 0))
+    later = [given(3), given(4)]
+    assert await sink._following(Stream(), "s", later) == []
+    now += MISSING_SECONDS - 1.0
+    assert await sink._following(Stream(), "s", later) == []
+    now += 2.0
+    assert await sink._following(Stream(), "s", later) == later
+    assert await sink._following(Stream(), "s", [given(2), *later]) == [given(2), *later]
+    sink._progress.take(3, message("one", [3], 2, 0))
+    assert sink._progress.cursors.commits == {"one/s": 0}

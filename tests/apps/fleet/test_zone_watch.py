@@ -77,6 +77,17 @@ def test_marks_old_entries_and_unreadable_ones_change_nothing() -> None:
     assert zone.watch.holes() == []
 
 
+def test_what_was_shown_with_a_revision_that_was_too_high_is_replaced_when_the_table_is_read_anew() -> None:
+    zone = Zone()
+    east, west = (LeaseRecord(name, "run", True, 1, 0.1, None, at=1.0).encode() for name in ("east", "west"))
+    zone.watch.take(Entry("lease.0001", east, 65))
+    zone.watch.take(SNAPSHOT_BEGINS)
+    zone.watch.take(Entry("lease.0001", west, 51))
+    assert zone.watch.status().leases["0001"].owner == "west"
+    zone.watch.take(Entry("lease.0001", east, 50))
+    assert zone.watch.status().leases["0001"].owner == "west"
+
+
 @pytest.mark.real_time
 async def test_a_collector_of_a_fleet_shows_its_metrics_to_prometheus(tmp_path: Path) -> None:
     pytest.importorskip("prometheus_client")

@@ -9,7 +9,7 @@ Knows no engine. The backends in `coordinators` keep these rules, which one set 
 3. Where the answer is missing, `OutcomeUnknown` says so: the change was made, or was not, or is made later.
 4. A watch gives every entry that exists, then `SNAPSHOT_ENDS`, then changes. It may leave out values that were replaced
    meanwhile, but never goes back in the revisions of a key. After a lost connection it begins again by itself, with
-   `SNAPSHOT_BEGINS`.
+   `SNAPSHOT_BEGINS`; where what it had shown was wrong, revisions may be lower from there on.
 5. No entry expires: an engine's wall clock decides nothing about leases.
 """
 

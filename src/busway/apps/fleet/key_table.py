@@ -26,7 +26,7 @@ from typing import Final, Self
 from ...errors import ConfigError
 from ..collector.commands.claims import KeysUnavailable
 from ..collector.commands.command import CommandResult
-from .coordinator import Coordinator, CoordinatorDown, OutcomeUnknown, RevisionConflict
+from .coordinator import SNAPSHOT_BEGINS, Coordinator, CoordinatorDown, OutcomeUnknown, RevisionConflict
 from .key_memory import KeyMemory, decode_memory
 from .lease_driver import end_tasks
 
@@ -60,6 +60,7 @@ class KeyTable:
         self._table, self._now = table, now
         self._owner = f"{collector}/{secrets.token_hex(6)}"
         self._seen: dict[str, tuple[bytes, int]] = {}
+        self._shown_again: set[str] = set()
         self._told = asyncio.Event()
         self._locks: dict[str, asyncio.Lock] = {}
         self._doubtful: dict[str, None] = {}
@@ -157,12 +158,13 @@ class KeyTable:
                     return found
 
     async def _shown_after(self, slot: str, revision: int) -> None:
-        while self._seen.get(slot, (b"", 0))[1] <= revision:
+        while self._seen.get(slot, (b"", 0))[1] == revision:
             self._told.clear()
             await self._told.wait()
 
     def _show(self, slot: str, value: bytes, revision: int) -> None:
-        if revision > self._seen.get(slot, (b"", 0))[1]:
+        if slot in self._shown_again or revision > self._seen.get(slot, (b"", 0))[1]:
+            self._shown_again.discard(slot)
             self._seen[slot] = value, revision
             self._told.set()
 
@@ -170,7 +172,9 @@ class KeyTable:
         try:
             async with aclosing(self._table.watch(KEYS)) as entries:
                 async for entry in entries:
-                    if entry.revision:
+                    if entry is SNAPSHOT_BEGINS:
+                        self._shown_again = set(self._seen)
+                    elif entry.revision:
                         self._show(entry.key, entry.value, entry.revision)
         except ConfigError as error:
             _log.error("no command is taken: the fleet's table of keys cannot be followed: %s", error)

@@ -216,6 +216,7 @@ class FleetMember:
         self._open: dict[str, Proposal] = {}
         self._events: list[ShardEvent] = []
         self._complete_at: float | None = None
+        self._shown_again: set[str] = set()
         self._look_at = 0.0
         self._free_since: dict[str, float] = {}
         self._silent_since: dict[str, float] = {}
@@ -293,8 +294,13 @@ class FleetMember:
     # What comes in.
 
     def begin_snapshot(self) -> None:
-        """Prepare to receive all entries of the shared table, because following it begins (again)."""
+        """Prepare to receive all entries of the shared table, because following it begins (again).
+
+        What was known stays known; an entry that is shown with a lower revision now replaces it.
+        """
         self._complete_at = None
+        self._shown_again = {f"{LEASES}{shard}" for shard in self._leases}
+        self._shown_again |= {f"{MEMBERS}{name}" for name in (*self._members, self.name)}
 
     def end_snapshot(self, now: float) -> None:
         """End the receipt of all existing entries of the shared table; from now on changes come."""
@@ -302,6 +308,7 @@ class FleetMember:
 
     def entry(self, entry: Entry, now: float) -> None:
         """Take over a new or changed entry of the table that collectors share."""
+        self._forget_wrong_revision(entry)
         if entry.key.startswith(LEASES):
             self._lease(entry.key[len(LEASES) :], entry, now)
         elif entry.key.startswith(MEMBERS):
@@ -310,6 +317,20 @@ class FleetMember:
             self.generation = max(self.generation, decode_generation(entry.value))
         elif entry.key == ZONE and entry.revision > self._zone_revision:
             self._compare_zone(entry)
+
+    def _forget_wrong_revision(self, entry: Entry) -> None:
+        """Forget what is known of an entry that is shown with a lower revision after the table was read anew."""
+        if entry.key not in self._shown_again:
+            return
+        self._shown_again.discard(entry.key)
+        table, _, name = entry.key.partition(".")
+        if entry.key == f"{MEMBERS}{self.name}":
+            self._my_revision = min(self._my_revision, entry.revision)
+        elif f"{table}." == LEASES:
+            if name in self._leases and entry.revision < self._leases[name].revision:
+                del self._leases[name]
+        elif name in self._members and entry.revision < self._members[name].revision:
+            del self._members[name]
 
     def _compare_zone(self, entry: Entry) -> None:
         """Compare the figures of this collector with those of the zone (rule 7)."""

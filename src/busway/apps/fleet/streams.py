@@ -22,7 +22,15 @@ from typing import Any, Final
 from ...errors import ConfigError
 from ..collector.sinks.interface import Sink, SinkDown, SinkRefused
 from ..collector.store.committed_samples import CommittedSample
-from .coordinator import SNAPSHOT_ENDS, Coordinator, CoordinatorDown, Entry, OutcomeUnknown, RevisionConflict
+from .coordinator import (
+    SNAPSHOT_BEGINS,
+    SNAPSHOT_ENDS,
+    Coordinator,
+    CoordinatorDown,
+    Entry,
+    OutcomeUnknown,
+    RevisionConflict,
+)
 from .coordinators.nats import NOT_YET, asked, refused_subject
 from .coordinators.opening import until_up
 from .lease_driver import end_if_cancelled, end_tasks
@@ -35,6 +43,8 @@ FETCH: Final = 64
 AUDIT_AGE: Final = 366 * 86_400.0
 ACK_SECONDS: Final = 10.0
 """Seconds after which a message that a sink has not acknowledged is given to it again."""
+MISSING_SECONDS: Final = 4 * ACK_SECONDS
+"""Seconds for which a sink waits for the next message while the stream gives it later ones."""
 _log = logging.getLogger("busway.fleet")
 
 
@@ -217,14 +227,20 @@ class CursorBook:
     def __init__(self) -> None:
         self._cursors: dict[str, SinkCursors] = {}
         self._revisions: dict[str, int] = {}
+        self._shown_again: set[str] = set()
+
+    def begin_snapshot(self) -> None:
+        """Prepare to receive all entries once more: they replace what is known, also where their revision is lower."""
+        self._shown_again = set(self._revisions)
 
     def take(self, entry: Entry) -> None:
         """Take over an entry of the shared table if it is a sink's position; an empty value removes the sink."""
         if not entry.key.startswith(CURSORS):
             return
         sink = entry.key[len(CURSORS) :]
-        if entry.revision <= self._revisions.get(sink, 0):
+        if sink not in self._shown_again and entry.revision <= self._revisions.get(sink, 0):
             return
+        self._shown_again.discard(sink)
         self._revisions[sink] = entry.revision
         self._cursors.pop(sink, None)
         if entry.value:
@@ -253,7 +269,9 @@ class CursorBook:
         """Follow the shared table until cancelled; ``told`` is called once all existing entries are known."""
         async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
             async for entry in entries:
-                if entry is SNAPSHOT_ENDS:
+                if entry is SNAPSHOT_BEGINS:
+                    self.begin_snapshot()
+                elif entry is SNAPSHOT_ENDS:
                     told()
                 self.take(entry)
 
@@ -398,6 +416,7 @@ class StreamSink:
         self._progress = SinkProgress(None)
         self._book = CursorBook()
         self._is_open = False
+        self._missing = 0, 0.0
 
     async def run(self) -> None:
         """Pass samples on to the sink until cancelled; connects again after a failure."""
@@ -486,7 +505,15 @@ class StreamSink:
             return messages
         first = int((await jetstream.stream_info(stream)).state.first_seq)
         if first <= expected:
-            return messages[:place]
+            if place or not self._is_missing_for_good(expected):
+                return messages[:place]
+            _log.warning(
+                "sink %s: the stream does not give message %d for %g s: it is left out; collectors send it again",
+                self._name,
+                expected,
+                MISSING_SECONDS,
+            )
+            return messages
         self.dropped += first - expected
         _log.warning(
             "sink %s: the stream was full and has dropped %d messages that were not taken; collectors send them again",
@@ -494,6 +521,12 @@ class StreamSink:
             first - expected,
         )
         return messages
+
+    def _is_missing_for_good(self, sequence: int) -> bool:
+        """Whether a message has not come for so long that it will not: servers may differ in what they number so."""
+        if self._missing[0] != sequence:
+            self._missing = sequence, time.monotonic()
+        return time.monotonic() > self._missing[1] + MISSING_SECONDS
 
     async def _give_back(self, messages: Iterable[Any]) -> None:
         """Let the stream deliver messages again soon, after those that come before them."""

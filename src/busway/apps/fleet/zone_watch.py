@@ -62,6 +62,7 @@ class ZoneWatch:
     ) -> None:
         self._coordinator, self._times, self._now = coordinator, times or LeaseTimes(), now
         self._entries: dict[str, Entry] = {}
+        self._shown_again: set[str] = set()
         self._seen: dict[str, float] = {}
         self._holes: deque[OwnershipHole] = deque(maxlen=MOST_HOLES)
         self._complete = asyncio.Event()
@@ -109,10 +110,15 @@ class ZoneWatch:
         """Take over an entry of the table, or a mark of its watch."""
         if entry is SNAPSHOT_BEGINS:
             self._complete.clear()
+            self._shown_again = set(self._entries)
         elif entry is SNAPSHOT_ENDS:
             self._complete.set()
         else:
             known = self._entries.get(entry.key)
+            if known is not None and entry.key in self._shown_again:
+                self._shown_again.discard(entry.key)
+                if entry.revision < known.revision:  # what was shown before was wrong
+                    known = None
             if known is not None and entry.revision <= known.revision:
                 return
             if entry.key.startswith(LEASES) and known is not None:

@@ -6,15 +6,24 @@ Knows streams and subjects; the protocol is nats-py's (``busway[nats]``). Works 
    functions of the client are not used, because their ``create`` decides by a read that a follower may answer.
 2. A watch is a consumer without acknowledgement whose messages must follow each other without a gap. After a gap, or
    `QUIET` seconds without a message or heartbeat, it begins anew.
-3. A connection that answers no ping is given up after about five seconds; the next server of the URL is tried.
-4. A connection that the server ends, for whatever reason, is tried again for good: credentials that were revoked may be
+3. The copies of a table on the servers of a cluster can differ in nats-server 2.9 after one of them was killed: one
+   lags for good, or has other revisions. The server that leads decides; a watch may be of any. So each watch is
+   compared with what the leader answers: a change that was confirmed, or the revision in a refusal, must show within
+   `LATE` seconds, and with that revision. Otherwise the watch begins anew at the leader, and that is logged.
+4. The server's count of what a watch has not shown yet can stay above zero. A watch is complete, too, when it has shown
+   as many keys as there were, or `QUIET` seconds have passed.
+5. A connection that answers no ping is given up after about five seconds; the next server of the URL is tried.
+6. A connection that the server ends, for whatever reason, is tried again for good: credentials that were revoked may be
    granted again. What the server said last is in the error of every change meanwhile.
 """
 
 import asyncio
 import contextlib
+import logging
+import re
 import ssl
-from collections.abc import AsyncGenerator, Coroutine
+import time
+from collections.abc import AsyncGenerator, Callable, Coroutine
 from functools import cache
 from importlib import import_module
 from typing import Any, Final, TypeVar
@@ -39,6 +48,10 @@ from .opening import CoordinatorOptions, hidden_secrets
 OLDEST: Final = (2, 9, 0)
 HEARTBEAT: Final = 1.0
 QUIET: Final = 4.0
+LATE: Final = 3.0
+"""Seconds after which a change that the leader has confirmed must show in a watch."""
+MOST_TRIES: Final = 12
+"""Consumers that are made until one is on the server that leads: the server chooses by chance."""
 LOOK_EVERY: Final = 0.05
 NOT_YET: Final = (10004, 10005, 10008, 10009, 10023, 10118)
 """Codes of refusals that end by themselves: a cluster has too few of its servers or no leader, a stream has none."""
@@ -46,6 +59,8 @@ _WRONG_SEQUENCE: Final = (10071, 10164)
 _T = TypeVar("_T")
 _MOST_WAITING: Final = 65_536
 _MOST_CREDENTIALS: Final = 65_536
+_SEQUENCE: Final = re.compile(r"wrong last sequence: (\d+)")
+_log = logging.getLogger("busway.fleet")
 
 
 async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCoordinator":
@@ -123,7 +138,7 @@ def _is_refusal(cause: str) -> bool:
 
 @cache
 def _client_kind() -> Any:
-    """Return nats-py's client with rule 4: its own ends for good where a server ends a connection with an error."""
+    """Return nats-py's client with rule 6: its own ends for good where a server ends a connection with an error."""
     nats = import_module("nats")
 
     class Client(nats.NATS):  # type: ignore[misc, name-defined] # Any: the package is loaded when it is used
@@ -282,6 +297,68 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
         raise ConfigError(f"the bucket {bucket} is kept in memory only: delete it, and it is made anew", key="bucket")
 
 
+class _Watch:
+    """What one watch has shown, compared with what the server that leads has answered (rule 3).
+
+    Args:
+        prefix: of the keys that are watched.
+        now: seconds of a clock that is not set.
+    """
+
+    def __init__(self, prefix: str, now: Callable[[], float]) -> None:
+        self.prefix = prefix
+        self.messages: asyncio.Queue[Any] = asyncio.Queue(_MOST_WAITING)
+        self.differs = ""
+        self._now = now
+        self._shown: dict[str, tuple[int, int]] = {}
+        self._owed: dict[str, tuple[int, int | None, float]] = {}
+
+    @property
+    def keys(self) -> int:
+        """How many keys it has shown."""
+        return len(self._shown)
+
+    def show(self, key: str, revision: int, value: bytes) -> None:
+        """Count an entry as shown."""
+        self._shown[key] = revision, hash(value)
+        owed, content, _ = self._owed.get(key, (0, None, 0.0))
+        if owed and content == hash(value) and revision > owed:
+            self.differs = f"{key} has revision {owed}, and {revision} was shown"
+        elif owed and revision >= owed:
+            del self._owed[key]
+
+    def confirm(self, key: str, revision: int, value: bytes) -> None:
+        """Expect a change that the leader has confirmed."""
+        if not key.startswith(self.prefix):
+            return
+        shown, content = self._shown.get(key, (0, 0))
+        if shown > revision and content == hash(value):
+            self.differs = f"{key} has revision {revision}, and {shown} was shown"
+        elif shown < revision:
+            self._owed.setdefault(key, (revision, hash(value), self._now()))
+
+    def refuse(self, key: str, expected: int, revision: int) -> None:
+        """Expect the revision that the leader names in a refusal of a change that expected another one."""
+        if not key.startswith(self.prefix):
+            return
+        shown = self._shown.get(key, (0, 0))[0]
+        if revision < expected <= shown:
+            self.differs = f"{key} has revision {revision}, and {shown} was shown"
+        elif shown < revision:
+            self._owed.setdefault(key, (revision, None, self._now()))
+
+    def is_right(self) -> bool:
+        """Whether it agrees with the leader, as far as is known now."""
+        if not self.differs:
+            limit = self._now() - LATE
+            late = [(key, revision) for key, (revision, _, since) in self._owed.items() if since < limit]
+            if late:
+                key, revision = late[0]
+                shown = self._shown.get(key, (0, 0))[0]
+                self.differs = f"{key} has revision {revision}, and after {LATE:g} s only {shown} was shown"
+        return not self.differs
+
+
 class NatsCoordinator:
     """Shared table of a zone's collectors in a key-value bucket of NATS.
 
@@ -294,6 +371,8 @@ class NatsCoordinator:
         self._bucket, self._answer = bucket, answer
         self._jetstream = client.jetstream(timeout=answer, domain=domain)
         self._keys = in_domain(f"$KV.{bucket}.", domain) if domain else f"$KV.{bucket}."
+        self._watches: set[_Watch] = set()
+        self._at_leader = False
 
     async def create(self, key: str, value: bytes) -> int:
         """Add a new entry to the shared table. Raises as `Coordinator.create`."""
@@ -319,6 +398,9 @@ class NatsCoordinator:
             raise CoordinatorDown("no server has the bucket now") from error
         except errors.APIError as error:
             if error.err_code in _WRONG_SEQUENCE:
+                if found := _SEQUENCE.search(error.description or ""):
+                    for watch in self._watches:
+                        watch.refuse(key, revision, int(found[1]))
                 raise RevisionConflict(
                     f"{key} has not revision {revision}: {self.client.words(error.description)}"
                 ) from error
@@ -328,6 +410,8 @@ class NatsCoordinator:
                 raise CoordinatorDown(f"the credentials do not permit to change {key}: {refused}") from error
             cause = self.client.cause or self.client.words(error)
             raise OutcomeUnknown(f"the server does not answer: {cause}") from error
+        for watch in self._watches:
+            watch.confirm(key, int(made.seq), value)
         return int(made.seq)
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
@@ -343,51 +427,84 @@ class NatsCoordinator:
             await asyncio.sleep(0.2)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Yield the entries that one NATS consumer gets; end, without an error, when it has a gap or is silent."""
+        """Yield the entries that one NATS consumer gets; end, without an error, when it has a gap, is silent or does
+        not agree with the leader.
+        """
         nats, errors = import_module("nats"), import_module("nats.js.errors")
-        waiting: asyncio.Queue[Any] = asyncio.Queue(_MOST_WAITING)
-        inbox = self.client.new_inbox()
-
-        async def came(message: Any) -> None:
-            with contextlib.suppress(asyncio.QueueFull):  # a gap then: the watch begins anew
-                waiting.put_nowait(message)
-
-        subscription = None
+        watch, subscription = _Watch(prefix, time.monotonic), None
+        self._watches.add(watch)
         try:
-            subscription = await self.client.subscribe(inbox, cb=came)
-            pending = await self._consume(prefix, inbox)
+            subscription, pending = await self._consume(watch)
+            complete_at = time.monotonic() + QUIET
             if not pending:
                 yield SNAPSHOT_ENDS
             follows = 1
-            while True:
+            while not watch.messages.empty() or watch.is_right():
                 async with asyncio.timeout(QUIET):
-                    message = await waiting.get()
+                    message = await watch.messages.get()
                 if (message.headers or {}).get("Status") is not None:
                     last = message.headers.get("Nats-Last-Consumer")
                     if last is not None and int(last) >= follows:
                         return
-                    continue
-                data = message.metadata
-                if data.sequence.consumer != follows:
-                    return
-                follows += 1
-                key = message.subject.removeprefix(f"$KV.{self._bucket}.")
-                if key.startswith(prefix):
-                    yield Entry(key, message.data, data.sequence.stream, data.timestamp.timestamp())
-                if pending and not data.num_pending:
+                else:
+                    data = message.metadata
+                    if data.sequence.consumer != follows:
+                        return
+                    follows += 1
+                    key = message.subject.removeprefix(f"$KV.{self._bucket}.")
+                    watch.show(key, data.sequence.stream, message.data)
+                    if key.startswith(prefix):
+                        yield Entry(key, message.data, data.sequence.stream, data.timestamp.timestamp())
+                    if not data.num_pending or watch.keys >= pending:
+                        complete_at = 0.0
+                if pending and time.monotonic() >= complete_at:
                     pending = 0
                     yield SNAPSHOT_ENDS
+            _log.warning(
+                "the servers of NATS do not agree on the table of the zone (%s): it is read anew where the leader is",
+                watch.differs,
+            )
+            self._at_leader = True
         except (nats.errors.Error, errors.Error, OSError, TimeoutError):
             return
         finally:
+            self._watches.discard(watch)
             if subscription is not None:
                 with contextlib.suppress(nats.errors.Error, OSError):
                     await subscription.unsubscribe()
 
-    async def _consume(self, prefix: str, inbox: str) -> int:
-        """Create the NATS consumer that follows the shared table; returns how many entries exist."""
+    async def _consume(self, watch: _Watch) -> tuple[Any, int]:
+        """Create the NATS consumer that follows the shared table; returns its subscription and how many entries exist.
+
+        Where servers did not agree it is on the server that leads: others are left, and end by themselves.
+        """
+        leader, stream = None, f"KV_{self._bucket}"
+        if self._at_leader:
+            cluster = (await self._jetstream.stream_info(stream)).cluster
+            leader = None if cluster is None else cluster.leader
+        for _ in range(MOST_TRIES):
+            inbox = self.client.new_inbox()
+            messages: asyncio.Queue[Any] = asyncio.Queue(_MOST_WAITING)
+
+            async def came(message: Any, messages: asyncio.Queue[Any] = messages) -> None:
+                with contextlib.suppress(asyncio.QueueFull):  # a gap then: the watch begins anew
+                    messages.put_nowait(message)
+
+            subscription = await self.client.subscribe(inbox, cb=came)
+            try:
+                info = await self._jetstream.add_consumer(stream, self._consumer(inbox))
+            except BaseException:
+                await subscription.unsubscribe()
+                raise
+            if leader is None or info.cluster is None or info.cluster.leader == leader:
+                break
+            await subscription.unsubscribe()
+        watch.messages = messages
+        return subscription, int(info.num_pending or 0) + int(info.delivered.consumer_seq if info.delivered else 0)
+
+    def _consumer(self, inbox: str) -> Any:
         api = import_module("nats.js.api")
-        config = api.ConsumerConfig(
+        return api.ConsumerConfig(
             deliver_subject=inbox,
             deliver_policy=api.DeliverPolicy.LAST_PER_SUBJECT,
             ack_policy=api.AckPolicy.NONE,
@@ -397,8 +514,6 @@ class NatsCoordinator:
             mem_storage=True,
             num_replicas=1,
         )
-        info = await self._jetstream.add_consumer(f"KV_{self._bucket}", config)
-        return int(info.num_pending or 0) + int(info.delivered.consumer_seq if info.delivered else 0)
 
     async def close(self) -> None:
         """Close the connection to NATS, where the shared table is."""
