@@ -45,10 +45,35 @@ def test_our_server_passes_every_check_over_tcp(run: Callable[..., Any], checked
 
 def test_our_server_passes_every_check_over_tls(run: Callable[..., Any], tmp_path: Path) -> None:
     store = CertificateStore(tmp_path)
-    listen = f"tls://127.0.0.1:0?{store.server().query()}"
-    with busway.serve_in_thread(listen, units={1: new_device()}) as server:
-        url = f"{server.endpoints[0].partition('?')[0]}?{store.client().query()}"
-        assert passes_all(run("check", url, "--unit", "1", *ALL))
+    given = {
+        "expired": store.expired_client(role="operator"),
+        "revoked": store.client("revoked", role="operator"),
+        "denied": store.client("guest", role="guest"),
+        "no-role": store.client("bare"),
+    }
+    files = ",".join(f"{word}={one.certificate}:{one.key}" for word, one in given.items())
+    policy = busway.Policy.of(busway.Rule.of(roles=["operator"]))
+    listen = f"tls://127.0.0.1:0?{store.server().query()}&revocation_list={store.revocation_list(given['revoked'])}"
+    with busway.serve_in_thread(listen, units={1: new_device()}, policy=policy) as server:
+        url = f"{server.endpoints[0].partition('?')[0]}?{store.client('me', role='operator').query()}"
+        assert passes_all(run("check", url, "--unit", "1", "--certificates", files, *ALL))
+
+
+@pytest.mark.parametrize(
+    ("url", "given", "says"),
+    [
+        ("tcp://127.0.0.1:1", "expired=a:b", "certificates go with tls://"),
+        ("tls://127.0.0.1:1", "stale=a:b", "expired, revoked, denied, no-role, each with =CERTIFICATE:KEY"),
+        ("tls://127.0.0.1:1", "expired=a", "each with =CERTIFICATE:KEY"),
+        ("tls://127.0.0.1:1", "expired=missing.pem:missing.key", "missing.pem"),
+    ],
+)
+def test_certificates_that_cannot_be_used_are_refused_before_anything_is_sent(
+    run: Callable[..., Any], url: str, given: str, says: str
+) -> None:
+    result = run("check", url, "--certificates", given)
+    assert result.code == 2
+    assert says in result.err
 
 
 FRAMINGS = pytest.mark.parametrize("framing", ["rtu", "ascii"])

@@ -22,8 +22,9 @@ from .files import capturing
 from .output import say
 
 if TYPE_CHECKING:
-    from ..apps.check.check import Items, Level, Result, Target
+    from ..apps.check.check import Items, Level, Result, Target, TlsChange
     from ..apps.check.summary import Summary
+    from ..apps.check.tls_wire import ClientCertificate
 
 EXAMPLES = """\b
 Examples:
@@ -60,6 +61,12 @@ def check(
     baseline: str | None = typer.Option(
         None, "--baseline", metavar="FILE", help="A JSON report: what failed then does not fail now."
     ),
+    certificates: str | None = typer.Option(
+        None,
+        "--certificates",
+        metavar="FILES",
+        help="Client certificates that the device must refuse: expired=CERT:KEY,revoked=C:K,denied=C:K,no-role=C:K.",
+    ),
     timeout: str = typer.Option("1s", "--timeout", metavar="TIME", help="The longest wait for a reply."),
     quiet_time: str = typer.Option(
         "50ms", "--quiet-time", metavar="TIME", help="Silence on a line behind a frame that is not answered."
@@ -78,7 +85,7 @@ def check(
     from ..options.endpoints import parse_endpoint
 
     endpoint = parse_endpoint(url)
-    dialer = dialer_for(endpoint)
+    dialer = dialer_for(endpoint, certificates=_certificates(certificates, is_secure=endpoint.carrier == "tls"))
     chosen = _level(level)
     target = _target(dialer.framing, dialer.has_connections, unit, probe, scratch, kind)
     target = replace(target, is_secure=endpoint.carrier == "tls")
@@ -171,6 +178,29 @@ def _report_files(text: str | None) -> "list[tuple[str, Callable[[Summary], str]
             )
         files.append((path, REPORTS[name]))
     return files
+
+
+def _certificates(text: str | None, *, is_secure: bool) -> "dict[TlsChange, ClientCertificate]":
+    from ..apps.check.tls_wire import CERTIFICATES, ClientCertificate
+    from ..options.tls import TlsParameters, Verify
+    from ..transport.tls.context import client_context
+
+    if text is None:
+        return {}
+    if not is_secure:
+        raise ConfigError("certificates go with tls://", key="--certificates")
+    found = {}
+    for part in text.split(","):
+        name, sign, paths = part.strip().partition("=")
+        certificate, colon, key = paths.rpartition(":")
+        if name not in CERTIFICATES or not sign or not colon or not certificate or not key:
+            words = ", ".join(CERTIFICATES)
+            raise ConfigError(
+                f"{words}, each with =CERTIFICATE:KEY, are needed, not {part.strip()!r}", key="--certificates"
+            )
+        client_context(TlsParameters(certificate=certificate, key=key, verify=Verify.OFF_INSECURE))  # can it be read?
+        found[CERTIFICATES[name]] = ClientCertificate(certificate, key)
+    return found
 
 
 def _baseline(path: str) -> Mapping[str, str]:

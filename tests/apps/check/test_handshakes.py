@@ -4,19 +4,22 @@ import contextlib
 import socket
 import ssl
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from checked_device import target_of
 
+import busway
+from busway.access.rules import Policy, Rule
 from busway.apps.check.catalogue import checks_for
 from busway.apps.check.catalogue.handshakes import handshake_checks
 from busway.apps.check.check import Level, Outcome, Result, TlsChange
 from busway.apps.check.run import CheckRun, Pace, probe_of
+from busway.apps.check.tls_wire import CERTIFICATES, ClientCertificate
 from busway.apps.check.wire import dialer_for
-from busway.testing.certificates import CertificateStore
+from busway.testing.certificates import CertificateFiles, CertificateStore
 
 PACE = Pace(timeout=60, quiet=0.05, idle=0.05)
 
@@ -49,12 +52,21 @@ def served(context: ssl.SSLContext) -> Iterator[int]:
             each.join(60)
 
 
-def run(port: int, store: CertificateStore) -> dict[str, Result]:
-    """All results of the checks of TLS, by name."""
+OF_USERS = {"tls-expired", "tls-revoked", "tls-role-denied", "tls-no-role"}
+"""Checks that need a certificate of the user's."""
+
+
+def run(port: int, store: CertificateStore, given: Mapping[str, CertificateFiles] | None = None) -> dict[str, Result]:
+    """All results of the checks of TLS, by name; without certificates, those that need none."""
     url = f"tls://127.0.0.1:{port}?{store.client().query()}"
     target = replace(target_of("mbap", 1), is_secure=True)
-    results = CheckRun(dialer_for(url), target, PACE).results(handshake_checks(probe_of(target)))
-    return {one.check.id: one for one in results}
+    certificates = {
+        CERTIFICATES[word]: ClientCertificate(str(one.certificate), str(one.key)) for word, one in (given or {}).items()
+    }
+    results = CheckRun(dialer_for(url, certificates=certificates), target, PACE).results(
+        handshake_checks(probe_of(target))
+    )
+    return {one.check.id: one for one in results if given is not None or one.check.id not in OF_USERS}
 
 
 def new_context(store: CertificateStore) -> ssl.SSLContext:
@@ -101,3 +113,52 @@ def test_a_device_over_tls_alone_has_them() -> None:
 def test_a_serial_line_has_no_handshake_to_change(change: TlsChange) -> None:
     dialer = dialer_for("rtu:///dev/busway-none?baud=9600")
     assert dialer.changed(change) is dialer
+
+
+def certificates_of(store: CertificateStore) -> dict[str, CertificateFiles]:
+    """One certificate of each kind that a user may give."""
+    return {
+        "expired": store.expired_client(role="operator"),
+        "revoked": store.client("revoked", role="operator"),
+        "denied": store.client("guest", role="guest"),
+        "no-role": store.client("bare"),
+    }
+
+
+def test_without_certificates_of_the_user_four_checks_say_what_to_give(tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    with served(new_context(store)) as port:
+        results = run(port, store, {})
+    for word, name in zip(CERTIFICATES, ("tls-expired", "tls-revoked", "tls-role-denied", "tls-no-role"), strict=True):
+        assert results[name].outcome is Outcome.UNDECIDED
+        assert f"--certificates {word}=CERTIFICATE:KEY" in results[name].reason
+
+
+def test_our_server_with_rules_and_a_revocation_list_passes_them(tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    given = certificates_of(store)
+    revoked = store.revocation_list(given["revoked"])
+    policy = Policy.of(Rule.of(roles=["operator"]))
+    listen = f"tls://127.0.0.1:0?{store.server().query()}&revocation_list={revoked}"
+    with busway.serve_in_thread(listen, units={1: busway.Device()}, policy=policy) as server:
+        port = int(server.endpoints[0].partition("?")[0].rpartition(":")[2])
+        results = run(port, store, given)
+    assert {name: results[name].outcome for name in OF_USERS} == dict.fromkeys(OF_USERS, Outcome.PASSED)
+
+
+def test_a_server_that_knows_no_roles_and_no_revocation_fails_what_is_about_them(tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    with served(new_context(store)) as port:
+        results = run(port, store, certificates_of(store))
+    assert {name for name in OF_USERS if results[name].outcome is Outcome.FAILED} == OF_USERS - {"tls-expired"}
+
+
+def test_a_certificate_that_is_not_what_it_is_given_for_decides_nothing(tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    good = store.client("good", role="operator")
+    with served(new_context(store)) as port:
+        results = run(port, store, {"expired": good, "no-role": good, "denied": store.expired_client()})
+    assert "is not expired" in results["tls-expired"].reason
+    assert "has the role operator" in results["tls-no-role"].reason
+    assert "is expired" in results["tls-role-denied"].reason
+    assert {results[name].outcome for name in OF_USERS} == {Outcome.UNDECIDED}

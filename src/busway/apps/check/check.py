@@ -96,6 +96,10 @@ class TlsChange(Enum):
     NO_ENCRYPTION = "with suites without encryption alone"
     NO_CERTIFICATE = "without a certificate"
     FOREIGN_CERTIFICATE = "with a certificate of an unknown authority"
+    EXPIRED_CERTIFICATE = "with an expired certificate"
+    REVOKED_CERTIFICATE = "with a revoked certificate"
+    DENIED_ROLE = "with a certificate whose role may not read"
+    NO_ROLE = "with a certificate without a role"
 
 
 @dataclass(frozen=True, slots=True)

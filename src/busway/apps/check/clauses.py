@@ -26,6 +26,8 @@ CLAUSES: Final = {
     "M1": "Modbus inside TLS",
     "M2": "versions and suites of TLS",
     "M3": "certificates of both sides",
+    "M5": "roles in certificates",
+    "M6": "what a role may do",
     "S1": "a server speaks only when it is asked",
     "S2": "one unit, or all of them",
     "S3": "addresses of units",

@@ -1,12 +1,16 @@
-"""Connections whose TLS handshake a secure device must refuse: old versions, weak suites, no certificate.
+"""Connections that a secure device must refuse: old versions, weak suites, no certificate, or one without the rights.
 
-Knows sockets and TLS contexts; knows no request. What this machine's TLS library cannot offer is said, not guessed.
+Knows sockets and TLS contexts; knows no request. What this machine's TLS library cannot offer is said, not guessed, and
+so is a certificate that the user has not given.
 """
 
 import socket
 import ssl
 import tempfile
+import time
 import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -24,25 +28,49 @@ _SUITES: Final = {
 _NOT_HERE: Final = frozenset(
     {"NO_PROTOCOLS_AVAILABLE", "NO_CIPHERS_AVAILABLE", "NO_CIPHER_MATCH", "UNSUPPORTED_PROTOCOL"}
 )
+CERTIFICATES: Final = {
+    "expired": TlsChange.EXPIRED_CERTIFICATE,
+    "revoked": TlsChange.REVOKED_CERTIFICATE,
+    "denied": TlsChange.DENIED_ROLE,
+    "no-role": TlsChange.NO_ROLE,
+}
+"""The certificates that a user may give, by the word for each."""
+_ASKED_FOR: Final = {
+    "expired": "a client certificate of the device's authority whose time is over",
+    "revoked": "a client certificate that the device's revocation list names",
+    "denied": "a client certificate with a role that may not read the item of --probe",
+    "no-role": "a client certificate without a role, which may not read the item of --probe",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ClientCertificate:
+    """A client certificate that a user gave: paths of the PEM files of certificate and key."""
+
+    certificate: str
+    key: str
 
 
 class CannotOffer(Exception):
     """Error: this machine cannot make such a handshake, so nothing can be said about the device."""
 
 
-def changed_channel(settings: LinkSettings, change: TlsChange) -> "socket.socket | ChangedChannel":
+def changed_channel(
+    settings: LinkSettings, change: TlsChange, given: Mapping[TlsChange, ClientCertificate]
+) -> "socket.socket | ChangedChannel":
     """Connect to a device over TCP and make a TLS handshake that breaks one rule; returns a non-blocking channel.
 
     Args:
         settings: of the link to the device.
         change: which rule of the handshake is broken.
+        given: the client certificates that the user gave.
 
     Raises:
         LinkDown: the device cannot be reached, or refuses the handshake.
-        CannotOffer: this machine cannot make such a handshake.
+        CannotOffer: this machine cannot make such a handshake, or the user's certificate for it is missing.
     """
     endpoint, limit = settings.endpoint, settings.sockets.connect_timeout
-    context = None if change is TlsChange.PLAIN else _context(settings, change)
+    context = None if change is TlsChange.PLAIN else _context(settings, change, given)
     try:
         plain = socket.create_connection((endpoint.host or "127.0.0.1", endpoint.port or 0), limit)
     except OSError as error:
@@ -62,8 +90,11 @@ def changed_channel(settings: LinkSettings, change: TlsChange) -> "socket.socket
     return ChangedChannel(channel)
 
 
-def _context(settings: LinkSettings, change: TlsChange) -> ssl.SSLContext:
+def _context(settings: LinkSettings, change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> ssl.SSLContext:
     assert settings.security is not None
+    if change in CERTIFICATES.values():
+        own = _given(change, given)
+        return client_context(replace(settings.security, certificate=own.certificate, key=own.key, password_file=None))
     if change in (TlsChange.NO_CERTIFICATE, TlsChange.FOREIGN_CERTIFICATE):
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
@@ -83,6 +114,28 @@ def _context(settings: LinkSettings, change: TlsChange) -> ssl.SSLContext:
     except (ssl.SSLError, ValueError) as error:
         raise CannotOffer(f"the TLS library of this machine offers no connection {change.value}: {error}") from error
     return context
+
+
+def _given(change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> ClientCertificate:
+    """Return the user's certificate for a change; raises `CannotOffer` if there is none, or one of another kind."""
+    word = next(word for word, one in CERTIFICATES.items() if one is change)
+    if change not in given:
+        raise CannotOffer(f"it needs {_ASKED_FOR[word]}: --certificates {word}=CERTIFICATE:KEY")
+    own = given[change]
+    try:
+        from ...transport.tls.certificates.facts import facts_of_file
+
+        facts = facts_of_file(own.certificate)[0]
+    except MissingExtra as error:
+        raise CannotOffer(f"it needs to be known what {own.certificate} says: {error}") from error
+    is_over = facts.not_after < time.time()
+    if is_over != (change is TlsChange.EXPIRED_CERTIFICATE):
+        raise CannotOffer(
+            f"{own.certificate} is {'expired' if is_over else 'not expired'}; it needs {_ASKED_FOR[word]}"
+        )
+    if change is TlsChange.NO_ROLE and facts.role:
+        raise CannotOffer(f"{own.certificate} has the role {facts.role}; it needs {_ASKED_FOR[word]}")
+    return own
 
 
 def _load_foreign(context: ssl.SSLContext) -> None:

@@ -6,7 +6,7 @@ Knows the connectors of the client; knows no request and no frame.
 import contextlib
 import time
 from collections.abc import Mapping
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from ...client.connector import TcpConnector
 from ...client.settings import LinkSettings, link_settings
@@ -15,6 +15,9 @@ from ...options.endpoints import Endpoint
 from ...transport.serial.waiting import wait_ready
 from ...transport.tcp import link_down
 from .check import TlsChange
+
+if TYPE_CHECKING:
+    from .tls_wire import ClientCertificate
 
 _RECEIVE_SIZE = 65_536
 
@@ -51,8 +54,18 @@ class Dialer(Protocol):
         """Return what opens connections with a changed handshake; raises `CannotOffer` when it opens one it cannot."""
 
 
-def dialer_for(url: str | Endpoint, options: Mapping[str, object] | None = None) -> "NetworkDialer | SerialDialer":
+def dialer_for(
+    url: str | Endpoint,
+    options: Mapping[str, object] | None = None,
+    *,
+    certificates: "Mapping[TlsChange, ClientCertificate] | None" = None,
+) -> "NetworkDialer | SerialDialer":
     """Create what opens connections to an endpoint, with the options of a link.
+
+    Args:
+        url: the endpoint.
+        options: options of the link, beside those in the URL.
+        certificates: client certificates for checks that the user alone can supply, over TLS.
 
     Raises:
         ConfigError: an invalid URL or option, or an endpoint that checks cannot use, such as UDP.
@@ -60,7 +73,7 @@ def dialer_for(url: str | Endpoint, options: Mapping[str, object] | None = None)
     settings = link_settings(url, options or {})
     endpoint = settings.endpoint
     if endpoint.carrier in ("tcp", "tls"):
-        return NetworkDialer(settings)
+        return NetworkDialer(settings, certificates or {})
     if endpoint.carrier == "serial":
         return SerialDialer(settings)
     raise ConfigError(f"{endpoint.url}: checks go over TCP, TLS and serial ports", key="URL")
@@ -83,8 +96,9 @@ class NetworkDialer(_RealTime):
 
     has_connections = True
 
-    def __init__(self, settings: LinkSettings) -> None:
+    def __init__(self, settings: LinkSettings, certificates: "Mapping[TlsChange, ClientCertificate]") -> None:
         endpoint = settings.endpoint
+        self._certificates = certificates
         self.framing: str = endpoint.framing
         self._url = endpoint.url
         if endpoint.carrier == "tls" and settings.security is not None:
@@ -102,7 +116,7 @@ class NetworkDialer(_RealTime):
 
     def changed(self, change: TlsChange) -> "Dialer":
         """Return what opens connections with a changed handshake."""
-        return _ChangedDialer(self._settings, change)
+        return _ChangedDialer(self._settings, change, self._certificates)
 
 
 class _ChangedDialer(_RealTime):
@@ -110,19 +124,23 @@ class _ChangedDialer(_RealTime):
 
     has_connections = True
 
-    def __init__(self, settings: LinkSettings, change: TlsChange) -> None:
+    def __init__(
+        self, settings: LinkSettings, change: TlsChange, certificates: "Mapping[TlsChange, ClientCertificate]"
+    ) -> None:
         self.framing: str = settings.endpoint.framing
-        self._settings, self._change = settings, change
+        self._settings, self._change, self._certificates = settings, change, certificates
 
     def open(self) -> "NetworkWire":
         """Open a connection. Raises `LinkDown`, and `CannotOffer` where this machine cannot make it."""
         from .tls_wire import changed_channel
 
-        return NetworkWire(changed_channel(self._settings, self._change), self._settings.endpoint.url)
+        return NetworkWire(
+            changed_channel(self._settings, self._change, self._certificates), self._settings.endpoint.url
+        )
 
     def changed(self, change: TlsChange) -> "Dialer":
         """Return what opens connections with another changed handshake."""
-        return _ChangedDialer(self._settings, change)
+        return _ChangedDialer(self._settings, change, self._certificates)
 
 
 class NetworkWire:

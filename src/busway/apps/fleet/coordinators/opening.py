@@ -16,6 +16,7 @@ from ....errors import ConfigError, ModbusError
 from ...collector.sinks.hidden_secrets import HiddenSecrets
 from ..coordinator import Coordinator, CoordinatorDown
 
+LAST_PORT: Final = 65_535
 ASK_EVERY: Final = 0.5
 """Seconds from an answer that a server is not up to the next question."""
 _log = logging.getLogger("busway.fleet")
@@ -66,10 +67,14 @@ async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | No
         MissingExtra: a package for this backend is not installed.
     """
     options = options or CoordinatorOptions()
-    scheme = urlsplit(url).scheme
+    scheme = url.partition(":")[0].lower()
     if scheme == "local":
+        if not url.removeprefix("local:"):
+            raise ConfigError("local:FOLDER needs a folder", key="coordinator")
         found = import_module(".local", __package__)
         return await found.open_local(url.removeprefix("local:"), zone)  # type: ignore[no-any-return]
+    if scheme in ("nats", "tls", "postgresql", "postgres"):
+        _check_hosts(url, hidden_secrets(url, options))
     if scheme in ("nats", "tls"):
         found = import_module(".nats", __package__)
         return await until_up(lambda: found.open_nats(url, zone, options), CoordinatorDown, options.start)
@@ -81,6 +86,29 @@ async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | No
         f"a coordinator is local:FOLDER, nats://host:4222 or postgresql://user@host/database, not {shown!r}",
         key="coordinator",
     )
+
+
+def _check_hosts(url: str, secrets: HiddenSecrets) -> None:
+    """Raise `ConfigError` where a host or port of a URL cannot be, before a backend fails on it as on a defect."""
+    scheme, _, rest = url.partition("://")
+    is_database = scheme in ("postgresql", "postgres")
+    place, _, query = rest.partition("?")
+    hosts = place.partition("/")[0].rpartition("@")[2] if is_database else place
+    ports = [value for name, value in parse_qsl(query) if is_database and name == "port"]
+    try:
+        for each in hosts.split(","):
+            parts = urlsplit(f"//{each.strip()}")
+            if not (parts.hostname or is_database) or parts.port == 0:
+                raise ValueError("no host" if parts.port != 0 else "port 0")
+        for port in ports:
+            if not 1 <= int(port) <= LAST_PORT:
+                raise ValueError(f"port {port}")
+    except ValueError as error:
+        raise ConfigError(
+            f"{secrets.hide(url)!r} names a host or port that cannot be ({secrets.hide(error)}); "
+            f"HOST:PORT is needed, with a port from 1 to {LAST_PORT}",
+            key="coordinator",
+        ) from None
 
 
 def hidden_secrets(url: str, options: CoordinatorOptions) -> HiddenSecrets:
