@@ -150,6 +150,8 @@ async def found_or_made(client: Any, config: Any, domain: str | None = None) -> 
     except errors.APIError as error:
         if error.err_code in NOT_YET:
             raise StreamDown(f"the stream {config.name} cannot be used yet: {error.description}") from error
+        if domain and isinstance(error, errors.ServiceUnavailableError):
+            raise StreamDown(f"no server of site {domain} answers through the centre") from error
         raise ConfigError(f"the stream {config.name} cannot be used: {error.description}", key="coordinator") from error
     except (nats.errors.Error, OSError, TimeoutError) as error:
         if refused := refused_subject(client, f"{calls}.CREATE.{config.name}"):

@@ -282,6 +282,11 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
                 f"the bucket {bucket} cannot be used yet: {client.words(error.description)}"
             ) from error
         if isinstance(error, errors.ServiceUnavailableError):
+            if options.domain:
+                raise CoordinatorDown(
+                    f"no server of site {options.domain} answers through the centre: its line is cut, or it has not "
+                    f"connected yet"
+                ) from error
             raise ConfigError("the server has no JetStream: start it with -js", key="coordinator") from error
         said = client.words(error.description)
         raise ConfigError(f"the bucket {bucket} cannot be used: {said}", key="coordinator") from error
