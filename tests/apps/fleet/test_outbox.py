@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+import pytest
+
 from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import SampleMessage
 from busway.apps.fleet.outbox import AGAIN_AFTER, OUTBOX, Outbox, StreamDown
+from busway.apps.fleet.streams import SinkProgress
 
 NOW = 1_800_000_000 * 10**9
 
@@ -129,3 +132,65 @@ async def test_a_stream_that_is_full_loses_nothing(tmp_path: Path) -> None:
         await sending.outbox.step()
         assert sending.stream.commits() == [2, 3, 4, 5]
         assert sending.outbox.status().sent == 5
+
+
+class DroppingStream(MemoryStream):
+    """Takes each name once, as a server does in its window of duplicates, and drops what it has when it is full."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.names: set[str] = set()
+        self.refused = ""
+        self.first = self.next = 1
+
+    async def publish(self, message: SampleMessage) -> None:
+        if message.link and message.link == self.refused:
+            raise StreamDown("away")
+        if message.name not in self.names:
+            self.names.add(message.name)
+            await super().publish(message)
+            self.next += 1
+
+    def drop(self) -> None:
+        self.messages.clear()
+        self.first = self.next
+
+    def believed(self) -> tuple[int, set[tuple[str, int]]]:
+        """Up to which commit a sink that reads now believes to have all, and what it has."""
+        progress = SinkProgress(None)
+        for sequence, message in enumerate(self.messages, self.first):
+            progress.take(sequence, message)
+        taken = {(each.device, each.commit) for message in self.messages for each in message.samples}
+        return progress.cursors.commits.get("one/s", 0), taken
+
+
+@pytest.mark.parametrize("begins_again", ["after a restart", "after a refusal"])
+async def test_what_a_full_stream_drops_is_never_believed_to_be_kept_where_the_sender_begins_again(
+    tmp_path: Path, begins_again: str
+) -> None:
+    sending = Sending(tmp_path)
+    sending.stream = stream = DroppingStream()
+    sending.outbox = sending.opened()
+    with sending.writer:
+        if begins_again == "after a restart":
+            sending.commit("meter")
+            await sending.outbox.step()
+            sending.commit("meter", "pump")
+            await sending.outbox.step()
+            stream.drop()
+            sending.outbox = sending.opened()
+        else:
+            sending.commit("meter", "pump")
+            stream.refused = "roof"
+            with pytest.raises(StreamDown):
+                await sending.outbox.step()
+            stream.refused = ""
+            stream.drop()
+            sending.commit("pump")
+        await sending.outbox.step()
+        sending.commit("meter")
+        await sending.outbox.step()
+    commit, taken = stream.believed()
+    assert commit >= 3
+    wanted = {("meter", 2), ("meter", 3), ("pump", 3)}
+    assert taken >= (wanted if begins_again == "after a restart" else {("meter", 2), ("pump", 2), ("pump", 3)})

@@ -1,7 +1,7 @@
 """Messages that carry the samples of one link in consecutive commits between collectors and sinks, in MessagePack.
 
-1. A message is named by link, epoch and its commits; the name is the same where it is sent again for want of an answer,
-   and never that of others. A sink replaces those with the same device, point and time.
+1. A message is named by link, epoch, its commits and the round of its sender, and never as others. A sink replaces
+   samples with the same device, point and time.
 2. ``complete`` is a commit of the same collector: every sample up to it was acknowledged by the stream before this
    message was sent. What reads the stream in order therefore has them all.
 3. A message of a newer format is refused as a whole, and told; nothing of it is guessed.
@@ -39,7 +39,8 @@ class SampleMessage:
         complete: as in rule 2.
         kept: the commit that its sender would begin with if it sent again: it expects no sink to lack those up to it.
         part: which part of its commits it is, from 0.
-        round: how often its sender has begun again; a stream that knows the earlier message takes this one too.
+        round: a number that its sender changes whenever it begins again; a stream that knows the earlier message takes
+            this one too.
         samples: by commit, time and point; none in a message that only tells ``complete``.
     """
 

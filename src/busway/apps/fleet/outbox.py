@@ -6,11 +6,15 @@ Knows commits and cursors; `streams` knows the engine.
    lowest commit up to which every sink has said that it keeps them. The stream may lose all that it has.
 2. The cursor is in the manifest of the store, where retention counts what it takes from before it.
 3. Where sinks do not move for `AGAIN_AFTER` seconds although something was sent, it is sent again from the cursor on.
-4. A stream that is full or away stops nothing: samples wait in the store. The status says so.
+4. Whatever begins again below what was sent, after a start, a refusal or rule 3, has names that the stream does not
+   know. A stream that drops a message of a known name leaves the older copy, which it may lose before a sink has it:
+   the sink would believe what follows.
+5. A stream that is full or away stops nothing: samples wait in the store. The status says so.
 """
 
 import asyncio
 import logging
+import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -101,7 +105,7 @@ class Outbox:
         self._sent = self._kept
         self._told = -1
         self._moved_at = now()
-        self._messages = self._round = 0
+        self._messages, self._round = 0, secrets.randbits(48)
         self._error: str | None = None
 
     def status(self) -> OutboxStatus:
@@ -136,7 +140,11 @@ class Outbox:
             return False
         # A batch without samples gets a message too: a sink believes the next one only if it has seen where this began.
         for message in self._messages_of(found.samples) or [self._message("", 0, [])]:
-            await self._stream.publish(message)
+            try:
+                await self._stream.publish(message)
+            except StreamDown:
+                self._round += 1
+                raise
             self._messages += 1
         self._sent = found.last
         return len(found.samples) >= MOST

@@ -6,7 +6,8 @@ Knows streams, subjects and consumers; the protocol is nats-py's (``busway[fleet
    collectors still have what no sink keeps, and send it again.
 2. A sink is a durable consumer with explicit acknowledgement. It tells how far it is by a cursor in the coordinator's
    table, written after the sink has committed.
-3. A message that was sent and not acknowledged may be in the stream. Sent again it has the same ``Nats-Msg-Id``.
+3. A message that was sent and not acknowledged may be in the stream. Sent again it has another ``Nats-Msg-Id``
+   (`outbox`), and sinks replace samples with the same device, point and time.
 """
 
 import asyncio
