@@ -75,6 +75,7 @@ if TYPE_CHECKING:
         ReadHoldingRegisters,
         ReadInputRegisters,
     )
+    from .pdu.server_id import ServerId
     from .pdu.write_items import (
         MaskWriteRegister,
         ReadWriteMultipleRegisters,
@@ -164,6 +165,7 @@ _HOME = {
         "ReadHoldingRegisters",
         "ReadInputRegisters",
     ),
+    "pdu.server_id": ("ServerId",),
     "pdu.write_items": (
         "MaskWriteRegister",
         "ReadWriteMultipleRegisters",
@@ -287,6 +289,7 @@ __all__ = [
     "Rule",
     "ServedUnit",
     "Server",
+    "ServerId",
     "ServerOptions",
     "ServerThread",
     "SingleBlock",

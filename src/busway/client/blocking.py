@@ -590,7 +590,10 @@ class BlockingUnit:
         return reply
 
     def report_server_id(self, **call_options: Unpack[CallOptions]) -> bytes:
-        """Read the device's description of itself as bytes, function 17 (§6.13); each device defines its layout."""
+        """Read the device's description of itself as bytes, function 17 (§6.13); each device defines its layout.
+
+        `ServerId.of` takes the bytes apart.
+        """
         reply = self.execute(ReportServerId(), **call_options)
         assert isinstance(reply, ReportServerId.Reply)
         return reply.data

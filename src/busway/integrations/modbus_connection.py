@@ -50,6 +50,7 @@ from ..errors import (
 from ..errors import ModbusError as BuswayError
 from ..options.endpoints import parse_endpoint
 from ..options.presets import SHORTEST_PAUSE, Preset
+from ..pdu.server_id import ServerId
 from ..session.reconnect import ConnectionState
 
 __all__ = [
@@ -74,7 +75,6 @@ LEAST_TIMEOUT, LONGEST_TIMEOUT = 0.001, 3600.0
 """Seconds that a timeout may be; others are taken for the nearest."""
 _PARITY: Final = {"N": "none", "E": "even", "O": "odd"}
 _FRAMING_SCHEME: Final = {"socket": "", "rtu": "rtu+", "ascii": "ascii+"}
-_RUN_INDICATORS: Final = (0x00, 0xFF)
 Params: TypeAlias = "ModbusTcpParams | ModbusUdpParams | ModbusTlsParams | ModbusSerialParams"
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -309,9 +309,7 @@ class BuswayUnit:
     @_operation
     async def report_server_id(self) -> bytes:
         """Read the identification of function 17: what stands before the run indicator (00 or FF), or all of it."""
-        data = await self._unit.report_server_id(timeout=self._timeout)
-        ends = [at for at, byte in enumerate(data) if byte in _RUN_INDICATORS]
-        return data[: ends[0]] if ends else data
+        return ServerId.of(await self._unit.report_server_id(timeout=self._timeout)).identification
 
     @_operation
     async def mask_write_register(self, address: int, and_mask: int, or_mask: int) -> None:

@@ -15,6 +15,7 @@
 `message`         Base classes of request and reply messages: fields are declared
 `model`           Interfaces of a device through which a request reads and writes it (`Request.apply`)
 `read_items`      Messages of functions 01–04 and 24, which read the four tables and a queue of registers
+`server_id`       The data of function 17 in its parts: identification, run indicator, the rest
 `wide_registers`  Requests for registers wider than two bytes, of devices that answer 4…12 bytes for each register
 `write_items`     Messages of functions 05, 06, 15, 16, 22 and 23, which write coils and holding registers
 ================  ======================================================================================================
