@@ -7,7 +7,8 @@ import pytest
 from collected import parts_of_all_kinds
 
 from busway.apps.collector.store.check import check_store_files
-from busway.apps.collector.store.folder import SEGMENTS
+from busway.apps.collector.store.folder import SEGMENTS, check_store
+from busway.errors import ConfigError
 
 pytest.importorskip("pyarrow")
 
@@ -36,3 +37,8 @@ def test_each_damage_is_told(tmp_path: Path) -> None:
     assert "00000099.parquet is in the folder, but not listed" in told
     (tmp_path / SEGMENTS / sealed.file).unlink()
     assert f"{sealed.file} is listed, but the file is not there" in check_store_files(tmp_path)
+
+
+def test_a_folder_whose_name_is_too_long_is_refused_in_a_sentence() -> None:
+    with pytest.raises(ConfigError, match="the store cannot be read: File name too long"):
+        check_store(Path("x" * 5000))

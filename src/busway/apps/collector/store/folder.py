@@ -124,7 +124,11 @@ def make_durably(path: Path, *, mode: int = 0o777) -> None:
 
 def check_store(path: Path) -> None:
     """Raise `ConfigError` unless there is a store in this folder."""
-    if not (path / MANIFEST).is_file():
+    try:
+        found = (path / MANIFEST).is_file()
+    except OSError as error:  # such as a name that is too long, or a folder that may not be entered
+        raise ConfigError(f"the store cannot be read: {error.strerror}", file=str(path)) from error
+    if not found:
         raise ConfigError("there is no store in this folder; `busway collect` makes one", file=str(path))
 
 
