@@ -116,7 +116,7 @@ def test_frames_that_follow_each_other_on_tcp_are_taken_apart() -> None:
         (bytes.fromhex("0001 0000 0FFF 01") + REQUEST, Framing.MBAP, "length: length field 4095, where 2…254 can be"),
         (b":01030G", Framing.ASCII, "content: character 6 is 'G', no hexadecimal digit"),
         (b":010", Framing.ASCII, "content: 3 characters, which is no whole number of bytes"),
-        (b":01", Framing.ASCII, "content: 1 bytes where unit, function and LRC are 3"),
+        (b":01", Framing.ASCII, "content: 1 byte where unit, function and LRC are 3"),
         (rtu(1, bytes.fromhex("03 00 00 00 00")), Framing.RTU, "count: 0 where 1…125 can be"),
     ],
 )

@@ -89,7 +89,7 @@ def test_an_unknown_function_is_bytes() -> None:
     [
         ("03 00", "address", "1 of 2 bytes are missing"),
         ("03 00 00 00 7E", "count", "126 where 1…125 can be"),
-        ("03 00 00 00 01 00", "surplus", "1 bytes too many"),
+        ("03 00 00 00 01 00", "surplus", "1 byte too many"),
         ("05 00 00 12 34", "value", "1234 where 0000 or FF00 can be"),
         ("10 00 00 00 01 04 00 01", "byte count", "announces 4 bytes, and 2 follow"),
         ("10 00 00 00 01 03 00 01 02", "byte count", "3 is no multiple of 2"),
@@ -118,7 +118,7 @@ def test_a_rule_across_fields_is_said_of_the_whole() -> None:
     [
         ("03 06 00 01", "byte count", "announces 6 bytes, and 2 follow"),
         ("83", "exception code", "is cut off"),
-        ("83 02 03", "surplus", "1 bytes too many"),
+        ("83 02 03", "surplus", "1 byte too many"),
         ("2B 0E 01 01 00 00 01 00 09 61", "object 1", "the object is cut off"),
     ],
 )

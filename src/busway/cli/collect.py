@@ -81,7 +81,7 @@ def _demo(lasts: str | None, verbose: int) -> int:
     from ..server.loops import run
     from .collect_demo import collect_demo
 
-    limit = seconds(lasts or "60s", "--for", low=0.1)
+    limit = seconds("60s" if lasts is None else lasts, "--for", low=0.1)
     show_traffic(verbose)
     run(collect_demo(limit, DEMO_PAGE))
     return ExitCode.DONE

@@ -125,7 +125,7 @@ def fleet(
     if lasts is not None and action != "demo":
         raise ConfigError("is for demo", key="--for")
     if action == "demo":
-        return _demo(seconds(lasts or "2m", "--for", low=0.1), verbose)
+        return _demo(seconds("2m" if lasts is None else lasts, "--for", low=0.1), verbose)
     given = {
         "--out": out,
         "--servers": servers,

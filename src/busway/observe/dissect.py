@@ -23,6 +23,7 @@ from ..pdu.describe import Description, Part, describe_reply, describe_request
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
+from ..values.counts import counted
 
 
 class Framing(Enum):
@@ -264,7 +265,7 @@ def _end_of_mbap(data: bytes, at: int) -> int:
 
 def _cut_mbap(data: bytes) -> _Frame:
     if len(data) < HEADER_SIZE:
-        cut_off = Part(0, data, "header", problem=f"{len(data)} bytes where MBAP has {HEADER_SIZE}")
+        cut_off = Part(0, data, "header", problem=f"{counted(len(data), 'byte')} where MBAP has {HEADER_SIZE}")
         return _Frame(Framing.MBAP, b"", (cut_off,), pdu_at=len(data))
     transaction, protocol, length = (data[at] << 8 | data[at + 1] for at in (0, 2, 4))
     following = len(data) - 6
@@ -272,7 +273,7 @@ def _cut_mbap(data: bytes) -> _Frame:
     if not MIN_LENGTH <= length <= MAX_LENGTH:
         problem = impossible_length(length)
     elif length != following:
-        problem = f"announces {length} bytes, and {following} follow"
+        problem = f"announces {counted(length, 'byte')}, and {following} follow"
     head = (
         Part(0, data[:2], "transaction", str(transaction)),
         Part(2, data[2:4], "protocol", str(protocol), "is 0 in Modbus" if protocol else ""),
@@ -288,7 +289,7 @@ def _looks_like_mbap(data: bytes) -> bool:
 
 def _cut_rtu(data: bytes) -> _Frame:
     if len(data) < 4:
-        head = Part(0, data, "frame", problem=f"{len(data)} bytes where RTU has at least 4")
+        head = Part(0, data, "frame", problem=f"{counted(len(data), 'byte')} where RTU has at least 4")
         return _Frame(Framing.RTU, b"", (head,))
     wanted = crc_bytes(data[:-2])
     problem = "" if wanted == data[-2:] else f"is {data[-2:].hex(' ')} where {wanted.hex(' ')} fits"
@@ -317,7 +318,7 @@ def _cut_ascii(data: bytes) -> _Frame:
         return _Frame(Framing.ASCII, b"", (start, Part(first, text, "content", problem=problem)))
     content = bytes.fromhex(text.decode("ascii"))
     if len(content) < 3:
-        problem = f"{len(content)} bytes where unit, function and LRC are 3"
+        problem = f"{counted(len(content), 'byte')} where unit, function and LRC are 3"
         return _Frame(Framing.ASCII, b"", (start, Part(first, content, "content", problem=problem)))
     wanted = lrc(content[:-1])
     problem = "" if wanted == content[-1] else f"is {content[-1]:02X} where {wanted:02X} fits"

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from ..codes import PDU_LIMIT, DiagnosticCode, FunctionCode, MeiType, Table, exception_meaning, function_name
 from ..values import Address, format_address, printable
+from ..values.counts import counted
 from .bits import unpack_bits
 from .encapsulated import OBJECT_NAMES, IdentificationObject
 from .fields import FixedField, RepeatedField, RestLength
@@ -113,7 +114,7 @@ def _exception(pdu: bytes, problem: str, message: Message | None) -> Description
     else:
         parts.append(Part(1, b"", "exception code", problem="is cut off"))
     if at < len(pdu):
-        parts.append(Part(at, pdu[at:], "surplus", problem=f"{len(pdu) - at} bytes too many"))
+        parts.append(Part(at, pdu[at:], "surplus", problem=f"{counted(len(pdu) - at, 'byte')} too many"))
     return _finished(f"{function_name(code)}, exception", parts, problem, message, is_known=True)
 
 
@@ -168,16 +169,16 @@ def _field_parts(pdu: bytes, kind: type[Message], shown: "_Meaning") -> Iterator
     rest = pdu[at:]
     if tail is None:
         if rest:
-            yield Part(at, rest, "surplus", problem=f"{len(rest)} bytes too many")
+            yield Part(at, rest, "surplus", problem=f"{counted(len(rest), 'byte')} too many")
     elif isinstance(tail, RepeatedField):
         yield from _item_parts(pdu, at, tail, kind.layout.tail_name)
     else:
         label = kind.layout.tail_name.replace("_", " ")
         problem = ""
         if not tail.low <= len(rest) <= tail.high:
-            problem = f"{len(rest)} bytes where {tail.low}…{tail.high} can be"
+            problem = f"{counted(len(rest), 'byte')} where {tail.low}…{tail.high} can be"
         elif len(rest) % tail.step:
-            problem = f"{len(rest)} bytes, which is no multiple of {tail.step}"
+            problem = f"{counted(len(rest), 'byte')}, which is no multiple of {tail.step}"
         if rest or problem:
             yield Part(at, rest, label, shown.data(rest), problem)
 
@@ -209,7 +210,7 @@ def _item_text(item: Any) -> str:  # Any: items of user functions share no base
 
 def _length_problem(field: RestLength, value: int, following: int) -> str:
     if value != following:
-        return f"announces {value} bytes, and {following} follow"
+        return f"announces {counted(value, 'byte')}, and {following} follow"
     if not field.low <= value <= field.high:
         return f"{value} where {field.low}…{field.high} can be"
     return f"{value} is no multiple of {field.step}" if value % field.step else ""

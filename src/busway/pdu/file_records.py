@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..codes import MAX_FILE_RECORD_NUMBER, PDU_LIMIT, ExceptionCode, FunctionCode
 from ..errors import InvalidRequest
+from ..values.counts import counted
 from .compiler import as_integer
 from .fields import RestLength, repeated, rest_length
 from .malformed import MalformedPdu
@@ -61,7 +62,7 @@ class FileReference:
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
         """Decode the group of a file read at ``at``. A wrong reference type is kept, as it is an address error (02)."""
         if at + 7 > len(data):
-            raise ValueError(f"{len(data) - at} bytes where a group has 7")
+            raise ValueError(f"{counted(len(data) - at, 'byte')} where a group has 7")
         kind, file, record, count = _REFERENCE.unpack_from(data, at)
         if kind != REFERENCE_TYPE:
             raise MalformedPdu(f"reference type {kind} where 6 is required", ExceptionCode.ILLEGAL_DATA_ADDRESS)
@@ -101,7 +102,7 @@ class FileData:
         reference, start = FileReference.decode_from(data, at)
         end = start + 2 * reference.count
         if end > len(data):
-            raise ValueError(f"{len(data) - start} bytes of data where {2 * reference.count} are announced")
+            raise ValueError(f"{counted(len(data) - start, 'byte')} of data where {2 * reference.count} are announced")
         return cls(reference.file, reference.record, data[start:end]), end
 
 

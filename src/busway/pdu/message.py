@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol, Self, TypeVar, dataclass_transform
 
 from ..codes import Table
+from ..values.counts import counted
 from .compiler import Layout, attribute_names, compile_message
 from .fields import Field, RestField, RestLength, repeated, rest, u8, u16
 from .malformed import MalformedPdu
@@ -281,7 +282,7 @@ class Request(Message):
         reply = self.Reply.decode(pdu)
         size, prefix = self.expected_size, self.expected_prefix
         if size != UNKNOWN_LENGTH and len(pdu) != size:
-            raise MalformedPdu(f"{len(pdu)} bytes where {size} answer the request")
+            raise MalformedPdu(f"{counted(len(pdu), 'byte')} where {size} answer the request")
         if not pdu.startswith(prefix):
             raise MalformedPdu(f"it begins {pdu[: len(prefix)].hex(' ')} where {prefix.hex(' ')} answers the request")
         problem = self.check_reply(reply)

@@ -14,6 +14,7 @@ from ..codes import (
     Table,
 )
 from ..errors import InvalidRequest
+from ..values.counts import counted
 from .bits import as_state, as_states, listed, pack_bits
 from .compiler import as_integer
 from .fast_answers import (
@@ -132,7 +133,7 @@ class WriteMultipleCoils(Request):
 
     def validate(self) -> str | None:
         if (self.count + 7) >> 3 != len(self.data):
-            return f"byte count {len(self.data)} does not fit {self.count} coils"
+            return f"byte count {len(self.data)} does not fit {counted(self.count, 'coil')}"
         return None
 
     def reply_shape(self) -> tuple[int, bytes]:
@@ -174,7 +175,7 @@ class WriteMultipleRegisters(Request):
 
     def validate(self) -> str | None:
         if 2 * self.count != len(self.data):
-            return f"byte count {len(self.data)} does not fit {self.count} registers"
+            return f"byte count {len(self.data)} does not fit {counted(self.count, 'register')}"
         return None
 
     def reply_shape(self) -> tuple[int, bytes]:
@@ -263,7 +264,7 @@ class ReadWriteMultipleRegisters(Request):
 
     def validate(self) -> str | None:
         if 2 * self.write_count != len(self.data):
-            return f"byte count {len(self.data)} does not fit {self.write_count} registers"
+            return f"byte count {len(self.data)} does not fit {counted(self.write_count, 'register')}"
         return None
 
     def reply_shape(self) -> tuple[int, bytes]:

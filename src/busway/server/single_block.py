@@ -14,6 +14,7 @@ from types import MappingProxyType
 
 from ..codes import TABLE_SIZE, Table
 from ..errors import ConfigError
+from ..values.counts import counted
 from ..values.refusal import shown
 from .blocks import RegisterBits, RegisterRun
 from .cells import TableLike, lay_out
@@ -70,7 +71,7 @@ def _bits_of(
     start = register - memory.first
     if start < 0 or not 1 <= count <= TABLE_SIZE or start + (count + 15) // 16 > memory.count:
         raise ConfigError(
-            f"{count} bits from register {register} on do not lie in registers"
+            f"{counted(count, 'bit')} from register {register} on do not lie in registers"
             f" {memory.first}…{memory.first + memory.count - 1}",
             key=key,
         )

@@ -32,6 +32,7 @@ from ..options.client import ClientParameters, MismatchPolicy
 from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
+from ..values.counts import counted
 from .call import HEAD_SIZE, Call, FreeSlots, PipelinedBatch, RequestInFlight, encoded_request, free_slots, plan_of
 from .queue import BURST
 from .retries import CallTracker, ClientCounters
@@ -230,7 +231,7 @@ class TcpClientSession:
             return out
         if self._buffer.kept and not self._pending and not self._batches:
             # The buffer holds bytes of an unfinished frame: the next reply would be read as their continuation.
-            self._recycle(f"{len(self._buffer.kept)} bytes of an unfinished frame before the request")
+            self._recycle(f"{counted(len(self._buffer.kept), 'byte')} of an unfinished frame before the request")
             return out
         if now < self._not_before:
             return out
