@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from processor_time import slowness
 from program import Busway
 
 import busway
@@ -60,6 +61,7 @@ def keep_changing(device: busway.Device, ended: threading.Event) -> None:
 @pytest.mark.alone
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="the processor time of a process is read from /proc")
 def test_a_page_with_5000_points_costs_at_most_a_tenth_of_a_core(tmp_path: Path, new_page: Any) -> None:
+    before_work = slowness()
     device = busway.Device(holding_registers=POINTS)
     points = "".join(
         f'    {{ name = "p{place}", address = "holding:{place}", scale = 0.1, unit_of_measure = "V" }},\n'
@@ -106,8 +108,9 @@ def test_a_page_with_5000_points_costs_at_most_a_tenth_of_a_core(tmp_path: Path,
     print(f"collector: {100 * without:.1f} % of a core without a page, {100 * (shown - without):.1f} % more with one")
     print(f"browser: {100 * script:.1f} % in scripts, {100 * tasks:.1f} % in all on its main thread")
     print(f"stream: {changes / SECONDS:.0f} changes/s in {sum(map(len, received)) / SECONDS / 1000:.0f} kB/s")
-    assert shown - without <= MOST
-    assert script <= MOST
+    slower = max(before_work, slowness())
+    assert shown - without <= MOST * slower
+    assert script <= MOST * slower
 
 
 def metrics(session: Any) -> dict[str, float]:
