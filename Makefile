@@ -143,6 +143,10 @@ $(OTHER_PYTHONS:%=test-python-%): test-python-%:
 test-unit-quietly: $(VENV)/.installed-dev
 	@$(RUN)/python -m pytest --quiet $(UNIT_TESTS) $(ONE_PYTHON:%=--ignore=%) $(PYTEST_FLAGS)
 
+.PHONY: explore
+explore: $(VENV)/.installed-dev ## unit tests with examples of properties drawn anew
+	@BUSWAY_NEW_EXAMPLES=1 $(RUN)/python -m pytest $(UNIT_TESTS) $(PYTEST_FLAGS)
+
 .PHONY: soak
 soak: $(VENV)/.installed-dev ## tests that take minutes
 	@$(RUN)/python -m pytest -m soak -o faulthandler_timeout=0 $(PYTEST_FLAGS)

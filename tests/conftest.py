@@ -8,6 +8,8 @@
 5. A test that depends on the clock or the load of the machine is marked ``real_time``, by itself or by its folder: one
    other runs beside it, in another process. One that measures delays is marked ``alone``. No test is repeated.
 6. No example of a property has a time limit: what a machine that pauses takes longer is not wrong.
+7. The examples of a property are the same in each run, so that a change is judged by what it changes. With
+   BUSWAY_NEW_EXAMPLES in the environment they are drawn anew: `make explore` looks for what no run has seen yet.
 """
 
 import asyncio
@@ -38,8 +40,13 @@ REAL_TIME_FOLDERS = tuple(f"{TESTS / name}{os.sep}" for name in ("browser", "int
 ALONE_FOLDERS = (f"{TESTS / 'load'}{os.sep}",)
 """Where every test loads the machine itself."""
 
-settings.register_profile("no deadline", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("no deadline")
+settings.register_profile(
+    "of the tests",
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+    derandomize="BUSWAY_NEW_EXAMPLES" not in os.environ,
+)
+settings.load_profile("of the tests")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -19,8 +19,8 @@ class _Device:
 
     def __init__(self) -> None:
         self.device = busway.Device(
-            holding_registers=[n * 7 & 0xFFFF for n in range(2000)],
-            input_registers=[n * 3 & 0xFFFF for n in range(2000)],
+            holding_registers=[n * 7 & 0xFFFF for n in range(2100)],
+            input_registers=[n * 3 & 0xFFFF for n in range(2100)],
             coils=[n % 3 == 0 for n in range(4000)],
             discrete_inputs=[n % 5 == 0 for n in range(4000)],
         )
