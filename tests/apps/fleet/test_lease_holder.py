@@ -10,8 +10,8 @@ from fleet_world import Network, World, random_walk
 from busway.apps.fleet.balance import BEGIN
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.lease_holder import FleetMember, NotConfirmed, Proposal, _SeenLease
-from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.fleet.records import LEASES, LeaseRecord, MemberRecord, ZoneRecord
+from busway.apps.fleet.lease_times import Epoch, LeaseTimes
+from busway.apps.fleet.records import LEASES, LeaseRecord, MemberRecord, ZoneRecord, decode_lease
 
 COSTS = {f"{number:04d}": 0.02 + 0.001 * (number % 7) for number in range(32)}
 
@@ -404,3 +404,30 @@ def test_revisions_that_were_shown_too_high_are_replaced_when_the_table_is_read_
         now += 0.1
     assert asked["lease.0001"] == 50
     assert asked["member.west"] == 51
+
+
+def test_an_epoch_is_above_the_last_one_also_where_a_server_counts_lower_than_before() -> None:
+    member = alone()
+    first = proposed(member, 0.0)
+    member.entry(Entry("member.west", first["member.west"].value, 1), 0.0)
+    member.outcome(first["member.west"], 1, 0.0)
+    member.outcome(first["zone"], 2, 0.0)
+    member.entry(Entry("lease.0001", LeaseRecord("east", "r", True, 3, 0.1, Epoch(1, 500)).encode(), 503), 0.0)
+    member.begin_snapshot()
+    released = LeaseRecord("east", "r", False, 1, 0.1, Epoch(1, 80))
+    member.entry(Entry("lease.0001", released.encode(), 90), 1.0)
+    member.end_snapshot(1.0)
+    taken = proposed(member, 4.0)["lease.0001"]
+    assert taken.revision == 90
+    member.outcome(taken, 91, 4.0)
+    assert member.owned["0001"].epoch == Epoch(1, 501)
+    record = decode_lease(taken.value)
+    assert record is not None
+    assert record.epoch_at(91, 1) == Epoch(1, 501)  # what all others compute of the entry
+    assert record.epoch_at(700, 1) == Epoch(1, 700)
+
+
+def test_an_entry_of_an_older_version_has_no_epoch_before_it() -> None:
+    record = decode_lease(b'["east","r",1,0,0.1,null,"",5.0]')
+    assert record == LeaseRecord("east", "r", True, 0, 0.1, None, at=5.0)
+    assert record.epoch_at(7, 2) == Epoch(2, 7)

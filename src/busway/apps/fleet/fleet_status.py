@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 from .control_entries import CONFIGURATION, DRAINED, decode_configuration
 from .coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
-from .lease_times import Epoch
 from .records import (
     GENERATION,
     LEASES,
@@ -116,7 +115,7 @@ def status_of(found: Mapping[str, Entry], living: Container[str]) -> ZoneStatus:
     for key, entry in sorted(found.items()):
         lease = decode_lease(entry.value) if key.startswith(LEASES) else None
         if lease is not None:
-            leases[key.removeprefix(LEASES)] = replace(lease, epoch=lease.epoch or Epoch(generation, entry.revision))
+            leases[key.removeprefix(LEASES)] = replace(lease, epoch=lease.epoch_at(entry.revision, generation))
     members: dict[str, ZoneMember] = {}
     for key, entry in sorted(found.items()):
         record = decode_member(entry.value) if key.startswith(MEMBERS) else None

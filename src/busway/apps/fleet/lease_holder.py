@@ -9,7 +9,8 @@ The driver (`lease_driver`) makes each proposal once, and tells `FleetMember.out
 2. A shard of another owner is free when its entry says released, or has had one revision for the time to live and the
    guard, by this collector's own clock. It is taken by a compare-and-set on that revision: an old view harms nothing.
 3. What this start of the collector has let lapse is free for it at once; it gets a new epoch. What an earlier start
-   of the same name had is another owner's.
+   of the same name had is another owner's. An epoch is above all that the taker has seen of the shard, whatever
+   revision the coordinator gives: a server may count lower than the one before it.
 4. One proposal of a key is open at a time.
 5. Two processes with one name: the second owns nothing until the first has been silent as in rule 2, and says so.
 6. A collector whose wall clock is wrong would date samples wrongly: it gives back what it owns, takes nothing, and says
@@ -212,6 +213,7 @@ class FleetMember:
         self._chance = chance
         self._costs: Mapping[str, float] = {}
         self._leases: dict[str, _SeenLease] = {}
+        self._last_epochs: dict[str, Epoch] = {}
         self._members: dict[str, _SeenMember] = {}
         self._open: dict[str, Proposal] = {}
         self._events: list[ShardEvent] = []
@@ -350,10 +352,16 @@ class FleetMember:
             return
         record = decode_lease(entry.value) if entry.value else None
         self._leases[shard] = _SeenLease(record, entry.revision, now)
+        if record is not None:
+            self._note_epoch(shard, record.epoch_at(entry.revision, self.generation))
         self._free_since.pop(shard, None)
         if record is not None and not record.held:
             self._look_at = now
         self._compare(shard)
+
+    def _note_epoch(self, shard: str, epoch: Epoch) -> None:
+        if shard not in self._last_epochs or epoch > self._last_epochs[shard]:
+            self._last_epochs[shard] = epoch
 
     def _compare(self, shard: str) -> None:
         """Compare the shards (groups of links) owned here with an entry of the coordinator's table; give up what was
@@ -464,7 +472,7 @@ class FleetMember:
                 if self._ends and not self.owned:
                     self._my_renewal = now
         elif owned is None:
-            self._gain(shard, proposal, result)
+            self._gain(shard, record, proposal.asked, result)
         else:
             owned.revision = max(owned.revision, result)
             owned.asked = proposal.asked
@@ -472,11 +480,12 @@ class FleetMember:
             self.counts.renewals += 1
             self._compare(shard)
 
-    def _gain(self, shard: str, proposal: Proposal, revision: int) -> None:
-        if record_epoch(proposal) is not None:
+    def _gain(self, shard: str, record: LeaseRecord, asked: float, revision: int) -> None:
+        if record.epoch is not None:
             return  # a renewal of what lapsed meanwhile: it is taken anew, with a new epoch
-        epoch = Epoch(self.generation, revision)
-        self.owned[shard] = OwnedShard(epoch, revision, proposal.asked, proposal.asked + self._spread(self.times.renew))
+        epoch = record.epoch_at(revision, self.generation)
+        self._note_epoch(shard, epoch)
+        self.owned[shard] = OwnedShard(epoch, revision, asked, asked + self._spread(self.times.renew))
         self.counts.taken += 1
         self._events.append(ShardEvent(shard, Step.GAINED, epoch, silent_since=self._silent_since.pop(shard, None)))
         self._compare(shard)
@@ -577,7 +586,16 @@ class FleetMember:
             if is_mine and f"{LEASES}{shard}" not in self._open:
                 seen = self._leases.get(shard)
                 self._note_silence(shard, seen)
-                record = LeaseRecord(self.name, self._me.run, True, 0, self.cost(shard), None, at=now + self.wall_ahead)
+                record = LeaseRecord(
+                    self.name,
+                    self._me.run,
+                    True,
+                    0,
+                    self.cost(shard),
+                    None,
+                    at=now + self.wall_ahead,
+                    before=self._last_epochs.get(shard),
+                )
                 self._propose(f"{LEASES}{shard}", record.encode(), 0 if seen is None else seen.revision, now, found)
 
     def _note_silence(self, shard: str, seen: _SeenLease | None) -> None:
@@ -668,9 +686,3 @@ class FleetMember:
 
     def _spread(self, seconds: float) -> float:
         return seconds * (0.9 + 0.1 * self._chance.random())
-
-
-def record_epoch(proposal: Proposal) -> Epoch | None:
-    """Return the epoch (number of the ownership) in a proposed lease; None if the proposal takes the shard."""
-    record = decode_lease(proposal.value)
-    return None if record is None else record.epoch

@@ -59,7 +59,7 @@ class Epoch:
 
     Attributes:
         generation: raised by an operator who restores the coordinator from a backup, so that epochs never go back.
-        revision: the revision of the lease when it was taken.
+        revision: the revision of the lease when it was taken; more where the owner before had as much or more.
     """
 
     generation: int
@@ -67,3 +67,7 @@ class Epoch:
 
     def __str__(self) -> str:
         return f"{self.generation}.{self.revision}"
+
+    def above(self, other: "Epoch | None") -> "Epoch":
+        """Return this epoch, or the one next to another that is not below it: a server may count lower than before."""
+        return self if other is None or self > other else Epoch(other.generation, other.revision + 1)

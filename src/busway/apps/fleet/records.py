@@ -28,6 +28,7 @@ class LeaseRecord:
         epoch: the epoch of the ownership; None in the entry that takes the lease, whose own revision it is.
         target: the collector that it was released for; empty where all may take it.
         at: seconds since 1970 UTC by the owner's wall clock; for the record of gaps only, no decision rests on it.
+        before: in the entry that takes the lease, the last epoch that the owner knows of; None without one.
     """
 
     owner: str
@@ -38,10 +39,14 @@ class LeaseRecord:
     epoch: Epoch | None
     target: str = ""
     at: float = 0.0
+    before: Epoch | None = None
+
+    def epoch_at(self, revision: int, generation: int) -> Epoch:
+        """Return the epoch of the ownership, from the entry's own revision where the entry takes the lease."""
+        return self.epoch or Epoch(generation, revision).above(self.before)
 
     def encode(self) -> bytes:
         """Return the lease as bytes for the shared table."""
-        epoch = None if self.epoch is None else [self.epoch.generation, self.epoch.revision]
         return json.dumps(
             [
                 self.owner,
@@ -49,9 +54,10 @@ class LeaseRecord:
                 int(self.held),
                 self.count,
                 round(self.cost, 6),
-                epoch,
+                _numbers(self.epoch),
                 self.target,
                 round(self.at, 3),
+                _numbers(self.before),
             ],
             separators=(",", ":"),
         ).encode()
@@ -147,16 +153,17 @@ def decode_zone(value: bytes) -> ZoneRecord | None:
 def decode_lease(value: bytes) -> LeaseRecord | None:
     """Return the lease in the bytes of a table entry; None if they are not a lease."""
     try:
-        owner, run, held, count, cost, epoch, target, at = _list(value)[:8]
+        owner, run, held, count, cost, epoch, target, at, before, *_ = [*_list(value), None]
         return LeaseRecord(
             str(owner),
             str(run),
             bool(held),
             int(count),
             float(cost),
-            None if epoch is None else Epoch(int(epoch[0]), int(epoch[1])),
+            _epoch(epoch),
             str(target),
             float(at),
+            _epoch(before),
         )
     except (ValueError, TypeError, IndexError):
         return None
@@ -189,6 +196,14 @@ def decode_generation(value: bytes) -> int:
         return max(1, int(value))
     except ValueError:
         return 1
+
+
+def _numbers(epoch: Epoch | None) -> list[int] | None:
+    return None if epoch is None else [epoch.generation, epoch.revision]
+
+
+def _epoch(numbers: Any) -> Epoch | None:  # Any: what an entry has there
+    return None if numbers is None else Epoch(int(numbers[0]), int(numbers[1]))
 
 
 def _list(value: bytes) -> list[Any]:

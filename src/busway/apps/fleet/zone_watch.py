@@ -129,7 +129,7 @@ class ZoneWatch:
     def _note_hole(self, entry: Entry, before: LeaseRecord | None, after: LeaseRecord | None) -> None:
         if before is None or after is None or not after.held or after.count:
             return  # a renewal, a release
-        epoch = after.epoch or Epoch(status_of(self._entries, set()).generation, entry.revision)
+        epoch = after.epoch_at(entry.revision, status_of(self._entries, set()).generation)
         hole = OwnershipHole(
             entry.key.removeprefix(LEASES), before.owner, after.owner, before.held, before.at, after.at, epoch
         )
