@@ -18,7 +18,7 @@ from .audit_log import AuditLog
 class AuditObserver:
     """Observer of a server's requests that appends an audit line for each write and each denied request.
 
-    Repeated denials of a client are recorded as one line with their number.
+    Repeated denials of a client are recorded as one line with their count.
     """
 
     def __init__(self, log: AuditLog) -> None:

@@ -62,8 +62,8 @@ class Polled:
 
     Attributes:
         values: the latest value by name, in its unit of measure; None after an error.
-        latencies: seconds from request to reply, of each transaction that had one.
-        errors: transactions that had none.
+        latencies: seconds from request to reply, for each request that got its reply.
+        errors: number of requests that got none.
     """
 
     values: dict[str, Any] = field(default_factory=dict)  # Any: what each point's type says

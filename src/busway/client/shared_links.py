@@ -28,10 +28,11 @@ class _Shared(Generic[AnyLink]):
 
 
 class SharedLinks(Generic[AnyLink]):
-    """The links of one client by endpoint, each shared by its users.
+    """The links of one client by endpoint: one that all its users share, and those that are not shared.
 
     Args:
-        make: makes a link from its settings, whether it is shared, and the scope of its transactions if it has one.
+        make: makes a link from its settings, whether it is shared, and the scope that counts its transactions where
+            ``max_transactions`` is for the whole client; None where it is for each link.
     """
 
     def __init__(self, make: Callable[[LinkSettings, bool, ClientScope | None], AnyLink]) -> None:

@@ -58,11 +58,11 @@ class AsciiReceiver:
     """Receiver of ASCII frames: takes characters with their times, returns frames and damaged bytes.
 
     Attributes:
-        state: where the receiver is.
+        state: which part of a frame comes next.
         delimiter: the character that ends a frame behind CR; may be changed at any time (function 08/03).
-        conversation: role, own units, and the reply that is due: what gives the direction.
-        echo: what is known about the echo of the line.
-        timing: the times of the line; ASCII needs no silence, so it only dates the frames.
+        conversation: role, own units and the reply that is due; they tell requests from replies.
+        echo: whether the line gives back what is sent, as far as that is known.
+        timing: the times of the line; used only for the times of frames, because ASCII needs no silence.
         character_timeout: seconds that may pass between two characters.
     """
 

@@ -508,6 +508,6 @@ class RtuReceiver:
             self._lost = LostBytes()
 
     def _answers_itself(self, code: int) -> bool:
-        """Whether the reply of a function may equal its request: their lengths are equal or unknown."""
+        """Whether a reply of this function can be the same bytes as its request: their lengths are equal or unknown."""
         request = self._lengths.requests[code]
         return request == 0 or request == self._lengths.replies[code]

@@ -282,7 +282,7 @@ class Listening:
         """Return the last events: from received bytes not processed yet, and from unfinished frames.
 
         Raises:
-            LinkDown: the port vanished and is not waited for, or the connection ended.
+            LinkDown: the connection ended, or the port vanished and is not to be opened again.
         """
         events: list[Heard] = []
         for _ in range(_LAST_READS):

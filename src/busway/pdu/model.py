@@ -88,7 +88,7 @@ class Records(Protocol):
 
 
 class Identity(Protocol):
-    """Interface of a device's status and identification (functions 07, 17, 43/13, 43/14)."""
+    """Interface through which requests read the status and identification of a device (07, 17, 43/13, 43/14)."""
 
     def exception_status(self) -> int:
         """Return the eight status bits that function 07 reads."""

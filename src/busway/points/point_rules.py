@@ -215,7 +215,7 @@ class AlarmRule:
 
 @lru_cache(maxsize=4096)
 def _decimal_sum(one: float, other: float) -> float:
-    """Return the sum of two numbers as decimals: 0.3 and -0.1 make 0.2, as a scaled value does."""
+    """Return the sum of two numbers as decimals: 0.3 and -0.1 make 0.2."""
     return float(Decimal(repr(one)) + Decimal(repr(other)))
 
 

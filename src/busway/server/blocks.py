@@ -216,7 +216,7 @@ class RegisterBits:
         data[low:high] = _bytes_swapped(words)
 
     def get(self, position: int, count: int) -> bytes:
-        """Return the current bits of a range of the registers, packed from the lowest bit of the first byte."""
+        """Return bits of the registers, packed from the lowest bit of the first byte on; both numbers count bits."""
         return self.fetch(self.memory.data, position, count)
 
     def put(self, position: int, count: int, data: bytes) -> None:

@@ -20,11 +20,12 @@ _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
 def with_standard_port(wanted: Sequence[ListenerSettings], choice: bool | None) -> list[ListenerSettings]:
-    """Return the listeners, and those on port 502 that the option ``standard_port`` adds by the rules of this file.
+    """Return the listeners, and those on port 502 that the option ``standard_port`` adds.
 
     Args:
-        wanted: as they were asked for.
-        choice: whether port 502 is wanted too; None by rule 2.
+        wanted: the listeners as they were asked for.
+        choice: True adds port 502, and it must be had; False does not; None adds it where the network can reach the
+            listener, and does without it where it cannot be had.
     """
     found = list(wanted)
     if choice is False:

@@ -45,7 +45,7 @@ class UdpListener:
 
     Attributes:
         listener_context: what all peers of the listener share.
-        names: URLs as they are bound.
+        names: the URLs that are bound.
     """
 
     def __init__(self, listener_context: ListenerContext, sockets: SocketParameters) -> None:

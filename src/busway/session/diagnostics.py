@@ -218,7 +218,10 @@ class LineDiagnostics:
             state.log_received(event)
 
     def fold(self) -> None:
-        """Add the exchanges in `exchanged`, `arrived` and `departed` to the counters and logs of the units."""
+        """Move the numbers in `exchanged`, `arrived` and `departed` to the counters and logs of their units.
+
+        They are 0 afterwards. To be called before a counter or a log is read.
+        """
         if not (self.exchanged or self.arrived or self.departed):
             return
         exchanged, arrived, departed = self.exchanged, self.arrived, self.departed

@@ -357,7 +357,7 @@ class CheckRun:
 
     @property
     def _is_worth_it(self) -> bool:
-        """Whether the basic checks left anything to find out."""
+        """Whether further checks can find anything: the device lives, and no failed check hides their results."""
         return not self.is_dead and not self._hidden_by
 
     # One check.

@@ -322,7 +322,7 @@ class MapLearner:
         wait.next = min(2 * wait.next, MOST_IGNORED)
 
     def _ask_control(self, read: PlannedRead) -> None:
-        """Queue a small test read that shows whether the device answers at all."""
+        """Queue a narrower read after ``read`` had no answer: does the device answer at all, or not to that range?"""
         control = self._narrowest
         if control is None or control.width >= read.width:
             control = read_of(read.table, [min(read.items, key=lambda one: one.width)], self._cost)

@@ -111,12 +111,12 @@ class Unreadable:
 
 @dataclass(frozen=True, slots=True)
 class DevicePlan:
-    """The read requests that fetch all wanted points of a device at the lowest cost.
+    """The read requests that fetch the wanted points of a device in the shortest time.
 
     Attributes:
-        reads: in the order of tables and places.
-        unreadable: wanted items that are in no read.
-        seconds: how long all reads take together.
+        reads: the requests, by table, then by address.
+        unreadable: wanted items that no allowed request can fetch.
+        seconds: the time that all requests are expected to take together.
     """
 
     reads: tuple[PlannedRead, ...]

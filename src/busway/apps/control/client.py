@@ -33,7 +33,7 @@ _CONNECT_SECONDS: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A running server or gateway that can be asked for its status, with its address."""
+    """A running server or gateway, and the address of its control socket, where it is asked for its status."""
 
     address: ControlAddress
     token: str = ""

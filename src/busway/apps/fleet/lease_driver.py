@@ -183,7 +183,7 @@ class MemberDriver:
         self.member.wall_ahead = time.time() - self._now()
 
     def _tell_problem(self) -> None:
-        """Log why this collector may own nothing, and when it may again."""
+        """Log why this collector is not allowed to own links, and later that it is allowed to again; each once."""
         problem = self.member.problem
         if problem != self._problem:
             if not problem:

@@ -170,7 +170,7 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
 
 
 def decode_member(value: bytes) -> MemberRecord | None:
-    """Return the record of a collector in the bytes of a table entry; None if they are none."""
+    """Return the collector that a table entry describes; None if its bytes are not a valid record."""
     try:
         name, run, host, count, capacity, draining, revision, gone, at, problem, behind, *_ = [*_list(value), 0, "", 0]
         return MemberRecord(

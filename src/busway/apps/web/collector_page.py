@@ -209,7 +209,7 @@ class CollectorApi:
         )
 
     async def list_points(self) -> CollectedPoints:
-        """Return all points, in the order of `list_values`."""
+        """Return all points, without values: name, unit of measure, type. The order is that of `list_values`."""
         self.stream.refresh()
         return CollectedPoints(
             revision=self.stream.revision,

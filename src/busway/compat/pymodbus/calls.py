@@ -246,7 +246,7 @@ class ModbusClientMixin:
 
 
 def checked(data_type: RegisterDataType) -> tuple[str, int]:
-    """The struct code and the registers of one value of a type. Raises ``TypeError`` for what is no such type."""
+    """The struct code of a data type, and how many registers one value takes. Raises ``TypeError`` for other types."""
     if not isinstance(data_type, RegisterDataType):
         raise TypeError("Illegal data_type, please use <client>.DATATYPE!")
     return data_type.value

@@ -18,7 +18,7 @@ from .reopen import ReopenPolicy
 
 
 def reopen_policy(parameters: OpeningParameters) -> ReopenPolicy:
-    """Return the pauses between attempts to open a lost serial port again, without end."""
+    """Return the pauses between attempts to open a lost serial port again; the attempts never end."""
     return ReopenPolicy(first=parameters.reopen_first, most=parameters.reopen_most)
 
 

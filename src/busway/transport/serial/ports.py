@@ -51,7 +51,7 @@ class FoundPort:
 
     @property
     def identity(self) -> str | None:
-        """The USB identity of the port, in the form in which it can be given to open it."""
+        """The USB identity of the port, which can be given in place of its name; None for a port that is not on USB."""
         if self.vendor is None or self.product is None:
             return None
         name = f"usb:{self.vendor:04x}:{self.product:04x}"

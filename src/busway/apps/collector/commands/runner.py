@@ -182,7 +182,7 @@ class CommandRunner:
         self._subscribers.append(told)
 
     async def close(self) -> None:
-        """Refuse new commands, and record the results of those in progress, whose links have stopped before."""
+        """Refuse new commands, and wait for those in progress and their records. The links must have stopped before."""
         self._closed = True
         self._armed.clear()
         await asyncio.gather(*(each.task for each in self._running.values()), return_exceptions=True)
