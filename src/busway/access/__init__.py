@@ -1,6 +1,6 @@
 """Access control: which hosts may connect, which requests a policy permits, and the audit log (clauses M6, T15).
 
-==================  ==================================================================================================
+==================  ====================================================================================================
 `addresses`         Address lists: which hosts may connect; allow and deny lists, and secure mode
 `audit_line`        One line of the audit log: a request and its outcome as JSON
 `audit_log`         The audit log: an append-only file with one JSON object per line
@@ -14,10 +14,10 @@
 `repeats`           Limiter for repeated log messages: the first is logged at once
 `rule_evaluation`   Which rule decides about a request where several apply (the first), compiled once per rights
 `rules`             A rule: which clients and requests it applies to, and what it does; a policy: rules in their order
-==================  ==================================================================================================
+==================  ====================================================================================================
 
 Where it is decided: which of two rules wins: `rule_evaluation` (the first that applies). What a rule applies to:
-`rules`. Which exception code refuses a request, and requests above a rate: `authorizer`. Which host may connect:
-`addresses`. Which lines the audit log has: `audit_observer`; what they say: `audit_line`; what happens on a full
-disk: `audit_log`.
+`rules`. Which exception code refuses a request, requests above a rate, and from which request on a replaced policy
+holds: `authorizer`. Which host may connect: `addresses`. Which lines the audit log has: `audit_observer`; what they
+say: `audit_line`; what happens on a full disk: `audit_log`.
 """

@@ -22,7 +22,8 @@ from .arguments import CAPTURE, QUIET, VERBOSE, limits_of, seconds, show_traffic
 from .exits import ExitCode
 from .files import capturing
 from .output import print_aligned, say, warn
-from .running import (
+from .reloading import read_again_on_hangup
+from .service_options import (
     ALLOW,
     ALLOW_WRITES,
     AUDIT,
@@ -38,7 +39,6 @@ from .running import (
     announce,
     is_file,
     listener_changes,
-    read_again_on_hangup,
 )
 from .signals import stop_events
 

@@ -16,7 +16,8 @@ from .arguments import CAPTURE, QUIET, VERBOSE, show_traffic
 from .exits import ExitCode
 from .files import capturing
 from .output import say
-from .running import (
+from .reloading import read_again_on_hangup
+from .service_options import (
     ALLOW,
     ALLOW_WRITES,
     AUDIT,
@@ -31,7 +32,6 @@ from .running import (
     announce,
     is_file,
     listener_changes,
-    read_again_on_hangup,
 )
 from .signals import stop_event
 

@@ -26,7 +26,8 @@ from .cloning import CloneOptions, clone_device, refuse_without_clone
 from .exits import ExitCode
 from .files import capturing, read_text
 from .output import say, warn
-from .running import (
+from .reloading import read_again_on_hangup
+from .service_options import (
     ALLOW,
     ALLOW_WRITES,
     AUDIT,
@@ -40,7 +41,6 @@ from .running import (
     address_list,
     announce,
     listener_changes,
-    read_again_on_hangup,
 )
 from .signals import stop_event
 from .sources import (

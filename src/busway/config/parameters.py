@@ -16,8 +16,8 @@ from typing import Any, Final
 from ..errors import ConfigError
 from ..points.expression import WHOLE_BITS, parse_expression
 from ..values.refusal import shown
+from .files.file_error import FileError
 from .files.lines import Path
-from .files.problems import FileError
 from .files.schema import Source
 from .files.simulation import Parameter
 

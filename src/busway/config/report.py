@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterable
 from typing import TypeVar
 
 from ..errors import ConfigError
+from .files.file_error import FileError
 from .files.lines import Path
-from .files.problems import FileError
 from .files.schema import Source, in_order
 
 Made = TypeVar("Made")

@@ -326,7 +326,7 @@ def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
 
 def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
     """Return the points for values by address. Raises `ConfigError` that names a wrong address."""
-    from ..config.files.problems import FileError
+    from ..config.files.file_error import FileError
     from ..config.files.schema import Source
     from ..config.files.simulation import SimulatedUnitSection
 

@@ -8,7 +8,7 @@ from busway.apps.collector.configuration import load_collector, parse_collector
 from busway.apps.collector.knowledge import DeviceKnowledge, Knowledge, LearntHole
 from busway.apps.collector.preview import preview
 from busway.codes import Table
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 
 PLANT = """\
 [collector]

@@ -27,7 +27,7 @@ from websockets.sync.client import connect
 
 from busway.apps.collector.configuration import load_collector
 from busway.apps.web.page_tokens import read_tokens
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 
 for package in ("aiomqtt", "google.protobuf", "asyncpg", "httpx", "nats"):
     pytest.importorskip(package)

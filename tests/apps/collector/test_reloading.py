@@ -19,7 +19,7 @@ import busway
 from busway.apps.collector.commands.audit import LONGEST_DIFFERENCE, configuration_line, revision_of
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.reloading import left_for_the_next_start, replace_file
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 from busway.errors import ConfigError
 from busway.points import Reason
 

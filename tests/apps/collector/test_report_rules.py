@@ -6,7 +6,7 @@ import pytest
 
 from busway.apps.collector.configuration import CollectorConfiguration, parse_collector
 from busway.apps.collector.report_rules import sink_rules, store_rules
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 from busway.points import ReportRule
 
 PROFILE = """

@@ -9,7 +9,7 @@ from busway.access.addresses import AddressList
 from busway.apps.server.configuration import load_configuration, parse_configuration
 from busway.apps.server.effective import effective
 from busway.apps.server.overview import overview
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 from busway.options.client import Hold
 from busway.options.server import Scope
 from busway.options.tls import TlsVersion

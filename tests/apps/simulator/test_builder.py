@@ -4,7 +4,7 @@ import pytest
 
 from busway.apps.simulator.includes import parse_declaration
 from busway.apps.simulator.simulation import Simulation
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 
 
 def simulated(*units: str) -> Simulation:

@@ -9,7 +9,7 @@ import pytest
 
 from busway.apps.simulator.includes import SimulationDeclaration, load_declaration, parse_declaration
 from busway.apps.simulator.simulation import Simulation
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 from busway.errors import ConfigError
 
 FILES = Path(__file__).parents[2] / "config" / "files"

@@ -15,7 +15,7 @@ from busway.config.files.device import (
     ServerSection,
     parse_device_file,
 )
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 from busway.errors import ConfigError
 from busway.options.server import ListenerParameters, ServerParameters
 

@@ -10,7 +10,7 @@ from busway import ConfigError
 from busway.apps.simulator.added_faults import fault_problems
 from busway.codes import Table
 from busway.config.files.fault_sections import FaultSection, parse_fault_words
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 from busway.config.files.schema import Section, json_schema, read_source
 
 TEXT = """\

@@ -8,8 +8,8 @@ from damaged_texts import after_accidents
 
 from busway.apps.gateway.configuration import parse_gateway
 from busway.codes import Table
+from busway.config.files.file_error import FileError
 from busway.config.files.gateway import GatewayFile
-from busway.config.files.problems import FileError
 from busway.config.files.schema import parse_with_source
 from busway.errors import ConfigError
 

@@ -5,7 +5,7 @@ import pytest
 from busway.codes import Table
 from busway.config.devices import build_device
 from busway.config.files.device import UnitSection, item_range, parse_device_file
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 from busway.errors import InvalidRequest
 from busway.points import AlarmRule, ItemRange, Point, ReportRule, decode_point
 

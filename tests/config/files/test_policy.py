@@ -9,8 +9,8 @@ from busway.access.question import Question
 from busway.access.rule_evaluation import decision_of
 from busway.access.rules import AccessKind, Action, Limits, Policy
 from busway.codes import Table
+from busway.config.files.file_error import FileError
 from busway.config.files.policy import PolicySection, parse_policy_file
-from busway.config.files.problems import FileError
 from busway.config.files.schema import Section, parse_file
 from busway.errors import ConfigError
 from busway.pdu.read_items import ReadHoldingRegisters

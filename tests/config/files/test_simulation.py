@@ -9,7 +9,7 @@ from json_schema import faults
 
 from busway.codes import Table
 from busway.config.files.behaviours import KINDS
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 from busway.config.files.schema import json_schema, read_source
 from busway.config.files.simulation import SimulationFile, simulation_schema
 

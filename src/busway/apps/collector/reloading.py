@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from ...access.audit_log import AuditLog
 from ...config.files.collector import CollectorSection
-from ...config.files.problems import FileError
+from ...config.files.file_error import FileError
 from ...config.reading import read_text
 from ...errors import ConfigError
 from ...safe_files import write_whole

@@ -1,7 +1,7 @@
 """The gateway: forwards requests from any listener to any upstream (Messaging on TCP/IP V1.0b §4.4.2, "MODBUS/TCP to
 serial line gateways").
 
-==========================  ===========================================================================================
+==========================  ============================================================================================
 `address_index`             An index of many address ranges: finds the first one that a request touches
 `batch`                     Requests of one client that go upstream together, and all clients that wait for them
 `configuration`             Reads the configuration of a gateway from one file, or from a few URLs
@@ -24,7 +24,7 @@ serial line gateways").
 `upstream`                  One upstream: its connections, their loss and recovery, counters and status
 `upstream_log`              Log lines about an upstream: when it cannot be reached, how many requests got 0A
 `waiter_deadlines`          Deadlines of clients that wait for the same read: each has its own
-==========================  ===========================================================================================
+==========================  ============================================================================================
 
 A gateway is a server whose responder hands each request to a link.
 
@@ -33,5 +33,6 @@ Where it is decided: which upstream gets a request: `routes`. 0A or 0B when an u
 share reads: `read_cache`. Whether the read of a client joins an equal one in flight or goes upstream itself (a priority
 host does not wait behind others): `shared_reads`. Whose request goes next on an upstream: `busway.session.queue`. How
 long each client waits: `waiter_deadlines`. Broadcasts: `router`. Connecting again: `upstream` and
-`busway.session.reconnect`. Which sections a reload changes at once: `configuration` (``at_once``); how: `gateway`.
+`busway.session.reconnect`. Which sections a reload changes at once: `configuration` (``at_once``); how: `gateway`. How
+long requests in flight may take at the end: `drain` in `busway.options.gateway`, kept by `gateway`.
 """

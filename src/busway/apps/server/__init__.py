@@ -13,5 +13,7 @@
 
 Where it is decided: what a reload can change without a restart: `reload`, and ``at_once`` in `configuration`. What an
 option of the command line overrides: `overrides`. Which keys a configuration has, and what must fit together:
-`configuration`. Which policy and which allow list apply now: `access_in_force`. The order of start and stop: `service`.
+`configuration`. Which policy and which allow list apply now: `access_in_force`. What a reload does to open connections
+(a new policy holds from their next request, and hosts that may no longer connect are ended): `reload`. The order of
+start and stop: `service`.
 """

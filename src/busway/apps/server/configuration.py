@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 from ...access.addresses import AddressList
 from ...access.rules import AccessRules, Policy
 from ...config.certificates import tls_of
+from ...config.files.file_error import FileError
 from ...config.files.lines import Path as Place
-from ...config.files.problems import FileError
 from ...config.files.schema import parse_with_source
 from ...config.files.system import SystemFile
 from ...config.links import NamedLink, named_links

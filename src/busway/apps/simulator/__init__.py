@@ -1,6 +1,6 @@
 """The simulator: devices whose values change by themselves, built from files, and the plant of the demonstration.
 
-=================  ===================================================================================================
+=================  =====================================================================================================
 `builder`          Builds the devices, points and behaviours that a simulation file declares
 `clone`            Clones a device: reads a live device and makes a simulation file that imitates it
 `device_text`      Writes units as the text of a device file; reading that text gives the same units
@@ -17,10 +17,11 @@
 `state`            Saves the values of a simulation in a JSON file, so that it continues after a restart
 `write_watch`      Tells a simulation which of its points a Modbus client has written
 `behaviours`       Behaviours, which make simulated values change
-=================  ===================================================================================================
+=================  =====================================================================================================
 
-Where it is decided: which point changes when, and in which order: `engine`. What a write by a client does to a point:
-`simulation`, told by `write_watch`. Where a point is in memory, and how it is encoded: `registers`. The value at a
-moment: `behaviours`. What is kept over a restart: `state`. What a clone leaves out: `clone`. Columns of a register map:
-`register_map`. Which parameters a fault has: `busway.faults.profiles`.
+Where it is decided: which point changes when, and in which order: `engine`. How long a point keeps a written value
+against its behaviour: `engine` (``hold``); who tells it of a write by a client: `write_watch`, `simulation`. Where a
+point is in memory, and how it is encoded: `registers`. The value at a moment: `behaviours`. What is kept over a
+restart: `state`. What a clone leaves out: `clone`. Columns of a register map: `register_map`. Which parameters a fault
+has: `busway.faults.profiles`.
 """

@@ -21,8 +21,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from ...config.files.file_error import FileError
 from ...config.files.lines import Path
-from ...config.files.problems import FileError
 from ...config.files.schema import Source, in_order, read_source
 from ...config.files.simulation import (
     IncludeSection,

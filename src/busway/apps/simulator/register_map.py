@@ -30,8 +30,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from ...codes import Table
+from ...config.files.file_error import FileError
 from ...config.files.lines import Path as Place
-from ...config.files.problems import FileError
 from ...config.files.schema import Source, in_order
 from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
 from ...errors import ConfigError, InvalidRequest

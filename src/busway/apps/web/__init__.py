@@ -1,33 +1,34 @@
 """The pages of a simulation and of a collector with their APIs: HTTP, one WebSocket, and the files of the pages.
 
-====================  ===============================================================================================
-`hosting`             Serves a web page and its HTTP API on one address, in the running event loop
-`access`              Access control of a web page: host, origin, caller and size of every request
-`connections`         Limits the HTTP connections of a page: their number, and the time each has to send a request
-`operations`          The FastAPI application of a page's API: how errors are answered, and its OpenAPI document
-`messages`            Requests and responses of a simulation's HTTP API, as data classes
-`api`                 The HTTP API of a simulation's page: points, faults, connections, traffic
-`stream`              `/stream` of a simulation's page: a WebSocket that sends changes to viewers as JSON texts
-`traffic`             Keeps the latest Modbus frames of a simulation for its page; they are explained only when shown
-`subject`             The interface of a simulation, as its page and HTTP API use it
-`collector_page`      The web page of a collector, and the HTTP API below it
-`collector_messages`  Responses of the HTTP API of a collector's page, as data classes
-`collector_commands`  Commands and the configuration over the HTTP API of a collector's page
-`collector_stream`    `/stream` of a collector's page: a WebSocket with changed values, alarms and commands
-`collector_log`       The latest log messages of a collector, for its page: records of all loggers of busway
-`live_values`         Last committed values of all points, and what changed since a tick, for all viewers
-`fleet_page`          The fleet on the page of one of its collectors, and over HTTP
-`page`                HTML, style and script
-`faults`              Faults of a simulation as its HTTP API shows and changes them
-`page_tokens`         The file with the access tokens of a page: created at the first start, for its owner alone
-`collector_alarms`    The alarms of a collector and the maintenance of its devices, over HTTP
-====================  ===============================================================================================
+=====================  =================================================================================================
+`hosting`              Serves a web page and its HTTP API on one address, in the running event loop
+`access`               Access control of a web page: host, origin, caller and size of every request
+`connections`          Limits the connections of a page: their number, and the times for requests and messages
+`operations`           The FastAPI application of a page's API: how errors are answered, and its OpenAPI document
+`messages`             What requests and responses of all pages have in common: base classes, errors, values as JSON
+`simulation_messages`  Requests and responses of a simulation's HTTP API, as data classes
+`simulation_api`       The HTTP API of a simulation's page: points, faults, connections, traffic
+`simulation_stream`    `/stream` of a simulation's page: a WebSocket that sends changes to viewers as JSON texts
+`simulation_traffic`   Keeps the latest Modbus frames of a simulation for its page; they are explained only when shown
+`simulation_subject`   The interface of a simulation, as its page and HTTP API use it
+`collector_page`       The web page of a collector, and the HTTP API below it
+`collector_messages`   Responses of the HTTP API of a collector's page, as data classes
+`collector_commands`   Commands and the configuration over the HTTP API of a collector's page
+`collector_stream`     `/stream` of a collector's page: a WebSocket with changed values, alarms and commands
+`collector_log`        The latest log messages of a collector, for its page: records of all loggers of busway
+`live_values`          Last committed values of all points, and what changed since a tick, for all viewers
+`fleet_page`           The fleet on the page of one of its collectors, and over HTTP
+`page`                 HTML, style and script
+`simulation_faults`    Faults of a simulation as its HTTP API shows and changes them
+`page_tokens`          The file with the access tokens of a page: created at the first start, for its owner alone
+`collector_alarms`     The alarms of a collector and the maintenance of its devices, over HTTP
+=====================  =================================================================================================
 
 1. It needs the extra ``web``, and is imported only when the page is started.
 2. It runs in the event loop of the simulation or collector, so it never reads a state that is half changed.
 
 Where it is decided: who may call, with which role, from which host and origin: `access`. How many connections, and for
 how long: `connections`. The tokens: `page_tokens`. How an error is answered: `operations`. What a viewer of a collector
-is sent, and when: `live_values`, `collector_stream`; of a simulation: `stream`. What a command from the page needs:
-`collector_commands`.
+is sent, and when: `live_values`, `collector_stream`; of a simulation: `simulation_stream`. How long a viewer has to
+take a message: `connections`. What a command from the page needs: `collector_commands`.
 """

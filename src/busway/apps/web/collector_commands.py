@@ -18,7 +18,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 
-from ...config.files.problems import FileError
+from ...config.files.file_error import FileError
 from ...errors import ConfigError, Overloaded
 from ..collector.collector import Collector
 from ..collector.commands.command import CommandResult, CommandValue, OldValue

@@ -30,9 +30,9 @@ from ..collector.collector import Collector
 from ..collector.commands.command import CommandResult
 from ..collector.store.writer import Commit
 from .access import BEARER_PROTOCOL, POLICY_VIOLATION, Caller, caller_of, current_caller
+from .connections import CLIENTS, PROTOCOL, SEND_SECONDS
 from .live_values import LiveValues
 from .messages import Asked, plain_value
-from .stream import CLIENTS, PROTOCOL, SEND_SECONDS
 
 TICK: Final = 0.5
 """Seconds between two messages, at least."""

@@ -9,7 +9,8 @@ have sent nothing, nor the time of a head, so that is here.
    request; if all have, it is closed.
 3. The last descriptors of the process are for Modbus: a connection that was given one of them is closed.
 4. Events that repeat are logged once a minute, with their number.
-5. A TLS handshake counts as a connection that has not sent its request, and has the same time. The subject of a
+5. A stream of any page has the limits that stand here; `simulation_stream` and `collector_stream` keep them.
+6. A TLS handshake counts as a connection that has not sent its request, and has the same time. The subject of a
    client's certificate that was verified goes with the connection, for the rules of access.
 """
 
@@ -30,6 +31,12 @@ from .access import CERTIFICATE_SUBJECT
 
 HEAD_SECONDS: Final = 5.0
 MOST: Final = 100
+CLIENTS: Final = 16
+"""Viewers that have a stream (WebSocket) of a page at once."""
+SEND_SECONDS: Final = 20.0
+"""Seconds that a viewer has to take one message."""
+PROTOCOL: Final = "busway"
+"""The subprotocol of a stream; a browser may offer its token beside it."""
 
 _log = logging.getLogger("busway.apps.web")
 

@@ -36,13 +36,13 @@ from ...transport.tls.context import WatchedContext, web_context
 from ...transport.tls.roles import require_cryptography
 from ..control.addresses import is_loopback
 from .access import AccessToken, Application, Message, PageAccess, PageAccessRules, Receive, Role, Scope, Send
-from .api import Api
 from .connections import SharedConnections, Throttle
 from .operations import failed, new_application, secure_document
 from .page_tokens import SHORTEST_TOKEN, is_token, new_token
-from .stream import Streams
-from .subject import PageSubject
-from .traffic import Traffic
+from .simulation_api import Api
+from .simulation_stream import Streams
+from .simulation_subject import PageSubject
+from .simulation_traffic import Traffic
 
 _errors = logging.getLogger("busway.apps.web.errors")
 """Logged once a minute: a request that fails can be repeated at will."""

@@ -1,30 +1,29 @@
 """The schemas of all files that people write: TOML text to checked, frozen values, with every error at its line.
 
-================  ====================================================================================================
+================  ======================================================================================================
 `behaviours`      Keys of simulation files for behaviours: what makes the value of a simulated point change
 `collector`       The schema of collector files: links, poll classes, devices with their profiles, the store and sinks
 `device`          The schema of device files: units with their tables and typed, named points
 `fault_sections`  Keys of `[[fault]]` that all faults have: which requests, when; not the parameters of one profile
+`file_error`      The error that holds all problems of one invalid file, a line each; `schema` words them
 `gateway`         The schema of gateway files: listeners, links to upstreams, and routes between them
 `lines`           Finds the text line of each key in a TOML file, for error messages (`tomllib` does not tell)
 `listeners`       Keys of files for listeners: their URLs and the options of their connections
 `options`         Keys of files that set options: generated from the declarations of the options
 `points`          Keys of files for points: `[[unit.point]]` and `[[unit.group]]`, the same in all files with devices
 `policy`          Keys of access policies: who may connect, and rules for requests
-`problems`        The error that holds all problems of one invalid file, a line each; `schema` words them
 `schema`          Base of all file schemas, and the wording of their errors: the sentence for a wrong key or value
 `simulation`      The schema of simulation files: device files whose points have ranges, named numbers, and behaviours
 `sinks`           Keys of `[[sink]]` in collector files, one section class for each kind of sink
 `system`          Keys of configuration files: server, listeners, client, security, policy and units in one file
-================  ====================================================================================================
+================  ======================================================================================================
 
 Knows texts; reads no file itself and builds nothing: `busway.config` does both, `busway.config.devices` makes the
 devices. Imported only where a file is used: it loads pydantic.
 
-Where it is decided: how an error in a file is worded, also "is it …?": `schema`, never `problems`, which only holds the
-errors of one file together. Which keys a section has: the file of its kind. Which options are keys: `options`, from
-their declarations. In which line a key is: `lines`. Which parameters a fault has: no file here, but the function of its
-profile in `busway.faults.profiles`.
+Where it is decided: how an error in a file is worded, also "is it …?": `schema`. Which keys a section has: the file of
+its kind. Which options are keys: `options`, from their declarations. In which line a key is: `lines`. Which parameters
+a fault has: no file here, but the function of its profile in `busway.faults.profiles`.
 """
 
 from ...extras import require

@@ -30,11 +30,11 @@ from ...options.text import build_parameters
 from ...points import ItemRange, Point, ReadRules
 from ...values import Address, parse_address
 from ...values.refusal import shown
+from .file_error import FileError
 from .lines import Path
 from .listeners import Url
 from .options import OptionSection, with_options_of
 from .points import MOST_REPEATED, STAND_IN, PointSection, WholeSection, checked, resolved
-from .problems import FileError
 from .schema import NO_LIST, NO_TABLE, FileProblems, Section, read_source
 
 OBJECT_NUMBERS: Final = {

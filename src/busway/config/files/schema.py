@@ -27,8 +27,8 @@ from pydantic_core import PydanticUndefined
 from ...errors import ConfigError
 from ...options.declaration import REQUIRED, Name, OneOf, Option, Range, option_of
 from ...values.refusal import shown
+from .file_error import FileError
 from .lines import Path, key_lines, line_of
-from .problems import FileError
 
 
 def _describe(schema: dict[str, Any], section: "type[Section]") -> None:  # what JSON has

@@ -3,7 +3,7 @@
 import pytest
 
 from busway.apps.simulator.behaviours.replay import Replay, parse_recording
-from busway.config.files.problems import FileError
+from busway.config.files.file_error import FileError
 
 TEXT = """\
 # a morning

@@ -13,7 +13,7 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from ....config.files.problems import FileError
+from ....config.files.file_error import FileError
 from ....errors import ConfigError
 from ....values.refusal import shown
 

@@ -9,8 +9,9 @@ from typing import Any
 from ...errors import ConfigError
 from ...faults.fault import Schedule, Selection
 from ...faults.profile import FaultProfile
-from .messages import FaultAnswer, FaultyAnswer, NewFault, ParameterAnswer, plain_value, plain_values
-from .subject import Board
+from .messages import plain_value
+from .simulation_messages import FaultAnswer, FaultyAnswer, NewFault, ParameterAnswer, plain_values
+from .simulation_subject import Board
 
 
 def all_faults(board: Board) -> list[FaultAnswer]:

@@ -9,8 +9,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 import busway
-from busway.apps.web.messages import SimulationAnswer
-from busway.apps.web.stream import CLIENTS, FRAMES_AT_ONCE, MOST_POINTS, Client, Wish
+from busway.apps.web.connections import CLIENTS
+from busway.apps.web.simulation_messages import SimulationAnswer
+from busway.apps.web.simulation_stream import FRAMES_AT_ONCE, MOST_POINTS, Client, Wish
 
 MANY = "\n".join(f'[[unit.point]]\nname = "p{number}"\naddress = "holding:{number}"' for number in range(60))
 BUSY = f"[[unit]]\nunit = 1\n{MANY}\n"

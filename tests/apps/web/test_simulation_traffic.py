@@ -4,7 +4,7 @@ import io
 
 import pytest
 
-from busway.apps.web.traffic import Traffic
+from busway.apps.web.simulation_traffic import Traffic
 from busway.errors import ConfigError
 from busway.framing.mbap import encode_mbap
 from busway.framing.received import Damage, Damaged, Direction, SerialFrame

@@ -23,7 +23,7 @@ from ...observe.wording import described, in_words
 from ...pdu.functions import STANDARD, FunctionTable
 from ...pdu.message import Message
 from ...server.peers import peer_name
-from .messages import FieldAnswer, FrameAnswer
+from .simulation_messages import FieldAnswer, FrameAnswer
 
 if TYPE_CHECKING:
     from ...observe.trace import ConnectionRecorder, LineRecorder, Recorder

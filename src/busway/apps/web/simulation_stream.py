@@ -22,17 +22,13 @@ from pydantic import Field, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from .access import BEARER_PROTOCOL
-from .api import Api
+from .connections import CLIENTS, PROTOCOL, SEND_SECONDS
 from .messages import Asked, plain_value
+from .simulation_api import Api
 
-PROTOCOL: Final = "busway"
-"""The subprotocol that is chosen; a browser may offer its token beside it."""
 INTERVAL: Final = 0.1
 """Least seconds between two messages to one client."""
 STATUS_INTERVAL: Final = 1.0
-SEND_SECONDS: Final = 20.0
-"""Seconds that a client has to take one message."""
-CLIENTS: Final = 16
 POINTS_AT_ONCE: Final = 4000
 """Points of one message; the rest comes with the next."""
 MOST_POINTS: Final = 5000

@@ -1,6 +1,6 @@
 """The HTTP API of a simulation's page: points, faults, connections, traffic.
 
-Knows a simulation by `busway.apps.web.subject`; knows no socket and no page.
+Knows a simulation by `busway.apps.web.simulation_subject`; knows no socket and no page.
 
 1. The last writer of a point that was set by the API is ``api``.
 2. Many values are set one by one, in order: a refused one is reported and does not prevent the others.
@@ -19,11 +19,11 @@ from ...errors import ModbusError
 from ...values.refusal import shown
 from ...version import __version__
 from ..control.json_status import plain
-from .faults import add_fault_to, all_fault_profiles, all_faults, fault_named
-from .messages import (
+from .messages import Failure, plain_value
+from .simulation_faults import add_fault_to, all_fault_profiles, all_faults, fault_named
+from .simulation_messages import (
     Connections,
     CountersMessage,
-    Failure,
     FaultAnswer,
     FaultsMessage,
     LinesMessage,
@@ -44,10 +44,9 @@ from .messages import (
     Values,
     Written,
     given_value,
-    plain_value,
 )
-from .subject import Board, PageSubject, ServedUnits, ShownPoint
-from .traffic import Traffic as TrafficTail
+from .simulation_subject import Board, PageSubject, ServedUnits, ShownPoint
+from .simulation_traffic import Traffic as TrafficTail
 
 WHO: Final = "api"
 _POINT: Final = "/api/units/{unit}/points/{name:path}"  # a name may hold slashes

@@ -1,22 +1,17 @@
-"""What ``busway serve`` and ``gateway`` have in common: options, what they print, and reloading at SIGHUP.
+"""Options that ``busway serve``, ``gateway`` and ``simulate`` have in common, and what they print at the start.
 
 Knows options and the service that is built of them; knows neither servers nor gateways.
 
-1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
-2. SIGHUP reads the files again; on an error the old settings stay and the error is printed.
+The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
 """
 
-import asyncio
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..errors import ModbusError
 from .files import read_text
-from .output import say, say_problems, warn
-from .signals import on_hangup
+from .output import say, warn
 
 if TYPE_CHECKING:
     from ..access.addresses import AddressList
@@ -115,40 +110,3 @@ def announce(service: "Service") -> None:
         say(f"metrics on {service.metrics}")
     for endpoint in service.server.endpoints:
         print(endpoint, flush=True)
-
-
-@asynccontextmanager
-async def read_again_on_hangup(
-    service: "Service", told: Callable[[bool], None] = lambda is_over: None
-) -> AsyncIterator[None]:
-    """Context manager that reloads the configuration at each SIGHUP and prints the result.
-
-    Args:
-        service: the running service.
-        told: called with False before, and with True after.
-    """
-    loop = asyncio.get_running_loop()
-    tasks: set[asyncio.Task[None]] = set()
-
-    async def read_again() -> None:
-        told(False)
-        try:
-            done = await service.reload()
-        except ModbusError as error:
-            say_problems("read again, nothing was changed:", str(error))
-        else:
-            say(f"read again: {'; '.join(done)}")
-        told(True)
-
-    def hung_up() -> None:
-        task = loop.create_task(read_again())
-        tasks.add(task)
-        task.add_done_callback(tasks.discard)
-
-    with on_hangup(hung_up):
-        try:
-            yield
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)

@@ -1,0 +1,50 @@
+"""SIGHUP while a service runs: its files are read again; on an error the old settings stay and the error is printed."""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING
+
+from ..errors import ModbusError
+from .output import say, say_problems
+from .signals import on_hangup
+
+if TYPE_CHECKING:
+    from ..apps.server.service import Service
+
+
+@asynccontextmanager
+async def read_again_on_hangup(
+    service: "Service", told: Callable[[bool], None] = lambda is_over: None
+) -> AsyncIterator[None]:
+    """Context manager that reloads the configuration at each SIGHUP and prints the result.
+
+    Args:
+        service: the running service.
+        told: called with False before, and with True after.
+    """
+    loop = asyncio.get_running_loop()
+    tasks: set[asyncio.Task[None]] = set()
+
+    async def read_again() -> None:
+        told(False)
+        try:
+            done = await service.reload()
+        except ModbusError as error:
+            say_problems("read again, nothing was changed:", str(error))
+        else:
+            say(f"read again: {'; '.join(done)}")
+        told(True)
+
+    def hung_up() -> None:
+        task = loop.create_task(read_again())
+        tasks.add(task)
+        task.add_done_callback(tasks.discard)
+
+    with on_hangup(hung_up):
+        try:
+            yield
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
