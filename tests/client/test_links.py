@@ -3,9 +3,11 @@
 import gc
 import socket
 import time
+from collections.abc import Iterator
 
 import pytest
 from client_kinds import CLIENT_KINDS, ClientKind
+from foreign_servers import free_port
 from handles import open_handles
 
 import busway
@@ -23,11 +25,12 @@ def via(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Clie
     return found
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
+@pytest.fixture
+def closed_port() -> Iterator[int]:
+    """A port that no program listens on; it is held, so that no other test gets it meanwhile."""
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        yield holder.getsockname()[1]
 
 
 # --- connecting ----------------------------------------------------------------------------------
@@ -55,14 +58,13 @@ def test_connection_is_closed_when_the_link_is(via: ClientKind) -> None:
 
 
 @pytest.mark.clause("T37")
-def test_nobody_listens_and_the_error_says_where_and_that_nothing_was_sent(via: ClientKind) -> None:
-    port = _free_port()
-    with via.link(f"tcp://127.0.0.1:{port}") as link:
+def test_nobody_listens_and_the_error_says_where_and_that_nothing_was_sent(via: ClientKind, closed_port: int) -> None:
+    with via.link(f"tcp://127.0.0.1:{closed_port}") as link:
         with pytest.raises(busway.LinkDown) as caught:
             link.unit(9).write_single_register(7, 1)
         error = caught.value
         assert not error.sent
-        assert (error.endpoint, error.unit) == (f"tcp://127.0.0.1:{port}", 9)
+        assert (error.endpoint, error.unit) == (f"tcp://127.0.0.1:{closed_port}", 9)
         assert "nothing listens there" in str(error)
         assert isinstance(error, ConnectionError)
         with pytest.raises(busway.LinkDown):
@@ -70,7 +72,7 @@ def test_nobody_listens_and_the_error_says_where_and_that_nothing_was_sent(via: 
 
 
 def test_peer_that_is_down_fails_the_next_calls_fast_and_is_found_when_it_comes_back(via: ClientKind) -> None:
-    port = _free_port()
+    port = free_port()
     with via.link(f"tcp://127.0.0.1:{port}") as link:
         unit = link.unit(1)
         with pytest.raises(busway.LinkDown):
@@ -301,12 +303,11 @@ def test_three_hundred_links_come_and_go_without_leaving_a_handle(via: ClientKin
 
 
 @pytest.mark.clause("T18")
-def test_hundred_failed_connections_leave_no_handle(via: ClientKind) -> None:
-    port = _free_port()
+def test_hundred_failed_connections_leave_no_handle(via: ClientKind, closed_port: int) -> None:
     gc.collect()
     before = open_handles()
     for _ in range(100):
-        with via.link(f"tcp://127.0.0.1:{port}") as link, pytest.raises(busway.LinkDown):
+        with via.link(f"tcp://127.0.0.1:{closed_port}") as link, pytest.raises(busway.LinkDown):
             link.unit(1).read_holding_registers(0, count=1)
     gc.collect()
     assert open_handles() <= before

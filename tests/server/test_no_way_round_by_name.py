@@ -1,13 +1,13 @@
 """Ways round a policy, one by one: the same bytes by other hands, on other ways, at other moments."""
 
 import json
-import socket
 import struct
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
+from foreign_servers import free_port
 from policy_clients import PlainClient
 from waiting import until
 
@@ -32,9 +32,7 @@ pytestmark = pytest.mark.clause("M6")
 @pytest.fixture
 def unused_port() -> int:
     """A port that nothing listens on."""
-    with socket.socket() as probe:
-        probe.bind(("", 0))
-        return int(probe.getsockname()[1])
+    return free_port()
 
 
 def device() -> busway.Device:

@@ -7,6 +7,7 @@ import time
 from urllib.parse import urlsplit
 
 import pytest
+from foreign_servers import free_port
 from handlers import HeldReplies, ScriptedHandler, later
 from waiting import until
 
@@ -62,9 +63,7 @@ async def test_server_listens_on_ipv6_and_names_its_peers_and_endpoints_in_brack
 @pytest.mark.clause("T20")
 async def test_empty_host_listens_on_ipv4_and_ipv6() -> None:
     assert _has_ipv6(), "this test needs the IPv6 loopback"
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     async with busway.serve(f"tcp://:{port}", units=_device()):
         assert await _read(f"tcp://127.0.0.1:{port}") == [7]
         assert await _read(f"tcp://[::1]:{port}") == [7]

@@ -5,6 +5,7 @@ import socket
 from urllib.parse import urlsplit
 
 import pytest
+from foreign_servers import free_port
 
 import busway
 from busway.options.server import ListenerParameters
@@ -54,7 +55,7 @@ def test_by_name_it_is_switched_off_or_stands_beside_every_listener() -> None:
 def taken(monkeypatch: pytest.MonkeyPatch) -> socket.socket:
     """A socket on the port that the standard one is for this test; it is not listening yet."""
     holder = socket.socket()
-    holder.bind(("127.0.0.1", 0))
+    holder.bind(("127.0.0.1", free_port()))
     monkeypatch.setattr("busway.server.standard_port.DEFAULT_TCP_PORT", holder.getsockname()[1])
     return holder
 
@@ -82,9 +83,7 @@ async def test_where_it_cannot_be_had_that_is_an_error_by_name_and_a_warning_oth
         taken.listen()
         with pytest.raises(busway.LinkDown, match=str(taken.getsockname()[1])):
             await busway.Server(["tcp://127.0.0.1:0"], handler, standard_port=True).start()
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            free = probe.getsockname()[1]
+        free = free_port()
         monkeypatch.setattr("busway.server.standard_port._is_loopback", lambda host: False)
         async with busway.Server([f"tcp://127.0.0.1:{free}"], handler) as server:
             assert server.endpoints == [f"tcp://127.0.0.1:{free}"]
@@ -94,9 +93,7 @@ async def test_where_it_cannot_be_had_that_is_an_error_by_name_and_a_warning_oth
 @pytest.mark.clause("M6")
 async def test_rules_about_the_listener_beside_which_it_stands_hold_there_too(taken: socket.socket) -> None:
     taken.close()
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        url = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+    url = f"tcp://127.0.0.1:{free_port()}"
     policy = busway.Policy.of(busway.Rule.of(name="no", action="deny", listeners=[url]), default="allow")
     responder = busway.serve(units=busway.Device(holding_registers=[7]))._responder
     async with busway.Server([url], responder, standard_port=True, policy=policy) as server:

@@ -3,13 +3,13 @@
 import asyncio
 import contextlib
 import json
-import socket
 import struct
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from foreign_servers import free_port
 from plain_device import PlainDevice, RecordingServer
 from policy_clients import PlainClient
 from waiting import until
@@ -276,9 +276,7 @@ async def test_a_serial_masters_broadcast_that_a_line_may_not_hear_is_recorded_a
 
 
 async def test_a_rule_of_a_file_names_a_listener_on_every_address_by_its_name() -> None:
-    with socket.socket() as probe:
-        probe.bind(("", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     async with RecordingServer({1: PlainDevice()}) as behind:
         configuration = parse_gateway(
             f"""
