@@ -34,5 +34,5 @@ share reads: `read_cache`. Whether the read of a client joins an equal one in fl
 host does not wait behind others): `shared_reads`. Whose request goes next on an upstream: `busway.session.queue`. How
 long each client waits: `waiter_deadlines`. Broadcasts: `router`. Connecting again: `upstream` and
 `busway.session.reconnect`. Which sections a reload changes at once: `configuration` (``at_once``); how: `gateway`. How
-long requests in flight may take at the end: `drain` in `busway.options.gateway`, kept by `gateway`.
+long requests in flight may take at the end: ``drain`` in `busway.options.gateway`, kept by `gateway`.
 """
