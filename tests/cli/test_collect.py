@@ -5,6 +5,8 @@ import json
 import os
 import signal
 import socket
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 from urllib.error import URLError
@@ -111,6 +113,20 @@ def test_what_was_learnt_is_shown_pinned_and_forgotten(run, tmp_path: Path) -> N
     assert run("collect", "learnt", file, "--forget", "meter-7").out == ""
     assert run("collect", "learnt", file, "--forget", "meter-9").code == 2
     assert run("collect", file, "--pin", "meter-7").code == 2
+
+
+@pytest.mark.parametrize(("words", "code"), [((), 2), (("plan",), 0)])
+def test_a_system_without_file_locks_refuses_to_collect_and_shows_the_plan(
+    tmp_path: Path, words: tuple[str, ...], code: int
+) -> None:
+    """Such as Windows: what only POSIX has cannot be imported there."""
+    missing = "import sys; sys.modules |= dict.fromkeys(('fcntl', 'termios', 'resource', 'pwd', 'grp', 'pty'))"
+    arguments = [sys.executable, "-c", f"{missing}; from busway.cli import main; main()", "collect", *words]
+    done = subprocess.run([*arguments, written(tmp_path)], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == code, done.stderr
+    assert ("busway: a store cannot be written on this system" in done.stderr) == (code == 2)
+    assert len(done.stderr.splitlines()) == (code == 2)
+    assert not (tmp_path / "data").exists()
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="no SIGHUP here")

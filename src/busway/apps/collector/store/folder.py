@@ -4,13 +4,19 @@ Knows names, descriptors and process ids; knows nothing of samples.
 """
 
 import contextlib
-import fcntl
 import os
 import time
 from pathlib import Path
 from typing import Final
 
 from ....errors import ConfigError
+
+try:
+    import fcntl
+
+    HAS_LOCKS = True
+except ImportError:  # Windows
+    HAS_LOCKS = False
 
 MANIFEST: Final = "manifest.sqlite"
 LOCK: Final = "lock"
@@ -23,6 +29,15 @@ _ENDING: Final = 2.0
 """Seconds for which the lock of a process that has ended may still be held."""
 
 
+def check_locks() -> None:
+    """Raise `ConfigError` on a system without locks that end with their process: no store can be written there."""
+    if not HAS_LOCKS:
+        raise ConfigError(
+            "a store cannot be written on this system: it has no file locks of POSIX (fcntl), as Windows has none;"
+            " the collector runs on Linux"
+        )
+
+
 class StoreLock:
     """The exclusive right of one process to write a store; the system releases it however that process ends."""
 
@@ -30,8 +45,9 @@ class StoreLock:
         """Take the exclusive right to write a store. Raises `ConfigError` if another process has it.
 
         Raises:
-            ConfigError: another process holds it, and which; or the file cannot be opened.
+            ConfigError: another process holds it, and which; or the file cannot be opened, or the system has no locks.
         """
+        check_locks()
         path = folder / LOCK
         try:
             self._handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -89,6 +105,8 @@ def is_alive(process: int) -> bool:
 
 def holder_of(folder: Path) -> int | None:
     """Return the number of the process that writes a store now; None if there is none."""
+    if not HAS_LOCKS:
+        return None  # no process writes a store here
     try:
         handle = os.open(folder / LOCK, os.O_RDWR | os.O_CLOEXEC)
     except OSError:
@@ -105,6 +123,7 @@ def holder_of(folder: Path) -> int | None:
 
 def make_folder(path: Path) -> None:
     """Create the folder of a store; a new one is private to its owner. Raises `ConfigError`."""
+    check_locks()
     try:
         make_durably(path, mode=0o700)
         (path / SEGMENTS).mkdir(mode=0o700, exist_ok=True)
