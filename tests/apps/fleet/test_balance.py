@@ -73,6 +73,34 @@ def test_moves_level_the_loads_and_then_end(seed: int, members: int) -> None:
     assert max(loads) <= fair * (1 + BEGIN) + 1e-9
 
 
+def test_two_collectors_exchange_shards_where_none_is_small_enough_to_move() -> None:
+    owned = {"0000": ("c0", 0.6), "0001": ("c0", 0.5), "0002": ("c1", 0.4), "0003": ("c1", 0.3)}
+    found = moves(owned, members_of(owned, 2))
+    assert {(move.giver, move.taker) for move in found} == {("c0", "c1"), ("c1", "c0")}
+    owned = after(owned, found)
+    assert [round(each.load, 9) for each in members_of(owned, 2)] == [0.9, 0.9]
+    assert not moves(owned, members_of(owned, 2), moving=True)
+
+
+def test_an_exchange_that_leaves_most_of_the_difference_is_not_worth_two_moves() -> None:
+    owned = {"0000": ("c0", 1.2), "0001": ("c1", 0.45), "0002": ("c1", 0.45)}
+    assert moves(owned, members_of(owned, 2)) == []
+
+
+@given(st.integers(0, 10_000), st.integers(50, 250))
+def test_a_zone_of_many_collectors_with_few_shards_each_becomes_level(seed: int, members: int) -> None:
+    chance = random.Random(seed)
+    owned = owned_by(chance, members, 6 * members)
+    for _ in range(40):
+        found = moves(owned, members_of(owned, members), moving=True)
+        if not found:
+            break
+        owned = after(owned, found)
+    loads = [each.load for each in members_of(owned, members)]
+    fair = sum(loads) / members
+    assert max(abs(load - fair) for load in loads) <= fair * 0.1
+
+
 def test_a_difference_exactly_at_the_limit_moves_nothing() -> None:
     owned = {"0000": ("c0", 1.0 + BEGIN), "0001": ("c1", 1.0 - BEGIN), "0002": ("c0", 0.0), "0003": ("c1", 0.0)}
     assert moves(owned, members_of(owned, 2)) == []

@@ -8,7 +8,9 @@ Pure; knows loads and names. Every collector computes the same from what it sees
 3. Shards move where a collector is further than `BEGIN` from the fair load, and until all are within `END`: between the
    two nothing moves, so loads that change a little move nothing.
 4. A move takes the shard that levels giver and taker best: the fewest moves, since each costs its links a moment.
-5. A collector that drains gives all it has; one that another host cannot reach is never asked to take a pinned shard.
+5. Where no shard of the giver is small enough, two collectors exchange a dearer and a cheaper one, if that takes at
+   least half of their difference away: where shards are few and unlike, nothing else levels them.
+6. A collector that drains gives all it has; one that another host cannot reach is never asked to take a pinned shard.
 """
 
 from bisect import bisect_left, insort
@@ -128,17 +130,18 @@ def _level(
     while givers and len(found) < MOST_MOVES and (order[-1][0] > fair * (1 + END) or order[0][0] < fair * (1 - END)):
         giver, taker = by_name[givers[-1][1]], by_name[order[0][1]]
         best = _best(costs[giver.name], giver, taker)
-        if best is None:
+        changes = [(best, giver, taker)] if best is not None else _exchange(costs, giver, taker)
+        if not changes:
             givers.pop()
-            continue
-        for share in (giver, taker):
-            was = (share.relative(), share.name)
-            share.load += -best[0] if share is giver else best[0]
-            for each in (order, givers):
-                _replace(each, was, (share.relative(), share.name))
-        costs[giver.name].remove(best)
-        insort(costs[taker.name], best)
-        found.append(Move(best[1], giver.name, taker.name))
+        for moved, one, other in changes:
+            costs[one.name].remove(moved)
+            insort(costs[other.name], moved)
+            found.append(Move(moved[1], one.name, other.name))
+            for share, extra in ((one, -moved[0]), (other, moved[0])):
+                was = (share.relative(), share.name)
+                share.load += extra
+                for each in (order, givers):
+                    _replace(each, was, (share.relative(), share.name))
 
 
 def _replace(order: list[tuple[float, str]], was: tuple[float, str], now: tuple[float, str]) -> None:
@@ -153,10 +156,34 @@ def _best(costs: list[tuple[float, str]], giver: Share, taker: Share) -> tuple[f
     """Return the shard (group of links) whose move levels the loads of two collectors best; None if no move helps."""
     if giver is taker:
         return None
-    wanted = (giver.relative() - taker.relative()) / (1 / giver.capacity + 1 / taker.capacity)
+    wanted = _difference(giver, taker)
     place = bisect_left(costs, (wanted, ""))
     near = [each for each in costs[max(0, place - 1) : place + 1] if taker.relative(each[0]) < giver.relative()]
     return min(near, key=lambda each: (abs(each[0] - wanted), each[1]), default=None)
+
+
+def _exchange(
+    costs: Mapping[str, list[tuple[float, str]]], giver: Share, taker: Share
+) -> list[tuple[tuple[float, str], Share, Share]]:
+    """Return the two moves that exchange shards (groups of links) and level two collectors best; none if none does."""
+    found: list[tuple[tuple[float, str], Share, Share]] = []
+    if giver is taker:
+        return found
+    wanted = _difference(giver, taker)
+    left = wanted / 2
+    cheaper = costs[taker.name]
+    for one in costs[giver.name]:
+        place = bisect_left(cheaper, (one[0] - wanted, ""))
+        for other in cheaper[max(0, place - 1) : place + 1]:
+            if abs(one[0] - other[0] - wanted) < left:
+                left = abs(one[0] - other[0] - wanted)
+                found = [(one, giver, taker), (other, taker, giver)]
+    return found
+
+
+def _difference(giver: Share, taker: Share) -> float:
+    """Return the load that would have to move for two collectors to be level."""
+    return (giver.relative() - taker.relative()) / (1 / giver.capacity + 1 / taker.capacity)
 
 
 class _Takers:
