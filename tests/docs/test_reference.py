@@ -10,6 +10,7 @@ from generated import assert_up_to_date
 
 import busway
 from busway import errors
+from busway.cli.program import COMMANDS, load
 from busway.codes import EXCEPTION_MEANING
 from busway.options.endpoints import SCHEMES
 from busway.values import ORDERS, TYPE_NAMES
@@ -86,3 +87,46 @@ def test_every_type_and_order_is_listed() -> None:
     text = page("values-and-addresses.md")
     assert [name for name in TYPE_NAMES if f"`{name}`" not in text] == []
     assert [order for orders in ORDERS.values() for order in orders if f"`{order}`" not in text] == []
+
+
+SHARED = re.compile(r"^\| (`-.*?) \| (`.*?`) \| .* \|$", re.MULTILINE)
+"""A row of the table of shared options: the option, the commands that take it, its meaning."""
+
+
+def options_in(text: str) -> set[str]:
+    """The long options that a text names."""
+    return set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text))
+
+
+def options_of(command: str) -> set[str]:
+    """The long options that a command takes."""
+    params = [param for param in load(command).params if param.param_type_name == "option"]
+    given = {name for param in params for name in (*param.opts, *param.secondary_opts)}
+    return {name for name in given if name.startswith("--")} - {"--help"}
+
+
+def shared_options() -> dict[str, set[str]]:
+    """The commands that take each shared option, as the page says."""
+    text = page("cli.md").partition("\n## Options that several commands share\n")[2].partition("\n## ")[0]
+    rows = {
+        option: set(re.findall(r"`(\w+)`", of)) for names, of in SHARED.findall(text) for option in options_in(names)
+    }
+    assert len(rows) >= 8
+    return rows
+
+
+def section_of(text: str, command: str) -> str:
+    return text.partition(f"\n## {command}\n")[2].partition("\n## ")[0]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_a_row_and_all_its_options_on_the_page(command: str) -> None:
+    text = page("cli.md")
+    assert re.search(rf"^\| `busway {command}\b", text, re.MULTILINE)
+    section = section_of(text, command)
+    above = section_of(text, "serve") if "printed as by `serve`, and the options" in section.replace("\n", " ") else ""
+    shared = {option for option, commands in shared_options().items() if command in commands}
+    assert shared <= options_of(command)
+    assert options_of(command) - shared <= options_in(section + above)
+    rows = "\n".join(re.findall(r"^\| (`-.*?) \| ", section, re.MULTILINE))
+    assert options_in(rows) <= options_of(command)
