@@ -69,7 +69,7 @@ def check(
     ),
     timeout: str = typer.Option("1s", "--timeout", metavar="TIME", help="The longest wait for a reply."),
     quiet_time: str = typer.Option(
-        "50ms", "--quiet-time", metavar="TIME", help="Silence on a line behind a frame that is not answered."
+        "50ms", "--quiet-time", metavar="TIME", help="Silence behind a frame that is not answered."
     ),
     idle: str = typer.Option("2s", "--idle", metavar="TIME", help="How long checks about idle connections wait."),
     capture: str | None = CAPTURE,

@@ -116,6 +116,39 @@ def test_a_device_on_a_line_that_falls_silent_ends_the_run_too() -> None:
     assert results["broadcast-unknown"].reason == "the device died: it no longer answers"
 
 
+class SegmentDialer(VirtualDialer):
+    """A device that answers one request of each segment: what comes with another one, unanswered yet, is dropped."""
+
+    def open(self) -> VirtualWire:
+        return SegmentWire(self)
+
+
+class SegmentWire(VirtualWire):
+    """A connection to it. Requests of one moment come in one segment."""
+
+    _unanswered_since = -1.0
+
+    def send(self, data: bytes) -> None:
+        if self._dialer.now() == self._unanswered_since:
+            return
+        self._unanswered_since = self._dialer.now()
+        end = 6 + int.from_bytes(data[4:6], "big")
+        is_followed = len(data) > end + 8 and data[end + 2 : end + 4] == b"\0\0"
+        super().send(data[:end] if is_followed else data)
+
+    def receive(self, timeout: float) -> bytes | None:
+        came = super().receive(timeout)
+        if came:
+            self._unanswered_since = -1.0
+        return came
+
+
+def test_a_device_that_drops_the_second_request_of_a_segment_fails_the_checks_about_that_alone() -> None:
+    results = run(SegmentDialer("mbap"))
+    told = {name for name, one in results.items() if one.outcome is not Outcome.PASSED}
+    assert told == {"together-2", "together-4", "together-16"}
+
+
 def test_no_connection_at_the_beginning_is_an_error() -> None:
     dialer = VirtualDialer("mbap")
     dialer.is_dead = True

@@ -5,9 +5,10 @@ Knows wires, frames, judgements and the clock; knows no single check.
 1. Basic checks come first. What one of them has shown to be wrong is not held against any other check: a wrong unit is
    overlooked, and after any other failure the rest is undecided.
 2. Then checks run from safe to risky. After each, the probe is read: a device that has died ends the run.
-3. Silence is not waited for. Behind a request that must not be answered a read of the probe is sent; what comes before
-   its reply was the answer. On a serial line the read follows after ``quiet`` seconds, since two frames need a gap;
-   there, what may be answered is waited for, since no other frame may come between.
+3. Silence is not waited for as long as a reply. Behind a request that may stay unanswered a read of the probe is sent,
+   after ``quiet`` seconds or as soon as something came; what comes before its reply was the answer. Two frames on a
+   line need that gap, and a device that drops one of two requests in a segment fails the checks about that alone. On a
+   serial line what may be answered is waited for, since no other frame may come between.
 4. The scratch items are read before the first check that writes, written back after the last one, and read again.
 """
 
@@ -60,7 +61,7 @@ class Pace:
 
     Attributes:
         timeout: the longest wait for a reply.
-        quiet: silence between two frames on a serial line, where the first is not answered.
+        quiet: silence between two frames, where the first is not answered.
         idle: how long a connection is left alone by the checks about that.
     """
 
@@ -262,7 +263,7 @@ class _Conversation:
         number = self._next_transaction()
         marker = encode_frame(self._target.framing, self._target.unit, probe, number)
         assert self._wire is not None
-        early = self._wire.receive(0)
+        early = self._wire.receive(self._pace.quiet if self._target.framing == "mbap" else 0)
         found: list[Frame] = []
         if early is None:
             self._lost()
