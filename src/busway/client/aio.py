@@ -45,6 +45,7 @@ from .checks import (
     default_unit,
     no_connection_of_its_own,
     refused,
+    with_assumed_line,
     with_assumed_unit,
 )
 from .link import AsyncLinkDriver
@@ -126,8 +127,7 @@ class AsyncUnit:
             raise
         outcome = call.outcomes[0]
         if isinstance(outcome, ModbusError):
-            if self._is_assumed:
-                with_assumed_unit(outcome, self._number)
+            self._tell_assumed(outcome)
             try:
                 raise outcome
             finally:
@@ -148,17 +148,22 @@ class AsyncUnit:
             if not return_errors:
                 raise
             outcomes = refused(refusal, requests)
-        if self._is_assumed:
-            for outcome in outcomes:
-                with_assumed_unit(outcome, self._number)
-        if not return_errors:
-            for outcome in outcomes:
-                if isinstance(outcome, ModbusError):
-                    try:
-                        raise outcome
-                    finally:
-                        del outcome, outcomes  # as in `_ask`
+        for outcome in outcomes:
+            if isinstance(outcome, ModbusError):
+                self._tell_assumed(outcome)
+                if return_errors:
+                    continue
+                try:
+                    raise outcome
+                finally:
+                    del outcome, outcomes  # as in `_ask`
         return outcomes
+
+    def _tell_assumed(self, error: ModbusError) -> None:
+        """Add to an error what was assumed because it was not given, if naming it may help."""
+        if self._is_assumed:
+            with_assumed_unit(error, self._number)
+        with_assumed_line(error, self._link._settings, self._link.counters)
 
     @overload
     async def read(

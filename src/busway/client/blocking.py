@@ -46,6 +46,7 @@ from .checks import (
     default_unit,
     no_connection_of_its_own,
     refused,
+    with_assumed_line,
     with_assumed_unit,
 )
 from .operations import (
@@ -115,8 +116,7 @@ class BlockingUnit:
         outcome: Any
         (outcome,) = self._link.run(self._number, requests, call_options)
         if isinstance(outcome, ModbusError):
-            if self._is_assumed:
-                with_assumed_unit(outcome, self._number)
+            self._tell_assumed(outcome)
             raise outcome
         reply: Reply = outcome
         return reply
@@ -142,14 +142,18 @@ class BlockingUnit:
             if not return_errors:
                 raise
             outcomes = refused(refusal, requests)
-        if self._is_assumed:
-            for outcome in outcomes:
-                with_assumed_unit(outcome, self._number)
-        if not return_errors:
-            for outcome in outcomes:
-                if isinstance(outcome, ModbusError):
+        for outcome in outcomes:
+            if isinstance(outcome, ModbusError):
+                self._tell_assumed(outcome)
+                if not return_errors:
                     raise outcome
         return outcomes
+
+    def _tell_assumed(self, error: ModbusError) -> None:
+        """Add to an error what was assumed because it was not given, if naming it may help."""
+        if self._is_assumed:
+            with_assumed_unit(error, self._number)
+        with_assumed_line(error, self._link._settings, self._link.counters)
 
     @overload
     def read(

@@ -11,7 +11,7 @@ from ..options.endpoints import Endpoint
 from ..pdu.compiler import as_integer
 from ..pdu.message import Request
 from ..session.reconnect import ConnectionState
-from ..session.retries import function_of
+from ..session.retries import ClientCounters, function_of
 from .settings import CALL_DEFAULTS, LinkSettings
 
 SHOWN_STATE = {state.value: state.value for state in ConnectionState} | {
@@ -53,6 +53,16 @@ def with_assumed_unit(outcome: object, unit: int) -> None:
     if may_help:
         assert isinstance(outcome, ModbusError)
         outcome.message += f"; unit {unit} was assumed because none was named"
+
+
+def with_assumed_line(outcome: object, settings: LinkSettings, counters: ClientCounters) -> None:
+    """Add to an error the remark which settings of the port were not given, if no unit has answered by them so far."""
+    assumed = "" if settings.line is None else settings.line.assumed
+    if not assumed or counters.replies or counters.exceptions or counters.late_replies:
+        return
+    was_heard_of = isinstance(outcome, NoReply) and outcome.kind not in ("nothing", "partial")
+    if isinstance(outcome, NoReply | WriteOutcomeUnknown) and not was_heard_of:
+        outcome.message += f"; assumed, because not given: {assumed}"
 
 
 def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusError]:

@@ -36,6 +36,7 @@ class LineSettings:
         framing: how frames are found.
         port: what the line is set to; None over a network.
         opening: how the port is opened.
+        assumed: rate and parity of the port as far as they are defaults: ``19200 baud and parity even``; or empty.
     """
 
     conversation: SerialClientParameters
@@ -43,6 +44,7 @@ class LineSettings:
     framing: FramingParameters
     port: SerialSettings | None
     opening: OpeningParameters
+    assumed: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,14 +120,24 @@ def link_settings(
         return LinkSettings(
             endpoint, parameters, sockets, management, breaker=watched, security=security, ssl_context=ssl_context
         )
+    port = chosen.serial_settings()
     line = LineSettings(
         chosen.build(SerialClientParameters),
         breaker,
         chosen.build(FramingParameters),
-        chosen.serial_settings(),
+        port,
         chosen.build(OpeningParameters),
+        _assumed(port, chosen.values.get(SerialSettings, {})),
     )
     return LinkSettings(endpoint, parameters, sockets, management, line)
+
+
+def _assumed(port: SerialSettings | None, given: Mapping[str, object]) -> str:
+    """Return rate and parity of a port as text, without what is given; empty without a port."""
+    if port is None:
+        return ""
+    words = {"baud": f"{port.baud} baud", "parity": f"parity {port.parity.value}"}
+    return " and ".join(text for name, text in words.items() if name not in given)
 
 
 def _check_context(endpoint: Endpoint, options: Mapping[str, object]) -> None:
