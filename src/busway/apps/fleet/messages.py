@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import groupby
+from operator import attrgetter
 from typing import Any, Final
 
 from ...errors import ModbusError
@@ -21,6 +22,8 @@ from .lease_times import Epoch
 FORMAT: Final = 1
 MOST_ROWS: Final = 2000
 """Samples in one message: about 64 kB."""
+_COLUMNS: Final = attrgetter("commit", "device", "point", "unit_of_measure", "time", "half_width", "value", "reason")
+"""A sample as a row of the columns that a message has of it."""
 
 
 class UnreadableMessage(ModbusError):
@@ -64,8 +67,10 @@ class SampleMessage:
     def encode(self) -> bytes:
         """Return the message with samples as bytes."""
         require("msgpack", "samples of a fleet")
-        points = sorted({(each.device, each.point, each.unit_of_measure) for each in self.samples})
-        places = {point: place for place, point in enumerate(points)}
+        rows = zip(*map(_COLUMNS, self.samples), strict=True)
+        commits, devices, points, units, times, half_widths, values, reasons = tuple(rows) or ((),) * 8
+        places: dict[tuple[str, str, str], int] = {}
+        place_of = [places.setdefault(point, len(places)) for point in zip(devices, points, units, strict=True)]
         content = [
             FORMAT,
             self.collector,
@@ -77,13 +82,13 @@ class SampleMessage:
             self.kept,
             self.part,
             self.round,
-            points,
-            [places[each.device, each.point, each.unit_of_measure] for each in self.samples],
-            [each.commit for each in self.samples],
-            [each.time for each in self.samples],
-            [each.half_width for each in self.samples],
-            [_packed(each.value) for each in self.samples],
-            [each.reason for each in self.samples],
+            list(places),
+            place_of,
+            commits,
+            times,
+            half_widths,
+            [_packed(value) if type(value) is int else value for value in values],
+            reasons,
         ]
         packed: bytes = import_module("msgpack").packb(content)
         return packed
