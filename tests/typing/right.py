@@ -1,7 +1,7 @@
 """Right uses of the public interface: a type checker must accept every line. Read by ``test_typing.py``, never run."""
 
 from collections.abc import Iterable
-from typing import assert_type
+from typing import Any, assert_type
 
 import busway
 
@@ -87,6 +87,19 @@ def servers(device: busway.Device) -> None:
     with busway.serve_in_thread("tcp://127.0.0.1:0", units=device, keepalive=False) as server:
         assert_type(server.endpoints, list[str])
     busway.serve_forever(units={1: device}, started=lambda server: print(server.endpoints), request_rate=5.0)
+
+
+def devices(device: busway.Device) -> None:
+    device.on_write("coils", print, when="after", address=3)
+    device.write("4x1", 1.5, "float32", order="CDAB")
+    busway.SingleBlock(8, tables=["coils", "holding_registers"])
+
+    @device.on_read("input_registers")
+    def read(access: busway.Access) -> None:
+        print(access.values)
+
+    assert_type(device.read("4x1", order="little"), Any)
+    print(read)
 
 
 def caught(unit: busway.BlockingUnit) -> None:

@@ -7,7 +7,6 @@ refused, and no other line.
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from itertools import chain
@@ -16,11 +15,14 @@ from typing import get_args
 
 import pytest
 from generated import assert_up_to_date
+from type_checkers import errors_of_pyright, pyright
 
 from busway.client.operations import LEVELS
+from busway.codes import Table
 from busway.errors import InvalidRequest
+from busway.server.hooks import Moment, When
 from busway.values import ORDERS, TYPE_NAMES, value_type
-from busway.values.names import FloatName, IntegerName, Level, Order
+from busway.values.names import FloatName, IntegerName, Level, Order, TableName, WritableTableName
 from busway.values.network import NETWORK_TYPES
 
 ROOT = Path(__file__).parents[2]
@@ -38,21 +40,9 @@ def refused_by_mypy(file: Path) -> set[int]:
     return found
 
 
-def pyright() -> str:
-    """The program; the test is left out where neither basedpyright nor pyright is installed."""
-    beside = Path(sys.executable).parent
-    program = next((found for name in ("basedpyright", "pyright") if (found := shutil.which(name, path=beside))), None)
-    if program is None:
-        pytest.skip("neither basedpyright nor pyright is installed")
-    return program
-
-
 def refused_by_pyright(file: Path) -> set[int]:
     """The lines that pyright refuses."""
-    words = [pyright(), "--outputjson", "--level", "error", "--pythonpath", sys.executable, str(file)]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False, timeout=110)
-    told = json.loads(done.stdout)["generalDiagnostics"]
-    return {one["range"]["start"]["line"] + 1 for one in told if one["severity"] == "error"}
+    return {one["range"]["start"]["line"] + 1 for one in errors_of_pyright([file], cwd=ROOT)}
 
 
 CHECKERS = pytest.mark.parametrize("refused", [refused_by_mypy, refused_by_pyright], ids=["mypy", "pyright"])
@@ -92,6 +82,12 @@ def test_the_names_of_orders_and_levels_are_those_that_exist() -> None:
     with pytest.raises(InvalidRequest, match="words big, little, word-swapped, byte-swapped"):
         value_type("uint64", "middle")
     assert get_args(Level) == (*LEVELS,)
+
+
+def test_the_names_of_tables_and_moments_are_those_that_exist() -> None:
+    assert set(get_args(TableName)) == {each.value for each in Table}
+    assert set(get_args(WritableTableName)) == {each.value for each in Table if each.is_writable}
+    assert set(get_args(Moment)) == {each.value for each in When}
 
 
 def test_the_types_of_options_are_those_of_the_parameter_classes() -> None:

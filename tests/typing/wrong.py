@@ -69,3 +69,12 @@ def options(device: busway.Device) -> None:
     busway.serve_forever(units=device, idle_timeout="5")  # wrong: a text
     busway.string("16")  # wrong: a text
     busway.string(16, "utf8")  # wrong: the encoding is written utf-8
+
+
+def devices(device: busway.Device) -> None:
+    device.on_write("holding", print)  # wrong: no such table
+    device.on_write("input_registers", print)  # wrong: no function writes them
+    device.on_read("coils", print, when="during")  # wrong: no such moment
+    device.read("4x1", "float32", order="ABDC")  # wrong: no such order
+    device.write("4x1", 1.5, "float32", order="CDBA")  # wrong: no such order
+    busway.SingleBlock(8, tables=["holding"])  # wrong: no such table

@@ -24,11 +24,12 @@ from ..pdu.fast_answers import Block
 from ..pdu.model import Context, Refusal
 from ..pdu.write_items import pack_registers
 from ..values import Address, ValueType
+from ..values.names import Order, TableName, WritableTableName
 from ..values.refusal import shown
 from .blocks import BitRun, RegisterRun, Run
 from .cells import TableLike, lay_out
 from .groups import Groups
-from .hooks import Access, Change, Hook, Hooks, ReadFunction, When, WriteFunction, call, function_of, role_of
+from .hooks import Access, Change, Hook, Hooks, Moment, ReadFunction, When, WriteFunction, call, function_of, role_of
 from .identity import DEFAULT_SERVER_ID, ExceptionStatus, identification_objects, server_id_data, status_source
 from .items import unpacked
 from .records import RecordFile, RegisterQueue, build_files, build_queues
@@ -145,7 +146,7 @@ class Device:
         address: str | Address,
         type: str | ValueType[Any] | None = None,
         *,
-        order: str = "ABCD",
+        order: Order = "ABCD",
         count: int | None = None,
     ) -> Any: ...  # Any: what the type says
 
@@ -176,7 +177,7 @@ class Device:
     def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None: ...
     @overload
     def write(
-        self, address: str | Address, value: object, type: str | ValueType[Any] | None = None, *, order: str = "ABCD"
+        self, address: str | Address, value: object, type: str | ValueType[Any] | None = None, *, order: Order = "ABCD"
     ) -> None: ...
 
     def write(self, *arguments: Any, **options: Any) -> None:  # Any: as the two signatures above
@@ -205,24 +206,24 @@ class Device:
     @overload
     def on_read(
         self,
-        table: Table | str,
+        table: Table | TableName,
         function: AnyReadFunction,
         *,
-        when: str = "before",
+        when: Moment = "before",
         address: int | None = None,
         count: int | None = None,
     ) -> AnyReadFunction: ...
     @overload
     def on_read(
-        self, table: Table | str, *, when: str = "before", address: int | None = None, count: int | None = None
+        self, table: Table | TableName, *, when: Moment = "before", address: int | None = None, count: int | None = None
     ) -> Callable[[AnyReadFunction], AnyReadFunction]: ...
 
     def on_read(
         self,
-        table: Table | str,
+        table: Table | TableName,
         function: AnyReadFunction | None = None,
         *,
-        when: str = "before",
+        when: Moment = "before",
         address: int | None = None,
         count: int | None = None,
     ) -> AnyReadFunction | Callable[[AnyReadFunction], AnyReadFunction]:
@@ -251,24 +252,29 @@ class Device:
     @overload
     def on_write(
         self,
-        table: Table | str,
+        table: Table | WritableTableName,
         function: AnyWriteFunction,
         *,
-        when: str = "before",
+        when: Moment = "before",
         address: int | None = None,
         count: int | None = None,
     ) -> AnyWriteFunction: ...
     @overload
     def on_write(
-        self, table: Table | str, *, when: str = "before", address: int | None = None, count: int | None = None
+        self,
+        table: Table | WritableTableName,
+        *,
+        when: Moment = "before",
+        address: int | None = None,
+        count: int | None = None,
     ) -> Callable[[AnyWriteFunction], AnyWriteFunction]: ...
 
     def on_write(
         self,
-        table: Table | str,
+        table: Table | WritableTableName,
         function: AnyWriteFunction | None = None,
         *,
-        when: str = "before",
+        when: Moment = "before",
         address: int | None = None,
         count: int | None = None,
     ) -> AnyWriteFunction | Callable[[AnyWriteFunction], AnyWriteFunction]:

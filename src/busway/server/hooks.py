@@ -10,6 +10,7 @@ Knows accesses and functions to call; knows no store.
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Literal, TypeAlias
 
 from ..codes import Table
 from ..pdu.model import Context
@@ -20,6 +21,10 @@ class When(Enum):
 
     BEFORE = "before"
     AFTER = "after"
+
+
+Moment: TypeAlias = Literal["before", "after"]
+"""The texts that stand for `When`, for type checkers."""
 
 
 @dataclass(frozen=True, slots=True)

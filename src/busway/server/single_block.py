@@ -15,6 +15,7 @@ from types import MappingProxyType
 from ..codes import TABLE_SIZE, Table
 from ..errors import ConfigError
 from ..values.counts import counted
+from ..values.names import TableName
 from ..values.refusal import shown
 from .blocks import RegisterBits, RegisterRun
 from .cells import TableLike, lay_out
@@ -35,7 +36,7 @@ class SingleBlock:
     registers: TableLike
     coils_at: tuple[int, int] | None = None
     discrete_inputs_at: tuple[int, int] | None = None
-    tables: Collection[Table | str] = tuple(Table)
+    tables: Collection[Table | TableName] = tuple(Table)
 
 
 def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, ItemStore]:

@@ -7,7 +7,7 @@
 `counts`     Says how many of something there are, as English does
 `custom`     Conversion of registers by a `struct` format: `custom:>hHl` is three numbers in four registers
 `durations`  Durations as people write them: `500ms`, `10s`, `5m`, `1h`
-`names`      Names of value types and orders for type checkers, so that a wrong name is found before the program runs
+`names`      Names of value types, orders and tables for type checkers, which find a wrong name before the program runs
 `network`    Conversion between registers and network addresses: IPv4, IPv6, EUI-48 (MAC) and EUI-64
 `numbers`    Conversion between registers and integers, floats and binary-coded decimals
 `orders`     Byte orders, such as `CDAB`: the order of bytes and registers inside a value of 16, 32, 48 or 64 bits

@@ -1,6 +1,6 @@
-"""Names of value types and orders for type checkers, so that a wrong name is found before the program runs.
+"""Names of value types, orders and tables for type checkers, so that a wrong name is found before the program runs.
 
-Knows texts only; `types` and `orders` say what they mean, and a test holds the lists together.
+Knows texts only; `types`, `orders` and `codes.Table` say what they mean, and a test holds the lists together.
 """
 
 from typing import Literal, TypeAlias
@@ -25,3 +25,9 @@ Order: TypeAlias = Literal[
 
 Level: TypeAlias = Literal["basic", "regular", "extended"]
 """Levels of device identification."""
+
+TableName: TypeAlias = Literal["coils", "discrete_inputs", "input_registers", "holding_registers"]
+"""Names of the four tables (`busway.codes.Table`)."""
+
+WritableTableName: TypeAlias = Literal["coils", "holding_registers"]
+"""Names of the tables that functions of Modbus write."""
