@@ -1,4 +1,4 @@
-"""Every block of Python in the documentation passes ``mypy --strict``, as a reader who copies it would want.
+"""Every block of Python in the documentation passes ``mypy --strict`` and pyright, as a reader who copies it wants.
 
 1. The ``python`` blocks of a page are one program, as `tests/docs` runs them; one that serves for ever is another.
 2. A ``py`` block that begins with a file name in a comment is that file, which the next blocks may import.
@@ -9,7 +9,11 @@ import re
 import subprocess
 import sys
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
+
+import pytest
+from type_checkers import errors_of_pyright
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -53,10 +57,8 @@ def programs_of(page: Path, root: Path) -> dict[str, str]:
     return programs
 
 
-def refused(folder: Path, programs: dict[str, str]) -> list[str]:
+def refused_by_mypy(folder: Path, programs: list[str]) -> list[str]:
     """What mypy says of these programs, line by line."""
-    for name, text in programs.items():
-        (folder / name).write_text(text, encoding="utf-8")
     words = [sys.executable, "-m", "mypy", "--strict", "--no-error-summary", "--hide-error-context", "--config-file="]
     done = subprocess.run(
         [*words, f"--cache-dir={ROOT / '.mypy_cache' / 'pages'}", *programs],
@@ -70,12 +72,24 @@ def refused(folder: Path, programs: dict[str, str]) -> list[str]:
     return done.stdout.splitlines()
 
 
-def test_every_block_of_python_in_the_documentation_passes_mypy_strict(tmp_path: Path) -> None:
-    wrong = tmp_path / "wrong.md"  # in the same run: mypy needs most of its time for busway itself
+def refused_by_pyright(folder: Path, programs: list[str]) -> list[str]:
+    """What pyright says of these programs, in the form of mypy."""
+    told = errors_of_pyright([folder / name for name in programs], cwd=folder)
+    return [f"{Path(one['file']).name}:{one['range']['start']['line'] + 1}: error: {one['message']}" for one in told]
+
+
+@pytest.mark.parametrize("refused", [refused_by_mypy, refused_by_pyright])
+def test_every_block_of_python_in_the_documentation_passes(
+    tmp_path: Path, refused: Callable[[Path, list[str]], list[str]]
+) -> None:
+    wrong = tmp_path / "wrong.md"  # in the same run: a checker needs most of its time for busway itself
     wrong.write_text(WRONG, encoding="utf-8")
     pages = {name: text for page in PAGES for name, text in programs_of(page, ROOT).items()}
     assert len(pages) >= 20
-    lines = refused(tmp_path, pages | programs_of(wrong, tmp_path))
+    programs = pages | programs_of(wrong, tmp_path)
+    for name, text in programs.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    lines = refused(tmp_path, list(programs))
     assert [line for line in lines if not line.startswith("wrong")] == []
     assert any(line.startswith("wrong.py:3: error") and "timout" in line for line in lines), lines
     assert any(line.startswith("wrong_sketch_0.py") and "int" in line for line in lines), lines
