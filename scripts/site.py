@@ -5,6 +5,7 @@ Knows the pages, `mkdocs.yml` and the public names of busway; knows no program t
 1. The pages stay as they are in ``docs``, readable where they are. What the site needs otherwise is a copy in
    ``build/pages``: links out of ``docs`` lead to copies of the pages there, or become plain text (tests, sources).
 2. The reference of the public names comes from docstrings: a page for each room that `_ROOMS` names, all names on it.
+   Public names in docstrings are links; what takes its docstring at run time has it there too (`site_docstrings`).
 3. A warning of the builder is an error, and so is a link without its page or heading, in whatever was built.
 4. A built page loads nothing from another host.
 5. The search knows the pages that answer questions: neither the README nor the changelog.
@@ -51,21 +52,27 @@ _ROOM_OF: Final = {
     "options": "clients",
     "server": "servers",
     "session": "servers",
+    "session.call": "clients",
     "pdu": "messages",
     "values": "messages",
     "codes": "messages",
     "errors": "errors",
     "extras": "errors",
 }
-"""The page of a public name by the room that defines it; the others are on ``applications``."""
+"""The page of a public name by the room or file that defines it; the others are on ``applications``."""
 _TAB: Final = re.compile(r"^<!-- tab: ([^\n]+) -->\n\n(```.*?^```)$", re.DOTALL | re.MULTILINE)
 _LINK: Final = re.compile(r"\[([^\]\n]*)\]\(([^)\s]+)\)")
+_NAMED: Final = re.compile(r'<h\d id="busway\.([\w.]+)"')
+_CODE: Final = re.compile(r"<(a|h\d|pre)\b.*?</\1>|<code>(?P<name>[\w.]+)</code>", re.DOTALL)
+"""A name in code; links, headings and blocks of code are passed over."""
 
 
 def main() -> int:
     """Build the site; print what is wrong."""
     stage()
-    problems = [*build(), *localize(), *broken_links()]
+    problems = [*build(), *localize()]
+    link_names()
+    problems += broken_links()
     tune_search()
     sys.stdout.write("".join(f"{problem}\n" for problem in problems))
     if not problems:
@@ -136,8 +143,8 @@ def public_names(room: str) -> list[str]:
     for name in busway.__all__:
         value = getattr(busway, name)
         if getattr(value, "__name__", None) == name:
-            home = value.__module__.split(".")[1] if "." in value.__module__ else ""
-            if _ROOM_OF.get(home, "applications") == room:
+            home = value.__module__.removeprefix("busway.")
+            if _ROOM_OF.get(home, _ROOM_OF.get(home.partition(".")[0], "applications")) == room:
                 found.append(name)
     return found
 
@@ -164,6 +171,21 @@ def localize() -> list[str]:
         loaded += re.findall(r'<link[^>]*rel="?(?:stylesheet|preconnect)[^>]*href="?(https?:[^"\s>]+)', text)
         problems += [f"{page.relative_to(SITE)} loads {address}" for address in loaded]
     return problems
+
+
+def link_names() -> None:
+    """Make links of the public names that docstrings write as code: ``LinkDown``, ``busway.connect``."""
+    pages = list((SITE / "reference" / "api").glob("*.html"))
+    places = {name: page.name for page in pages for name in _NAMED.findall(page.read_text(encoding="utf-8"))}
+
+    def linked(match: re.Match[str]) -> str:
+        name = (match["name"] or "").removeprefix("busway.")
+        if name not in places or not (name[0].isupper() or match["name"] != name):
+            return match[0]
+        return f'<a href="{places[name]}#busway.{name}">{match[0]}</a>'
+
+    for page in pages:
+        page.write_text(_CODE.sub(linked, page.read_text(encoding="utf-8")), encoding="utf-8")
 
 
 def tune_search() -> None:

@@ -92,6 +92,7 @@ if TYPE_CHECKING:
     from .server.server import Server
     from .server.serving import ServerThread, serve, serve_forever, serve_in_thread
     from .server.single_block import SingleBlock
+    from .session.call import CallOptions
     from .session.responder import LATER, SILENCE, RequestContext, ServedUnit
     from .values import Address, ValueType, parse_address, value_type
     from .values.constants import (
@@ -185,6 +186,7 @@ _HOME = {
     "server.server": ("Server",),
     "server.serving": ("ServerThread", "serve", "serve_forever", "serve_in_thread"),
     "server.single_block": ("SingleBlock",),
+    "session.call": ("CallOptions",),
     "session.responder": ("LATER", "SILENCE", "RequestContext", "ServedUnit"),
     "options.tls": ("TlsParameters",),
     "values.constants": (
@@ -235,6 +237,7 @@ __all__ = [
     "BadReply",
     "BlockingLink",
     "BlockingUnit",
+    "CallOptions",
     "CanopenGeneralReference",
     "Cells",
     "Change",

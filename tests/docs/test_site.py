@@ -62,6 +62,10 @@ def test_it_is_built_without_a_warning_and_its_search_finds_what_the_readme_show
     api = (SITE / "reference" / "api" / "clients.html").read_text(encoding="utf-8")
     assert 'id="busway.connect"' in api
     assert "Nothing is sent, and no connection made, before the first request" in api
+    named = r'<h\d id="busway\.{}(Link|Unit)\.(\w+)"'
+    assert re.findall(named.format("Async"), api) == re.findall(named.format("Blocking"), api) != []
+    assert '<a href="errors.html#busway.LinkDown"><code>LinkDown</code></a>' in api
+    assert '<a href="clients.html#busway.CallOptions"><code>CallOptions</code></a>' in api
     start = (SITE / "index.html").read_text(encoding="utf-8")
     assert [name in start for name in (">Blocking<", ">asyncio<", "tabbed-set")] == [True] * 3
     assert (SITE / "search.js").read_text("utf-8") == f"var __index = {(SITE / 'search.json').read_text('utf-8')};"
