@@ -8,8 +8,8 @@ Pure; knows loads and names. Every collector computes the same from what it sees
 3. Shards move where a collector is further than `BEGIN` from the fair load, and until all are within `END`: between the
    two nothing moves, so loads that change a little move nothing.
 4. A move takes the shard that levels giver and taker best: the fewest moves, since each costs its links a moment.
-5. Where no shard of the giver is small enough, two collectors exchange a dearer and a cheaper one, if that takes at
-   least half of their difference away: where shards are few and unlike, nothing else levels them.
+5. Where no move levels anything more, two collectors exchange a dearer and a cheaper shard, if that takes at least half
+   of their difference away: where shards are few and unlike, nothing else levels them. One exchange for each at once.
 6. A collector that drains gives all it has; one that another host cannot reach is never asked to take a pinned shard.
 """
 
@@ -27,6 +27,8 @@ END: Final = 0.04
 """Part of the fair load within which collectors are left alone, once shards move."""
 MOST_MOVES: Final = 64
 """Moves that are planned at once, in the whole zone."""
+MOST_TRIED: Final = 8
+"""Collectors with which an exchange is tried, the least loaded first."""
 
 
 @dataclass(slots=True)
@@ -130,18 +132,38 @@ def _level(
     while givers and len(found) < MOST_MOVES and (order[-1][0] > fair * (1 + END) or order[0][0] < fair * (1 - END)):
         giver, taker = by_name[givers[-1][1]], by_name[order[0][1]]
         best = _best(costs[giver.name], giver, taker)
-        changes = [(best, giver, taker)] if best is not None else _exchange(costs, giver, taker)
-        if not changes:
+        if best is None:
             givers.pop()
-        for moved, one, other in changes:
-            costs[one.name].remove(moved)
-            insort(costs[other.name], moved)
-            found.append(Move(moved[1], one.name, other.name))
-            for share, extra in ((one, -moved[0]), (other, moved[0])):
-                was = (share.relative(), share.name)
-                share.load += extra
-                for each in (order, givers):
-                    _replace(each, was, (share.relative(), share.name))
+            continue
+        for share in (giver, taker):
+            was = (share.relative(), share.name)
+            share.load += -best[0] if share is giver else best[0]
+            for each in (order, givers):
+                _replace(each, was, (share.relative(), share.name))
+        costs[giver.name].remove(best)
+        insort(costs[taker.name], best)
+        found.append(Move(best[1], giver.name, taker.name))
+    if not found:
+        _exchange_all(costs, [by_name[name] for _, name in order], fair, found)
+
+
+def _exchange_all(
+    costs: Mapping[str, list[tuple[float, str]]], order: list[Share], fair: float, found: list[Move]
+) -> None:
+    """Add the exchanges between collectors in order of load that level them, at most one for each (rule 5)."""
+    takers = order[:]
+    for giver in reversed(order):
+        for taker in takers[:MOST_TRIED]:
+            is_off = giver.relative() > fair * (1 + END) or taker.relative() < fair * (1 - END)
+            if giver not in takers or not is_off or len(found) >= MOST_MOVES:
+                break
+            exchanged = _exchange(costs[giver.name], costs[taker.name], giver, taker)
+            if exchanged is not None:
+                found.append(Move(exchanged[0], giver.name, taker.name))
+                found.append(Move(exchanged[1], taker.name, giver.name))
+                takers.remove(giver)
+                takers.remove(taker)
+                break
 
 
 def _replace(order: list[tuple[float, str]], was: tuple[float, str], now: tuple[float, str]) -> None:
@@ -163,21 +185,19 @@ def _best(costs: list[tuple[float, str]], giver: Share, taker: Share) -> tuple[f
 
 
 def _exchange(
-    costs: Mapping[str, list[tuple[float, str]]], giver: Share, taker: Share
-) -> list[tuple[tuple[float, str], Share, Share]]:
-    """Return the two moves that exchange shards (groups of links) and level two collectors best; none if none does."""
-    found: list[tuple[tuple[float, str], Share, Share]] = []
+    dearer: list[tuple[float, str]], cheaper: list[tuple[float, str]], giver: Share, taker: Share
+) -> tuple[str, str] | None:
+    """Return the two shards (groups of links) whose exchange levels two collectors best; None if none does."""
     if giver is taker:
-        return found
+        return None
+    found: tuple[str, str] | None = None
     wanted = _difference(giver, taker)
     left = wanted / 2
-    cheaper = costs[taker.name]
-    for one in costs[giver.name]:
-        place = bisect_left(cheaper, (one[0] - wanted, ""))
-        for other in cheaper[max(0, place - 1) : place + 1]:
-            if abs(one[0] - other[0] - wanted) < left:
-                left = abs(one[0] - other[0] - wanted)
-                found = [(one, giver, taker), (other, taker, giver)]
+    for cost, shard in dearer:
+        place = bisect_left(cheaper, (cost - wanted, ""))
+        for other, back in cheaper[max(0, place - 1) : place + 1]:
+            if abs(cost - other - wanted) < left:
+                left, found = abs(cost - other - wanted), (shard, back)
     return found
 
 
