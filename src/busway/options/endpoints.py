@@ -127,13 +127,18 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
     scheme = scheme.lower()
     if scheme not in SCHEMES:
         raise ConfigError(f"{url}: unknown scheme {scheme!r}; {_hint_of_scheme(scheme, rest)}")
+    shown = f"{url[:60]}…" if len(url) > _LONGEST else url
     try:
         parts = urlsplit(url)
+    except ValueError:
+        raise ConfigError(f"{shown}: an IPv6 address stands in brackets, as in {scheme}://[fe80::1]") from None
+    try:
         port = parts.port
-    except ValueError as error:
-        # Python refuses to convert a port of thousands of digits, and its message would advise raising that limit.
-        sentence = f"{url[:60]}…: the port must be 0…65535" if len(url) > _LONGEST else f"{url}: {error}"
-        raise ConfigError(sentence) from None
+    except ValueError:
+        if parts.netloc.count(":") > 1 and "[" not in parts.netloc:
+            raise ConfigError(f"{shown}: an IPv6 address stands in brackets, as in {scheme}://[fe80::1]") from None
+        given = "" if len(url) > _LONGEST else f", not {parts.netloc.rpartition(':')[2]!r}"
+        raise ConfigError(f"{shown}: the port must be 0…65535{given}") from None
     if parts.fragment:
         raise ConfigError(f"{url}: an endpoint has no #{parts.fragment}")
     if parts.username is not None:

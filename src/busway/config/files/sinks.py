@@ -25,8 +25,11 @@ _SECRETS: Final = frozenset({"p", "passwd", "password", "sslpassword", "token"})
 
 
 def _checked_url(url: str) -> str:
-    parts = urlsplit(url)
-    _ = parts.port  # a ValueError says what is wrong with it
+    try:
+        parts = urlsplit(url)
+        _ = parts.port
+    except ValueError:  # what stands in the place of a port may be a part of a password: it is not shown
+        raise ValueError("its host or port cannot be: HOST:PORT is needed, with a port 0…65535") from None
     given = {key.lower() for key, _ in parse_qsl(parts.query, keep_blank_values=True)}
     if parts.password is not None or given & _SECRETS:
         raise ValueError("a password does not belong here; name a file by password_file or token_file")
