@@ -2,6 +2,8 @@
 
 import contextlib
 import json
+import socket
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -125,6 +127,35 @@ def test_a_must_that_does_not_hold_is_exit_code_1_until_a_baseline_has_it(
     assert "fail     A7   probe-readable: " in first.out
     assert json.loads(last.read_text())["counts"]["fail"] == 1
     assert page.read_text().startswith("# Check of tcp://")
+
+
+@contextlib.contextmanager
+def killed_by_protocol_1() -> Iterator[str]:
+    """A device that answers each read with 0, and dies of a request with the protocol identifier 1."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            with listener:
+                while True:
+                    connection, _ = listener.accept()
+                    with connection:
+                        while request := connection.recv(260):
+                            if request[2:4] == b"\0\1":
+                                return
+                            connection.sendall(request[:4] + b"\0\5" + request[6:8] + b"\2\0\0")
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        thread.join()
+
+
+def test_a_device_that_dies_is_exit_code_6_and_what_killed_it_is_named(run: Callable[..., Any]) -> None:
+    with killed_by_protocol_1() as url:
+        result = run("check", url, "--level", "diag", "--only", "protocol-1", "--timeout", "10s")
+    assert result.code == 6
+    assert "protocol-1: " in result.out
+    assert "no connection any more" in result.out
 
 
 def test_no_connection_is_exit_code_5(run: Callable[..., Any]) -> None:

@@ -8,9 +8,11 @@ from typing import Any
 import pytest
 from captured import Talk, pcap
 
+import busway
 from busway.framing.received import Direction, SerialFrame
 from busway.framing.rtu import encode_rtu
 from busway.observe.capture import Capture
+from busway.testing import simulated_device
 
 
 @pytest.fixture
@@ -72,8 +74,9 @@ def test_json_has_one_object_for_each_conversation_and_a_summary(
     assert (summary["kind"], summary["packets"], summary["truncated_at"]) == ("summary", 10, None)
 
 
-def test_a_capture_of_a_line_that_busway_wrote_is_read(run: Callable[..., Any], tmp_path: Path) -> None:
-    path = tmp_path / "line.pcapng"
+def line_capture(folder: Path) -> str:
+    """A capture of a serial line that busway wrote: unit 7 is asked twice for one register."""
+    path = folder / "line.pcapng"
     times = iter((100.0, 100.1, 101.0, 101.1))
     with Capture(path.open("wb")) as capture:
         line = capture.line("rtu:///dev/ttyS0")
@@ -82,9 +85,25 @@ def test_a_capture_of_a_line_that_busway_wrote_is_read(run: Callable[..., Any], 
                 data = bytes.fromhex(pdu)
                 frame = SerialFrame(7, data, encode_rtu(7, data), direction, 0.0, 0.0)
                 line.heard(frame, at=next(times))
-    result = run("replay", str(path))
+    return str(path)
+
+
+def test_a_capture_of_a_line_that_busway_wrote_is_read(run: Callable[..., Any], tmp_path: Path) -> None:
+    result = run("replay", line_capture(tmp_path))
     assert result.out.splitlines()[0] == "rtu:///dev/ttyS0, unit 7"
     assert "  2 requests, 2 replies" in result.out
+
+
+def test_a_capture_of_a_line_becomes_a_simulator_that_answers_as_its_unit_did(
+    run: Callable[..., Any], tmp_path: Path
+) -> None:
+    plant = tmp_path / "plant.toml"
+    assert run("replay", line_capture(tmp_path), "--simulate", str(plant)).code == 0
+    with simulated_device(plant) as device, busway.connect(device.endpoints[0]) as link:
+        assert link.unit(7).read_holding_registers(0x6B, count=1) == [5]
+        with pytest.raises(busway.ExceptionReply) as refusal:
+            link.unit(7).read_holding_registers(0x6C, count=1)
+        assert refusal.value.code == 2
 
 
 def test_what_stands_before_a_broken_place_is_shown_with_the_error(
