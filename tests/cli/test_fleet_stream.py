@@ -25,10 +25,10 @@ pytestmark = pytest.mark.real_time
 SECONDS = 90.0
 
 
-def written(tmp_path: Path, devices: list[FleetDevice], sink: str) -> str:
+def written(tmp_path: Path, devices: list[FleetDevice], sink: str, name: str = "lines") -> str:
     file = tmp_path / "plant.toml"
     text = plant(tmp_path / "none", devices).replace("[poll_class]", 'page = "off"\n[poll_class]')
-    file.write_text(f'{text}\n[[sink]]\nname = "lines"\n{sink}\n')
+    file.write_text(f'{text}\n[[sink]]\nname = "{name}"\n{sink}\n')
     return str(file)
 
 
@@ -97,6 +97,39 @@ async def test_every_sample_of_two_collectors_reaches_the_sink_although_one_is_k
                 assert program.process.returncode == 0
             status = await asyncio.to_thread(run, "fleet", "status", *at)
             assert re.search(r"^lines +\d+ +(-|[\d.]+ s)$", status.out, re.MULTILINE), status.out
+
+
+async def test_a_running_sink_follows_a_newer_configuration_and_goes_on_where_it_cannot(
+    run: Callable[..., Any], tmp_path: Path
+) -> None:
+    with nats_server(tmp_path) as server:
+        async with devices_of(2) as devices, contextlib.AsyncExitStack() as stack:
+            at = ("--coordinator", f"nats://127.0.0.1:{server.port}", "--zone", "hall")
+
+            async def applied(to: Path, name: str = "lines") -> None:
+                file = written(tmp_path, devices, f'url = "file://{to}"', name)
+                assert (await asyncio.to_thread(run, "fleet", "apply", file, *at)).code == 0
+
+            first, second = tmp_path / "first.jsonl", tmp_path / "second.jsonl"
+            await applied(first)
+            sink = await stack.enter_async_context(running("sink", "lines", *at, says="takes the samples of zone hall"))
+            given = ("run", "--stream", "--name", "west", "--store", str(tmp_path / "west"), "--shards", "8", *at)
+            west = await stack.enter_async_context(running(*given, says="west collects into"))
+            await until(lambda: len(taken(first)) > 5, SECONDS)
+            await applied(second)
+            await asyncio.to_thread(sink.wait_for, "works by revision")
+            await until(lambda: len(taken(second)) > 5, SECONDS)
+            await applied(first, "renamed")
+            told = await asyncio.to_thread(sink.wait_for, "goes on as before")
+            assert "the configuration has no sink lines; there are renamed" in told
+            kept = await asyncio.to_thread(stored, tmp_path / "west")
+            assert len(kept) > 10
+            await until(lambda: kept <= taken(first) | taken(second), SECONDS)
+            west.process.send_signal(signal.SIGTERM)
+            await asyncio.to_thread(west.process.wait, 60)
+            sink.process.send_signal(signal.SIGTERM)
+            await asyncio.to_thread(sink.process.wait, 60)
+            assert sink.process.returncode == 0
 
 
 @pytest.mark.parametrize("words", [["sink", "lines"], ["run", "--stream"]])

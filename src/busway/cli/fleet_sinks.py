@@ -2,23 +2,29 @@
 
 1. With ``--stream`` a collector sends its samples into the stream, and keeps them in its store until every sink has
    them; it runs no sink of the file itself.
-2. A sink is a process of its own, with its table of the zone's configuration. Its place in the stream has its name.
+2. A sink is a process of its own, with its table of the zone's configuration. Its place in the stream has its name. It
+   follows a newer configuration; one that it cannot take is told, and it goes on by the one before.
 """
 
 import asyncio
+import time
 from contextlib import AsyncExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from ..errors import ConfigError
+from ..errors import ConfigError, ModbusError
 from ..values.counts import counted
 from .output import print_json, say, warn
 from .signals import stop_event
 
 if TYPE_CHECKING:
     from ..apps.collector.store.committed_samples import CommittedSample
+    from ..apps.fleet.control_entries import SharedConfiguration
     from ..apps.fleet.coordinator import Coordinator
     from ..apps.fleet.fleet_collector import FleetCollector
-    from ..apps.fleet.streams import NatsStream, StreamOptions
+    from ..apps.fleet.streams import NatsStream, StreamOptions, StreamSink
+
+LOOK: Final = 5.0
+"""Seconds between two looks whether the zone has a newer configuration, and for one of them."""
 
 
 def nats_client(table: "Coordinator") -> Any:
@@ -71,22 +77,59 @@ def print_stream_status(member: "FleetCollector") -> None:
 async def run_sink(
     table: "Coordinator", zone: str, name: str, stream: "StreamOptions", every: float, *, as_json: bool
 ) -> None:
-    """Pass the samples of a zone's stream on to one sink of its configuration, until a signal.
+    """Pass the samples of a zone's stream on to one sink of its configuration, also of a newer one, until a signal.
 
     Raises:
         ConfigError: the zone has no such sink, or the coordinator no stream.
     """
-    from ..apps.collector.report_rules import sink_rules
-    from ..apps.fleet.chosen_samples import ChosenSamples, refuse_what_needs_a_store, sinks_without_alarms
     from ..apps.fleet.control_entries import read_configuration
     from ..apps.fleet.lease_driver import end_tasks
-    from ..apps.fleet.lease_times import LeaseTimes
-    from ..apps.fleet.streams import StreamSink
 
-    client = nats_client(table)
     shared = await read_configuration(table)
     if shared is None:
         raise ConfigError("the zone has no configuration yet: busway fleet apply FILE", key="--zone")
+    handed = await _sink_of(shared, table, zone, name, stream)
+    with stop_event() as stop:
+        running = asyncio.create_task(handed.run(), name="busway fleet sink")
+        stopped: asyncio.Task[Any] = asyncio.create_task(stop.wait(), name="busway fleet sink stop")
+        say(f"sink {name} takes the samples of zone {zone}")
+        told = time.monotonic()
+        try:
+            while not stopped.done() and not running.done():
+                left = max(0.0, told + every - time.monotonic())
+                await asyncio.wait((running, stopped), timeout=min(left, LOOK), return_when=asyncio.FIRST_COMPLETED)
+                if stopped.done() or running.done() or time.monotonic() >= told + every:
+                    _print_status(handed, name, as_json=as_json)
+                    told = time.monotonic()
+                newer = await _newer(table, shared.revision)
+                if newer is None or stopped.done() or running.done():
+                    continue
+                shared = newer
+                try:
+                    after = await _sink_of(shared, table, zone, name, stream)
+                except ConfigError as error:
+                    warn(f"warning: revision {newer.revision} is not applied, sink {name} goes on as before: {error}")
+                    continue
+                await end_tasks([running])
+                for counter in ("taken", "refused", "unreadable", "dropped"):
+                    setattr(after, counter, getattr(handed, counter))
+                handed, running = after, asyncio.create_task(after.run(), name="busway fleet sink")
+                say(f"sink {name} works by revision {newer.revision} of the configuration")
+        finally:
+            await end_tasks([running, stopped])
+    if not running.cancelled():
+        running.result()
+
+
+async def _sink_of(
+    shared: "SharedConfiguration", table: "Coordinator", zone: str, name: str, stream: "StreamOptions"
+) -> "StreamSink":
+    """Return what passes samples on to a sink of a configuration. Raises `ConfigError`."""
+    from ..apps.collector.report_rules import sink_rules
+    from ..apps.fleet.chosen_samples import ChosenSamples, refuse_what_needs_a_store, sinks_without_alarms
+    from ..apps.fleet.lease_times import LeaseTimes
+    from ..apps.fleet.streams import StreamSink
+
     configuration = await asyncio.to_thread(shared.parsed, LeaseTimes())
     if name not in configuration.sinks:
         there = ", ".join(configuration.sinks) or "none"
@@ -99,21 +142,20 @@ async def run_sink(
     def set_aside(sample: "CommittedSample", error: str) -> None:
         warn(f"sink {name}: {sample.device}/{sample.point} at {sample.time} ns is refused for good: {error}")
 
-    handed = StreamSink(
-        client, table, zone, name, ChosenSamples(sink, options, sink_rules(configuration)), set_aside, stream
-    )
-    with stop_event() as stop:
-        running = asyncio.create_task(handed.run(), name="busway fleet sink")
-        stopped: asyncio.Task[Any] = asyncio.create_task(stop.wait(), name="busway fleet sink stop")
-        say(f"sink {name} takes the samples of zone {zone}")
-        try:
-            while not stopped.done() and not running.done():
-                await asyncio.wait((running, stopped), timeout=every, return_when=asyncio.FIRST_COMPLETED)
-                _print_status(handed, name, as_json=as_json)
-        finally:
-            await end_tasks([running, stopped])
-    if not running.cancelled():
-        running.result()
+    chosen = ChosenSamples(sink, options, sink_rules(configuration))
+    return StreamSink(nats_client(table), table, zone, name, chosen, set_aside, stream)
+
+
+async def _newer(table: "Coordinator", revision: int) -> "SharedConfiguration | None":
+    """Return the configuration of the zone if it is another revision; None also where it cannot be read now."""
+    from ..apps.fleet.control_entries import read_configuration
+
+    try:
+        async with asyncio.timeout(LOOK):
+            found = await read_configuration(table)
+    except (ModbusError, TimeoutError):
+        return None
+    return found if found is not None and found.revision != revision else None
 
 
 def _print_status(handed: Any, name: str, *, as_json: bool) -> None:
