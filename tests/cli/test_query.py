@@ -143,7 +143,7 @@ def test_wrong_use_is_one_sentence(run: Callable[..., Any], data: str, arguments
 
 def test_a_store_is_checked_backed_up_and_restored(run: Callable[..., Any], data: str, tmp_path: Path) -> None:
     assert run("store", "check", data).out == f"{data} is whole\n"
-    assert run("store", "backup", data, str(tmp_path / "copy")).out == f"1 parts are in {tmp_path / 'copy'}\n"
+    assert run("store", "backup", data, str(tmp_path / "copy")).out == f"1 part is in {tmp_path / 'copy'}\n"
     assert run("store", "restore", str(tmp_path / "copy"), str(tmp_path / "again")).code == 0
     assert run("query", str(tmp_path / "again")).out == run("query", data).out
     next((tmp_path / "copy" / SEGMENTS).iterdir()).write_bytes(b"no database" * 1000)

@@ -245,7 +245,7 @@ def test_a_reply_of_another_length_and_a_point_outside_the_read_are_refused() ->
             InvalidRequest, match=f"level does not lie within {count} holding registers from {start} on"
         ):
             ReadDecoder([point], HOLDING, start, count)
-    with pytest.raises(InvalidRequest, match="8 bytes, but 3 holding registers take 6"):
+    with pytest.raises(InvalidRequest, match="8 bytes, but 6 are needed for 3 holding registers"):
         ReadDecoder([point], HOLDING, 4, 3).decode(bytes(8))
 
 

@@ -20,6 +20,7 @@ import typer
 
 from ..errors import LinkDown, ModbusError
 from ..values import format_address
+from ..values.counts import counted
 from .arguments import QUIET, VERBOSE, seconds, show_traffic, whole_number
 from .exits import ExitCode
 from .output import print_aligned, warn
@@ -283,7 +284,7 @@ class LiveView:
 
 
 def _counted(polled: Polled) -> str:
-    return f"{polled.transactions} transactions, {polled.errors} errors"
+    return f"{counted(polled.transactions, 'transaction')}, {counted(polled.errors, 'error')}"
 
 
 def _rows(tags: "Tags", polled: Polled) -> Iterator[tuple[str, ...]]:

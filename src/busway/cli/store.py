@@ -5,6 +5,7 @@ from pathlib import Path
 import typer
 
 from ..errors import ConfigError
+from ..values.counts import counted
 from .exits import ExitCode
 from .output import say_problems
 
@@ -41,5 +42,5 @@ def store(
     assert target is not None
     copy = back_up if action == "backup" else restore
     count = copy(Path(folder), Path(target))
-    print(f"{count} parts are in {target}")
+    print(f"{counted(count, 'part', 'is')} in {target}")
     return ExitCode.DONE

@@ -95,7 +95,9 @@ class ReadDecoder:
             InvalidRequest: there are not as many bytes as the read asks for.
         """
         if len(data) != self.size:
-            raise InvalidRequest(f"{len(data)} bytes, but {self.count} {self.table.label}s take {self.size}")
+            raise InvalidRequest(
+                f"{counted(len(data), 'byte')}, but {self.size} are needed for {counted(self.count, self.table.label)}"
+            )
         values, flaws = self._decode(data, {} if known is None else known)
         return DecodedRead(values, flaws or _NO_FLAWS)
 

@@ -3,14 +3,20 @@
 Knows regular nouns only.
 """
 
+from typing import Final, Literal
 
-def counted(count: int, noun: str) -> str:
-    """Return a number with its noun: ``1 coil``, ``3 coils``, ``2 retries``.
+_PLURAL: Final = {"is": "are", "was": "were"}
+
+
+def counted(count: int, noun: str, verb: Literal["", "is", "was"] = "") -> str:
+    """Return a number with its noun: ``1 coil``, ``3 coils``, ``2 retries``, ``1 byte is``, ``2 bytes are``.
 
     Args:
         count: how many there are, 0 or more.
         noun: the word for one of them; a regular English noun.
+        verb: what follows, in the form for one; nothing if left out.
     """
     if count == 1:
-        return f"1 {noun}"
-    return f"{count} {noun[:-1]}ies" if noun.endswith("ry") else f"{count} {noun}s"
+        return f"1 {noun} {verb}".rstrip()
+    nouns = f"{noun[:-1]}ies" if noun.endswith("ry") else f"{noun}s"
+    return f"{count} {nouns} {_PLURAL.get(verb, '')}".rstrip()

@@ -41,6 +41,7 @@ from typing import Any, Final, Generic, Protocol, TypeVar, overload
 from ..codes import MAX_READ_REGISTERS
 from ..errors import InvalidRequest
 from .bits import BitCodec, BitsCodec, FieldCodec
+from .counts import counted
 from .custom import CustomCodec, custom_layout
 from .names import FloatName, IntegerName, Order
 from .network import NETWORK_TYPES, NetworkCodec, network_size
@@ -119,10 +120,10 @@ class ValueType(Generic[Value]):
             InvalidRequest: the length is no whole number of values.
             BadReply: the bytes mean nothing in this type: a BCD digit above 9, bytes outside the string's encoding.
         """
-        if len(data) % (2 * self.registers):
-            raise InvalidRequest(
-                f"{len(data)} bytes are no whole number of {self.name} values of {2 * self.registers} bytes each"
-            )
+        size = 2 * self.registers
+        if len(data) % size:
+            came = counted(len(data), "byte", "is")
+            raise InvalidRequest(f"{came} no whole number of {self.name} values of {size} bytes each")
         return self._codec.decode(data)
 
     def encode(self, values: Iterable[object]) -> bytes:

@@ -84,7 +84,7 @@ def test_a_file_of_one_unit_is_enough() -> None:
         (UNIT + "coils = [2]\n", "x.toml:3: unit[0].coils[0]: must be true or false, not 2"),
         (UNIT + "holding_registers = [1, 70000]\n", "x.toml:3: unit[0].holding_registers[1]: a register holds"),
         (UNIT + "coils = { first = 65535, count = 2 }\n", "x.toml:3: unit[0].coils: offsets are 0…65535"),
-        (UNIT + "coils = { count = 1, values = [1, 1] }\n", "x.toml:3: unit[0].coils.values: 2 values for 1 items"),
+        (UNIT + "coils = { count = 1, values = [1, 1] }\n", "x.toml:3: unit[0].coils.values: 2 values for 1 item"),
         (UNIT + "coils = { count = 9, read_only = [[8, 2]] }\n", "x.toml:3: unit[0].coils.read_only[0]: "),
         (UNIT + "coils = { count = 9, read_only = [[8]] }\n", "x.toml:3: unit[0].coils.read_only[0]: "),
         (

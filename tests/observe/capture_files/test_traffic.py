@@ -79,7 +79,7 @@ def test_a_connection_that_begins_before_the_capture_is_taken_up_at_a_frame() ->
     talk.asks(ASKED)
     traffic = CapturedTraffic()
     assert told(events(talk.captured(), traffic)) == [
-        "3 bytes skipped: they do not begin like a frame",
+        "3 bytes skipped: no frame begins so",
         (REQUEST, 2, hexed(ASKED)),
         ChannelEnding.CAPTURE_ENDS,
     ]

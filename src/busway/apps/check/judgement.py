@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from ...pdu.functions import STANDARD
 from ...pdu.malformed import MalformedPdu
 from ...pdu.message import Request
+from ...values.counts import counted
 from .check import Accepts, Ask, Facet
 from .frames import Frame
 
@@ -89,7 +90,7 @@ def _without_strangers(exchange: CheckedExchange, framing: str) -> tuple[Sequenc
         faults.append(Finding(Facet.CLEAN, "the bytes of the request came back before the reply"))
         frames = frames[1:]
     if exchange.rest and frames:
-        faults.append(Finding(Facet.CLEAN, f"{len(exchange.rest)} bytes came that are in no frame"))
+        faults.append(Finding(Facet.CLEAN, f"outside of frames {counted(len(exchange.rest), 'byte')} came"))
     elif len(frames) > 1:
         faults.append(Finding(Facet.CLEAN, f"{len(frames)} replies came to one request"))
     return frames, faults
@@ -101,7 +102,7 @@ def _nothing_came(exchange: CheckedExchange, accepts: Accepts) -> list[Finding]:
             return []
         return [Finding(Facet.ANSWERED, f"the device closed the connection, where {accepts} is right")]
     if exchange.rest:
-        return [Finding(Facet.FORM, f"{len(exchange.rest)} bytes came, which are no whole frame")]
+        return [Finding(Facet.FORM, f"{counted(len(exchange.rest), 'byte')} came, and no whole frame")]
     return [] if accepts.silence else [Finding(Facet.ANSWERED, f"no reply came in time, where {accepts} is right")]
 
 

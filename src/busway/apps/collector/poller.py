@@ -23,6 +23,7 @@ from ...pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegister
 from ...points.decoder import ReadDecoder
 from ...points.point import Point
 from ...points.quality import Reading, Reason, exception_reason, reason_text
+from ...values.counts import counted
 from .derived_points import DerivedPoints
 from .learning import ReadOutcome, outcome_of
 from .plan import PlannedRead
@@ -447,7 +448,7 @@ class LinkPoller:
         decoder = compiled.decoder
         data = reply.data
         if len(data) != decoder.size:
-            raise BadReply(f"{len(data)} bytes came where {decoder.size} were asked for", kind="content")
+            raise BadReply(f"{counted(len(data), 'byte')} came where {decoder.size} were asked for", kind="content")
         compiled.data, compiled.at = data, middle
         found = decoder.decode(data, device.scale_factors)
         if not found.flaws and self._clock.is_right:

@@ -29,6 +29,7 @@ from ...options.server import ListenerParameters
 from ...options.text import build_parameters
 from ...points import ItemRange, Point, ReadRules
 from ...values import Address, parse_address
+from ...values.counts import counted
 from ...values.refusal import shown
 from .file_error import FileError
 from .lines import Path
@@ -168,7 +169,7 @@ class TableSection(Section):
         if self.end > size:
             yield (), f"offsets are 0…{size - 1}, but {self.first}…{self.end - 1} are declared"
         if self.values is not None and len(self.values) > self.size:
-            yield ("values",), f"{len(self.values)} values for {self.size} items"
+            yield ("values",), f"{counted(len(self.values), 'value')} for {counted(self.size, 'item')}"
         for index, value in enumerate(self.values or ()):
             if bits and value not in (0, 1):
                 yield ("values", index), f"must be true or false, not {shown(value)}"

@@ -31,6 +31,7 @@ from ...points.conversion import converter
 from ...points.expression import Expression, parse_expression
 from ...points.point_rules import ranged
 from ...values import Address, ValueType, format_address, parse_address, value_type
+from ...values.counts import counted
 from ...values.refusal import shown
 from .lines import Path
 from .schema import NO_LIST, NO_TABLE, FileProblems, Section, faults_in
@@ -589,7 +590,7 @@ class PointSection(WholeSection):
         if plain.name.startswith("bit:"):
             yield ("type",), f"one bit is written with its address, {place}.{plain.name[4:]}"
         if place.offset + form.registers > TABLE_SIZE:
-            yield ("address",), f"{form.registers} registers from {place} on end beyond the last one"
+            yield ("address",), f"{counted(form.registers, 'register')} from {place} on would end beyond the last one"
         if not self.scale or self.scale != self.scale or abs(self.scale) == float("inf"):
             yield ("scale",), f"must be a number other than 0, not {self.scale:g}"
         if not form.name.startswith(_NUMBERS):

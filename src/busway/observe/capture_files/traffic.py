@@ -24,6 +24,7 @@ from ...framing.received import Damaged, Direction, Received, SerialFrame, Seria
 from ...framing.timing import SerialTiming
 from ...pdu.functions import STANDARD
 from ...session.line_framing import line_framing
+from ...values.counts import counted
 from ..capture_headers import Node
 from ..dissect import Framing
 from .layers import Ignored, LineBytes, TcpSegment, UdpDatagram, carried
@@ -286,7 +287,7 @@ class CapturedTraffic:
         self._open.move_to_end(packet.interface)
         assert isinstance(line, _LineChannel)
         if packet.missing:
-            text = f"{packet.missing} bytes were not captured"
+            text = f"{counted(packet.missing, 'byte', 'was')} not captured"
             found.append(_fault(line.channel, packet, Direction.UNKNOWN, TrafficFault.MISSING, text))
         found += line.take(inner.payload, packet.number, packet.time, whole=inner.whole)
         return found
@@ -332,19 +333,19 @@ class _Side:
             self._in_step = True
             yield from self._received(part)
         else:
-            text = f"{len(part.data)} bytes skipped: they do not begin like a frame"
+            text = f"{counted(len(part.data), 'byte')} skipped: no frame begins so"
             yield self._fault(part, TrafficFault.SKIPPED, text, part.data)
 
     def _gap(self, gap: StreamGap) -> Iterator[TrafficEvent]:
         yield from self.cut_off(gap)
         if gap.size is not None:
-            yield self._fault(gap, TrafficFault.MISSING, f"{gap.size} bytes are missing in the capture")
+            yield self._fault(gap, TrafficFault.MISSING, f"{counted(gap.size, 'byte', 'is')} missing in the capture")
         self._in_step = False
 
     def cut_off(self, part: StreamPart) -> Iterator[TrafficEvent]:
         """Report the frame of which only the beginning has come."""
         if self._receiver.pending:
-            text = f"the frame ends after {self._receiver.pending} bytes"
+            text = f"the frame ends after {counted(self._receiver.pending, 'byte')}"
             yield self._fault(part, TrafficFault.CUT_OFF, text)
         self._receiver = MbapReceiver()
 
@@ -416,7 +417,7 @@ class _TcpChannel:
             return [_directed(each, side.direction) for each in found]
         if part.size is None:
             return []
-        text = f"{part.size} bytes are missing in the capture"
+        text = f"{counted(part.size, 'byte', 'is')} missing in the capture"
         return [FaultyBytes(self.channel, part.packet, part.time, Direction.UNKNOWN, TrafficFault.MISSING, text)]
 
 
@@ -460,7 +461,7 @@ class _DatagramChannel:
     def take(self, packet: CapturedPacket, datagram: UdpDatagram, direction: Direction) -> list[TrafficEvent]:
         found: list[TrafficEvent] = []
         if datagram.missing:
-            text = f"{datagram.missing} bytes were not captured"
+            text = f"{counted(datagram.missing, 'byte', 'was')} not captured"
             found.append(_fault(self.channel, packet, direction, TrafficFault.MISSING, text))
         if self._line is not None:
             heard = self._line.take(datagram.payload, packet.number, packet.time, whole=True)
@@ -469,7 +470,7 @@ class _DatagramChannel:
         for frame in receiver.receive(datagram.payload):
             found.append(_mbap_event(self.channel, frame, packet.number, packet.time, direction))
         if receiver.pending and not datagram.missing:
-            text = f"the frame ends after {receiver.pending} bytes"
+            text = f"the frame ends after {counted(receiver.pending, 'byte')}"
             found.append(_fault(self.channel, packet, direction, TrafficFault.CUT_OFF, text))
         return found
 

@@ -15,6 +15,7 @@ from ....pdu.message import Request
 from ....pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from ....points.point import Point
 from ....points.point_rules import ItemRange, ReadRules
+from ....values.counts import counted
 
 _READS: Final = {
     Table.COILS: ReadCoils,
@@ -48,7 +49,7 @@ class PointRead:
         first, bits = self.point.start - self.span.start, self.point.table.holds_bits
         size = (self.span.width + 7) // 8 if bits else 2 * self.span.width
         if len(data) != size:
-            raise InvalidRequest(f"{len(data)} bytes came where {size} were asked for")
+            raise InvalidRequest(f"{counted(len(data), 'byte')} came where {size} were asked for")
         if bits:
             return bytes([data[first // 8] >> first % 8 & 1])
         return data[2 * first : 2 * (first + self.point.width)]

@@ -10,6 +10,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Final
 
+from ....values.counts import counted
 from .folder import COMMANDS, SEGMENTS, UNFINISHED, holder_of
 from .manifest import Manifest, StorePart
 from .sealing import arrow, can_seal
@@ -84,9 +85,9 @@ def _problems_of_segment(path: Path, part: StorePart, manifest: Manifest) -> Ite
             facts = facts_of(database, part, 0)
             (rows,) = database.execute("SELECT count(*) FROM samples").fetchone()
             if part.kind == "closed" and part.rows != facts.rows:
-                yield f"{part.file} has {facts.rows} samples, but {part.rows} are listed"
+                yield f"{part.file} has {counted(facts.rows or 0, 'sample')}, but {part.rows} are listed"
             if rows > (facts.rows or 0):
-                yield f"{part.file} has {rows} samples, but its commits made {facts.rows}"
+                yield f"{part.file} has {counted(rows, 'sample')}, but its commits made {facts.rows}"
             yield from _unlisted(
                 part, {row[0] for row in database.execute("SELECT DISTINCT point FROM samples")}, manifest
             )
@@ -113,7 +114,7 @@ def _problems_of_sealed(path: Path, part: StorePart, manifest: Manifest) -> Iter
         yield f"{part.file} cannot be read: {error}"
         return
     if table.num_rows != part.rows:
-        yield f"{part.file} has {table.num_rows} samples, but {part.rows} are listed"
+        yield f"{part.file} has {counted(table.num_rows, 'sample')}, but {part.rows} are listed"
     yield from _unlisted(part, set(arrow("compute").unique(table["point"]).to_pylist()), manifest)
     bounds = arrow("compute").min_max(table["time"].cast("int64")).as_py()
     if (bounds["min"], bounds["max"]) != (part.low, part.high):
