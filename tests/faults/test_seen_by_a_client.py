@@ -212,7 +212,9 @@ def test_fault_profile_on_a_serial_line(line: PacedLine, name: str) -> None:
     board.add(name, parameters=parameters)
     with (
         played(board, f"rtu://{line.paths[1]}?baud={BAUD}"),
-        busway.connect(f"rtu://{line.paths[0]}?baud={BAUD}", timeout=TIMEOUT, retries=0, shared=False) as link,
+        busway.connect(
+            f"rtu://{line.paths[0]}?baud={BAUD}&parity=even", timeout=TIMEOUT, retries=0, shared=False
+        ) as link,
     ):
         _watch(link, actions)
     line.wait_quiet(0.02)
@@ -223,7 +225,9 @@ def test_broadcast_reply_is_swallowed_within_the_turnaround(line: PacedLine) -> 
     board.add("broadcast-reply", units={2})
     with (
         played(board, f"rtu://{line.paths[1]}?baud={BAUD}"),
-        busway.connect(f"rtu://{line.paths[0]}?baud={BAUD}", timeout=TIMEOUT, retries=0, shared=False) as link,
+        busway.connect(
+            f"rtu://{line.paths[0]}?baud={BAUD}&parity=even", timeout=TIMEOUT, retries=0, shared=False
+        ) as link,
     ):
         link.unit(0).write_single_register(9, 77)
         assert [link.unit(number).read_holding_registers(9, count=1) for number in (1, 2)] == [[77], [77]]
@@ -235,7 +239,9 @@ def test_broadcast_is_not_heard_by_a_unit_that_is_wedged(line: PacedLine) -> Non
     board.add("wedged", units={2})
     with (
         played(board, f"rtu://{line.paths[1]}?baud={BAUD}"),
-        busway.connect(f"rtu://{line.paths[0]}?baud={BAUD}", timeout=TIMEOUT, retries=0, shared=False) as link,
+        busway.connect(
+            f"rtu://{line.paths[0]}?baud={BAUD}&parity=even", timeout=TIMEOUT, retries=0, shared=False
+        ) as link,
     ):
         link.unit(0).write_single_register(9, 78)
         assert link.unit(1).read_holding_registers(9, count=1) == [78]
