@@ -13,6 +13,7 @@ from typing import Any
 
 from ..codes import PDU_LIMIT, TABLE_SIZE
 from ..errors import InvalidRequest
+from ..values.counts import counted
 from .fields import NO_DEFAULT, Field, FixedField, RepeatedField, RestField, RestLength
 from .malformed import MalformedPdu
 
@@ -115,6 +116,7 @@ def _compile_codecs(cls: Any) -> None:
         "new": cls.__new__,
         "layout": layout,
         "check_tail": _check_tail,
+        "counted": counted,
         "decode_tail": _decode_tail,
         "encode_tail": _encode_tail,
         "out_of_range": _out_of_range,
@@ -238,10 +240,12 @@ def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
     targets += layout.names
     lines = ["def decode(cls, pdu):", " size = len(pdu)"]
     if layout.tail is None:
-        lines.append(f" if size != {size}: raise MalformedPdu(f'{{size}} bytes where this function has {size}')")
+        lines.append(
+            f" if size != {size}: raise MalformedPdu(counted(size, 'byte') + ' where this function has {size}')"
+        )
     else:
         lines.append(
-            f" if size < {size}: raise MalformedPdu(f'{{size}} bytes where this function has at least {size}')"
+            f" if size < {size}: raise MalformedPdu(counted(size, 'byte') + ' where this function has at least {size}')"
         )
         lines.append(" if size > LIMIT: raise MalformedPdu(f'{size} bytes where a PDU has at most {LIMIT}')")
     lines.append(f" {', '.join(targets)}, = unpack_from(pdu)")
@@ -260,7 +264,7 @@ def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
             offset = layout.length_offset + field.width
             lines.append(
                 f" if {name} != size - {offset}: raise MalformedPdu("
-                f"f'{name.replace('_', ' ')} {{{name}}} where {{size - {offset}}} bytes follow')"
+                f"f'{name.replace('_', ' ')} {{{name}}} where ' + counted(size - {offset}, 'byte', 'follows'))"
             )
             limits = []
             if field.low:

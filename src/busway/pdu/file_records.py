@@ -131,7 +131,7 @@ class FileContent:
         """Decode the group of a file read's reply at ``at``. Returns it and the offset after it."""
         end = at + 1 + data[at]
         if data[at] < 1 or not data[at] % 2 or end > len(data):
-            raise ValueError(f"file response length {data[at]} where {len(data) - at - 1} bytes follow")
+            raise ValueError(f"file response length {data[at]} where {counted(len(data) - at - 1, 'byte', 'follows')}")
         if data[at + 1] != REFERENCE_TYPE:
             raise ValueError(f"reference type {data[at + 1]} where 6 is required")
         return cls(data[at + 2 : end]), end

@@ -5,10 +5,10 @@ Knows regular nouns only.
 
 from typing import Final, Literal
 
-_PLURAL: Final = {"is": "are", "was": "were"}
+_PLURAL: Final = {"is": "are", "was": "were", "follows": "follow"}
 
 
-def counted(count: int, noun: str, verb: Literal["", "is", "was"] = "") -> str:
+def counted(count: int, noun: str, verb: Literal["", "is", "was", "follows"] = "") -> str:
     """Return a number with its noun: ``1 coil``, ``3 coils``, ``2 retries``, ``1 byte is``, ``2 bytes are``.
 
     Args:
