@@ -59,6 +59,20 @@ def test_a_collector_runs_by_what_was_applied_and_is_shown(run: Callable[..., An
     assert status["collectors"][0]["state"] in ("ended", "silent"), "silent where a busy machine took too long to end"
     assert (status["collectors"][0]["commits_behind"], status["collectors"][0]["problem"]) == (0, "")
     assert re.search(r"^west .* 0 +1$", run("fleet", "status", *at).out, re.MULTILINE), "no commit behind, revision 1"
+    assert all(each["hole"] is None for each in status["shards"].values())
+    with Busway("fleet", "run", *at, "--name", "east", "--store", str(tmp_path / "east")) as east:
+        east.wait_for("east collects into")
+        holes: list[dict[str, Any]] = []
+        while not holes:
+            assert east.process.poll() is None
+            shards = json.loads(run("fleet", "status", "--json", *at).out)["shards"].values()
+            holes = [each["hole"] for each in shards if each["owner"] == "east" and each["hole"]]
+        assert all(each["before"] == "west" and each["end"] > each["begin"] for each in holes)
+        shown = run("fleet", "status", *at).out
+        assert re.search(
+            r"^\w+ +east +\S+ +[-\d]+ [:\d]+\S*, \d+\.\d s +west (gave it back|fell silent)$", shown, re.M
+        ), shown
+        east.stop()
 
 
 def test_restore_raises_the_generation_and_each_time_further(run: Callable[..., Any], tmp_path: Path) -> None:

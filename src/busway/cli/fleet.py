@@ -16,7 +16,8 @@ import socket
 import time
 from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import AsyncExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
+from datetime import datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from ..apps.fleet.coordinators.opening import CoordinatorOptions
     from ..apps.fleet.fleet_collector import FleetCollector
     from ..apps.fleet.fleet_status import ZoneStatus
+    from ..apps.fleet.records import LeaseHole
     from ..apps.fleet.streams import SinkLag
 
 EXAMPLES = """\b
@@ -414,9 +416,9 @@ async def _show_status(table: "Coordinator", zone: str, *, as_json: bool) -> Non
     if status.leases:
         print_aligned(
             [
-                ["shard", "owner", "epoch"],
+                ["shard", "owner", "epoch", "last hole", "because"],
                 *(
-                    [shard, each.owner if each.held else "free", str(each.epoch or "new")]
+                    [shard, each.owner if each.held else "free", str(each.epoch or "new"), *_hole_texts(each.hole)]
                     for shard, each in status.leases.items()
                 ),
             ]
@@ -424,6 +426,15 @@ async def _show_status(table: "Coordinator", zone: str, *, as_json: bool) -> Non
     if lags:
         rows = [[name, str(lag.messages), _age_text(lag)] for name, lag in lags.items()]
         print_aligned([["sink", "messages behind", "oldest waits"], *rows])
+
+
+def _hole_texts(hole: "LeaseHole | None") -> list[str]:
+    """Return when no collector owned a shard last and for how long, and why."""
+    if hole is None:
+        return ["-", "-"]
+    began = datetime.fromtimestamp(hole.begin).astimezone().isoformat(" ", "seconds")
+    why = "fell silent" if hole.was_silent else "gave it back"
+    return [f"{began}, {hole.end - hole.begin:.1f} s", f"{hole.before} {why}"]
 
 
 def _age_text(lag: "SinkLag") -> str:
@@ -456,7 +467,11 @@ def _print_json(status: "ZoneStatus", lags: "dict[str, SinkLag]") -> None:
                 for name, lag in lags.items()
             },
             "shards": {
-                shard: {"owner": each.owner if each.held else None, "epoch": str(each.epoch) if each.epoch else None}
+                shard: {
+                    "owner": each.owner if each.held else None,
+                    "epoch": str(each.epoch) if each.epoch else None,
+                    "hole": None if each.hole is None else asdict(each.hole),
+                }
                 for shard, each in status.leases.items()
             },
         }

@@ -11,7 +11,7 @@ from busway.apps.fleet.balance import BEGIN
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.lease_holder import FleetMember, NotConfirmed, Proposal, _SeenLease
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
-from busway.apps.fleet.records import LEASES, LeaseRecord, MemberRecord, ZoneRecord, decode_lease
+from busway.apps.fleet.records import LEASES, LeaseHole, LeaseRecord, MemberRecord, ZoneRecord, decode_lease
 
 COSTS = {f"{number:04d}": 0.02 + 0.001 * (number % 7) for number in range(32)}
 
@@ -431,3 +431,27 @@ def test_an_entry_of_an_older_version_has_no_epoch_before_it() -> None:
     record = decode_lease(b'["east","r",1,0,0.1,null,"",5.0]')
     assert record == LeaseRecord("east", "r", True, 0, 0.1, None, at=5.0)
     assert record.epoch_at(7, 2) == Epoch(2, 7)
+
+
+def test_a_lease_says_the_hole_before_it_as_long_as_it_is_held() -> None:
+    member = alone()
+    member.wall_ahead = 1000.0
+    first = proposed(member, 0.0)
+    member.entry(Entry("member.west", first["member.west"].value, 1), 0.0)
+    member.outcome(first["member.west"], 1, 0.0)
+    member.outcome(first["zone"], 2, 0.0)
+    member.entry(Entry("lease.0001", LeaseRecord("east", "r", True, 3, 0.1, Epoch(1, 5), at=1001.0).encode(), 8), 1.0)
+    taken = proposed(member, 17.5)["lease.0001"]
+    hole = LeaseHole("east", True, 1001.0, 1017.5)
+    record = decode_lease(taken.value)
+    assert record is not None
+    assert record.hole == hole
+    member.outcome(taken, 9, 17.5)
+    renewal = decode_lease(proposed(member, 21.0)["lease.0001"].value)
+    assert renewal is not None
+    assert (renewal.count, renewal.hole) == (1, hole)
+
+
+def test_the_first_owner_of_a_shard_has_no_hole_before_it() -> None:
+    world = settled(1)
+    assert all(owned.hole is None for owned in world.drivers["c0"].member.owned.values())

@@ -11,7 +11,7 @@ from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_metrics import fleet_families
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
-from busway.apps.fleet.records import LeaseRecord, MemberRecord
+from busway.apps.fleet.records import LeaseHole, LeaseRecord, MemberRecord
 from busway.apps.fleet.streams import SinkCursors
 from busway.apps.fleet.zone_watch import OwnershipHole, ZoneWatch
 
@@ -27,8 +27,10 @@ class Zone:
         self.revision += 1
         self.watch.take(Entry(key, value, self.revision))
 
-    def lease(self, owner: str, *, held: bool = True, count: int = 0, at: float = 0.0) -> None:
-        self.change("lease.0001", LeaseRecord(owner, owner, held, count, 0.25, None, at=at).encode())
+    def lease(
+        self, owner: str, *, held: bool = True, count: int = 0, at: float = 0.0, hole: LeaseHole | None = None
+    ) -> None:
+        self.change("lease.0001", LeaseRecord(owner, owner, held, count, 0.25, None, at=at, hole=hole).encode())
 
 
 def test_a_takeover_is_a_hole_since_the_last_renewal_and_a_move_since_the_release() -> None:
@@ -36,11 +38,12 @@ def test_a_takeover_is_a_hole_since_the_last_renewal_and_a_move_since_the_releas
     zone.lease("west", at=100.0)
     zone.lease("west", count=1, at=103.0)
     assert zone.watch.holes() == []
-    zone.lease("east", at=119.0)
-    zone.lease("east", count=1, at=122.0)
-    zone.lease("east", held=False, count=2, at=123.0)
+    silent = LeaseHole("west", True, 103.0, 119.0)
+    zone.lease("east", at=119.0, hole=silent)
+    zone.lease("east", count=1, at=122.0, hole=silent)
+    zone.lease("east", held=False, count=2, at=123.0, hole=silent)
     assert zone.watch.status().leases["0001"].held is False
-    zone.lease("west", at=123.2)
+    zone.lease("west", at=123.2, hole=LeaseHole("east", False, 123.0, 123.2))
     assert zone.watch.holes() == [
         OwnershipHole("0001", "east", "west", False, 123.0, 123.2, Epoch(1, 6)),
         OwnershipHole("0001", "west", "east", True, 103.0, 119.0, Epoch(1, 3)),

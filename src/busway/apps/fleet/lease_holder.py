@@ -33,6 +33,7 @@ from .records import (
     LEASES,
     MEMBERS,
     ZONE,
+    LeaseHole,
     LeaseRecord,
     MemberRecord,
     ZoneRecord,
@@ -138,6 +139,7 @@ class OwnedShard:
         count: renewals so far.
         leaving: the collector that gets it next; None while it stays.
         has_left: whether its links have stopped.
+        hole: the time without an owner before it was taken.
     """
 
     epoch: Epoch
@@ -147,6 +149,7 @@ class OwnedShard:
     count: int = 0
     leaving: str | None = None
     has_left: bool = False
+    hole: LeaseHole | None = None
 
 
 @dataclass(slots=True)
@@ -485,7 +488,8 @@ class FleetMember:
             return  # a renewal of what lapsed meanwhile: it is taken anew, with a new epoch
         epoch = record.epoch_at(revision, self.generation)
         self._note_epoch(shard, epoch)
-        self.owned[shard] = OwnedShard(epoch, revision, asked, asked + self._spread(self.times.renew))
+        renew_at = asked + self._spread(self.times.renew)
+        self.owned[shard] = OwnedShard(epoch, revision, asked, renew_at, hole=record.hole)
         self.counts.taken += 1
         self._events.append(ShardEvent(shard, Step.GAINED, epoch, silent_since=self._silent_since.pop(shard, None)))
         self._compare(shard)
@@ -561,6 +565,7 @@ class FleetMember:
                     owned.epoch,
                     target if owned.has_left else "",
                     now + self.wall_ahead,
+                    hole=owned.hole,
                 )
                 self._propose(key, record.encode(), owned.revision, now, found)
 
@@ -595,8 +600,16 @@ class FleetMember:
                     None,
                     at=now + self.wall_ahead,
                     before=self._last_epochs.get(shard),
+                    hole=self._hole_before(seen, now + self.wall_ahead),
                 )
                 self._propose(f"{LEASES}{shard}", record.encode(), 0 if seen is None else seen.revision, now, found)
+
+    @staticmethod
+    def _hole_before(seen: _SeenLease | None, end: float) -> LeaseHole | None:
+        record = None if seen is None else seen.record
+        if record is None or not 0 < record.at < end:
+            return None
+        return LeaseHole(record.owner, record.held, record.at, end)
 
     def _note_silence(self, shard: str, seen: _SeenLease | None) -> None:
         self._silent_since.pop(shard, None)

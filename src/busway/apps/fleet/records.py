@@ -17,6 +17,22 @@ ZONE: Final = "zone"
 
 
 @dataclass(frozen=True, slots=True)
+class LeaseHole:
+    """The time in which no collector owned a shard (group of links) before its owner took it.
+
+    Attributes:
+        before: the collector that had it.
+        was_silent: whether that one fell silent; it gave the shard back otherwise.
+        begin, end: its last renewal or its release, and the taking; seconds since 1970 UTC by the clocks of both.
+    """
+
+    before: str
+    was_silent: bool
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
 class LeaseRecord:
     """The lease (right to poll) of one shard (group of links): who owns it, in which epoch.
 
@@ -29,6 +45,7 @@ class LeaseRecord:
         target: the collector that it was released for; empty where all may take it.
         at: seconds since 1970 UTC by the owner's wall clock; for the record of gaps only, no decision rests on it.
         before: in the entry that takes the lease, the last epoch that the owner knows of; None without one.
+        hole: the time without an owner before this one took the shard; None for the first owner.
     """
 
     owner: str
@@ -40,6 +57,7 @@ class LeaseRecord:
     target: str = ""
     at: float = 0.0
     before: Epoch | None = None
+    hole: LeaseHole | None = None
 
     def epoch_at(self, revision: int, generation: int) -> Epoch:
         """Return the epoch of the ownership, from the entry's own revision where the entry takes the lease."""
@@ -58,6 +76,7 @@ class LeaseRecord:
                 self.target,
                 round(self.at, 3),
                 _numbers(self.before),
+                None if self.hole is None else _hole_row(self.hole),
             ],
             separators=(",", ":"),
         ).encode()
@@ -153,7 +172,7 @@ def decode_zone(value: bytes) -> ZoneRecord | None:
 def decode_lease(value: bytes) -> LeaseRecord | None:
     """Return the lease in the bytes of a table entry; None if they are not a lease."""
     try:
-        owner, run, held, count, cost, epoch, target, at, before, *_ = [*_list(value), None]
+        owner, run, held, count, cost, epoch, target, at, before, hole, *_ = [*_list(value), None, None]
         return LeaseRecord(
             str(owner),
             str(run),
@@ -164,6 +183,7 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
             str(target),
             float(at),
             _epoch(before),
+            None if hole is None else LeaseHole(str(hole[0]), bool(hole[1]), float(hole[2]), float(hole[3])),
         )
     except (ValueError, TypeError, IndexError):
         return None
@@ -196,6 +216,10 @@ def decode_generation(value: bytes) -> int:
         return max(1, int(value))
     except ValueError:
         return 1
+
+
+def _hole_row(hole: LeaseHole) -> list[str | int | float]:
+    return [hole.before, int(hole.was_silent), round(hole.begin, 3), round(hole.end, 3)]
 
 
 def _numbers(epoch: Epoch | None) -> list[int] | None:

@@ -122,19 +122,16 @@ class ZoneWatch:
             if known is not None and entry.revision <= known.revision:
                 return
             if entry.key.startswith(LEASES) and known is not None:
-                self._note_hole(entry, decode_lease(known.value), decode_lease(entry.value))
+                self._note_hole(entry, decode_lease(entry.value))
             self._entries[entry.key] = entry
             self._seen[entry.key] = self._now()
 
-    def _note_hole(self, entry: Entry, before: LeaseRecord | None, after: LeaseRecord | None) -> None:
-        if before is None or after is None or not after.held or after.count:
+    def _note_hole(self, entry: Entry, lease: LeaseRecord | None) -> None:
+        if lease is None or lease.hole is None or not lease.held or lease.count:
             return  # a renewal, a release
-        epoch = after.epoch_at(entry.revision, status_of(self._entries, set()).generation)
-        hole = OwnershipHole(
-            entry.key.removeprefix(LEASES), before.owner, after.owner, before.held, before.at, after.at, epoch
-        )
-        if before.at and after.at > before.at:
-            self._holes.append(hole)
+        epoch = lease.epoch_at(entry.revision, status_of(self._entries, set()).generation)
+        hole, shard = lease.hole, entry.key.removeprefix(LEASES)
+        self._holes.append(OwnershipHole(shard, hole.before, lease.owner, hole.was_silent, hole.begin, hole.end, epoch))
 
     async def _follow(self) -> None:
         async with aclosing(self._coordinator.watch()) as entries:
