@@ -5,6 +5,7 @@ another, one request at a time each, and takes the time of every answer.
 
 1. One good window is enough: a machine that does other things as well lengthens most, a server that lets a flood
    through lengthens all, and by seconds.
+2. The time in which the machine itself stood still belongs to no answer.
 """
 
 import math
@@ -21,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from machine_pauses import MachinePauses, machine_pauses
 from told_program import LIMIT
 
 from busway.framing.rtu import encode_rtu
@@ -45,6 +47,9 @@ def adu(pdu: str) -> bytes:
 READ = adu("03 0007 0001")
 WRITE = adu("06 0000 0001")
 WRITE_AND_READ = adu("17 0000 0001 0000 0001 02 0001")
+
+Span = tuple[float, float]
+Asker = Callable[[], Span]
 
 
 @dataclass(frozen=True)
@@ -104,10 +109,11 @@ def test_flood_of_any_kind_lets_a_priority_host_and_others_be_answered_in_time(
             for source in (PRIORITY, OTHER)
         )
         stack.enter_context(_flood(port, flood, files))
+        pauses = stack.enter_context(machine_pauses())
         time.sleep(0.2)  # until it has begun to be one
         said = []
         for _ in range(WINDOWS):
-            marked, usual = _window(priority, other)
+            marked, usual = _window(priority, other, pauses)
             said.append(f"{1e3 * marked:.1f} ms and {1e3 * usual:.1f} ms")
             if marked <= PRIORITY_BOUND and usual <= OTHER_BOUND:
                 break
@@ -116,12 +122,12 @@ def test_flood_of_any_kind_lets_a_priority_host_and_others_be_answered_in_time(
     assert usual <= OTHER_BOUND, said
 
 
-def _window(priority: Callable[[], float], other: Callable[[], float]) -> tuple[float, float]:
-    """The 99th percentiles of answers to both, in seconds."""
-    taken: dict[str, list[float]] = {"priority": [], "other": []}
+def _window(priority: Asker, other: Asker, pauses: MachinePauses) -> tuple[float, float]:
+    """The 99th percentiles of answers to both, in seconds, without pauses of the machine."""
+    taken: dict[str, list[Span]] = {"priority": [], "other": []}
     until = time.perf_counter() + WINDOW_SECONDS
 
-    def keep_asking(ask: Callable[[], float], times: list[float]) -> None:
+    def keep_asking(ask: Asker, times: list[Span]) -> None:
         while time.perf_counter() < until:
             times.append(ask())
             time.sleep(BETWEEN)
@@ -130,7 +136,8 @@ def _window(priority: Callable[[], float], other: Callable[[], float]) -> tuple[
     beside.start()
     keep_asking(priority, taken["priority"])
     beside.join()
-    return _p99(taken["priority"]), _p99(taken["other"])
+    marked, usual = ([end - start - pauses.lost(start, end) for start, end in each] for each in taken.values())
+    return _p99(marked), _p99(usual)
 
 
 def _p99(times: list[float]) -> float:
@@ -139,8 +146,8 @@ def _p99(times: list[float]) -> float:
 
 
 @contextmanager
-def _asker(port: int, source: str, files: CertificateFiles | None, *, is_framed: bool) -> Iterator[Callable[[], float]]:
-    """A client whose call asks once and gives the seconds until the answer was there."""
+def _asker(port: int, source: str, files: CertificateFiles | None, *, is_framed: bool) -> Iterator[Asker]:
+    """A client whose call asks once and gives the moments of the question and of the answer."""
     link = socket.create_connection(("127.0.0.1", port), timeout=LIMIT, source_address=(source, 0))
     if files is not None:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
@@ -157,7 +164,7 @@ def _asker(port: int, source: str, files: CertificateFiles | None, *, is_framed:
             data += more
         return data
 
-    def ask() -> float:
+    def ask() -> Span:
         began = time.perf_counter()
         link.sendall(question)
         answer = received(5)  # the shortest there is in RTU
@@ -168,7 +175,7 @@ def _asker(port: int, source: str, files: CertificateFiles | None, *, is_framed:
             answer += received(answer[5])
             # An exception where the queue of a line is full; there are places for priority hosts.
             assert len(answer) == 11 or (len(answer) == 9 and source != PRIORITY)
-        return time.perf_counter() - began
+        return began, time.perf_counter()
 
     with link:
         ask()
@@ -195,7 +202,9 @@ def _flood(port: int, flood: Flood, files: CertificateFiles | None) -> Iterator[
 @contextmanager
 def _program(name: str, *arguments: str) -> Iterator[str]:
     """What a program of this folder says first; it ends with the block."""
-    command = [sys.executable, str(PROGRAMS / name), *arguments]
+    # A flood comes from other machines: here it takes what the servers leave, as if it had processors of its own.
+    after_others = ["nice", "-n", "10"] if name == "flood.py" else []
+    command = [*after_others, sys.executable, str(PROGRAMS / name), *arguments]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
         try:
             assert program.stdout is not None
