@@ -165,9 +165,10 @@ class Walk:
             self.look,
             self.back_up,
             self.take_file_away,
-            self.step_clock,
             self.maintain,
         ]
+        if not self.drops:  # a stepped clock makes new samples the oldest ones
+            always.append(self.step_clock)
         return always + [self.take_server_away] * bool(self.receivers) + [self.fill_disk] * self.disk_is_small
 
     def _begin(self) -> None:

@@ -1,6 +1,6 @@
 """``busway`` with a store whose segments are small, so that they end, are sealed and dropped all the time.
 
-A day of ``keep_days`` has nine seconds. Few samples wait while the store cannot be written, so that some are lost. The
+A day of ``keep_days`` has nine seconds, and it is looked at every second what is to be sealed or dropped. Few samples wait while the store cannot be written, so that some are lost. The
 wall clock can be stepped (`shifted_clock`), and is looked at twice a second.
 
 python small_segments.py BYTES ARGUMENT…
@@ -11,7 +11,7 @@ import sys
 import shifted_clock
 
 from busway.apps.collector import collector
-from busway.apps.collector.store import writer
+from busway.apps.collector.store import commit_thread, writer
 from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.retention import Retention
 from busway.cli import main
@@ -37,5 +37,6 @@ if __name__ == "__main__":
     with_segments_of(int(sys.argv.pop(1)))
     vars(collector)["Retention"] = small_retention
     vars(collector)["CLOCK_EVERY"] = 0.5
+    vars(commit_thread)["UPKEEP"] = 1.0
     Committer.__init__.__kwdefaults__["most_waiting"] = MOST_WAITING
     main()
