@@ -54,5 +54,5 @@ def run(bench: Bench) -> Table:
     table.notes.append(
         "Several zones are as many times the zone of their size: zones share nothing, not even a server's stream."
     )
-    table.notes.append("Larger zones, by `python tests/support/fleet_scale.py 250 20`, take minutes.")
+    table.notes.append("Larger zones, by `python tests/support/fleet_scale.py 250 60`, take minutes.")
     return table
