@@ -165,22 +165,31 @@ async def test_one_collector_answers_each_message_and_a_link_without_owner_has_o
                 stack.push_async_callback(table.close)
         await stack.enter_async_context(collectors(tmp_path, tables, devices, BROKER.format(port=broker.port)))
         user = await stack.enter_async_context(user_of(broker.port))
+        if kind == "local":  # the message goes to all: an owner before this one may have executed it
+            answer = await user.ask("link-0", "9")
+            assert (answer["state"], devices[0].written) == ("refused", [])
+            assert "send it with a key" in answer["reason"]
         for value in (1, 2, 3):
             for device in ("link-0", "link-1"):
-                assert (await user.ask(device, str(value)))["state"] == "done"
+                assert (await user.ask(device, command(value, kind)))["state"] == "done"
         assert [device.written for device in devices] == [[(10, 1), (10, 2), (10, 3)]] * 2 + [[]]
         for device, payload, sentence in (
             ("link-2", "7", "link-2"),
             ("link-1", "[", "neither JSON"),
-            ("link-1", "5000", "must be at most 1000"),
+            ("link-1", command(5000, kind), "must be at most 1000"),
             ("nothing", "1", "is no point that may be written from here"),
         ):
             answer = await user.ask(device, payload)
             assert answer["state"] == "refused"
             assert sentence in answer["reason"]
         for device in ("link-0", "link-1"):  # behind an answer too many this one would not be the next
-            assert (await user.ask(device, "0"))["state"] == "done"
+            assert (await user.ask(device, command(0, kind)))["state"] == "done"
         assert not devices[2].written
+
+
+def command(value: int, kind: str) -> str:
+    """A value alone, or with a key of its own where messages go to all collectors."""
+    return str(value) if kind == "nats" else json.dumps({"value": value, "key": f"order-{uuid.uuid4().hex}"})
 
 
 async def test_one_key_that_comes_by_mqtt_and_nats_at_once_is_written_once(tmp_path: Path) -> None:

@@ -138,6 +138,7 @@ class FleetCollector:
         self._keys = KeyTable(keys or coordinator, name)
         self._driver = MemberDriver(self.member, coordinator, self._told, now=now, behind=lambda: self.behind)
         self._active: dict[str, Epoch] = {}
+        self._active_since: dict[str, float] = {}
         self._link_followers: list[Callable[[], None]] = []
         self._unowned_since: dict[str, int] = {}
         self._permitted: dict[str, int] = {}
@@ -199,6 +200,10 @@ class FleetCollector:
     def links(self) -> frozenset[str]:
         """The links that this collector polls now."""
         return frozenset(self._active)
+
+    def owned_since(self, link: str) -> float | None:
+        """Return since when this collector polls a link, in seconds of the monotonic clock; None if it does not."""
+        return self._active_since.get(link) if link in self._active else None
 
     def follow_links(self, told: Callable[[], None]) -> None:
         """Register a function that is called in the event loop after `links` have changed; it must be quick."""
@@ -317,7 +322,7 @@ class FleetCollector:
             if fresh and owned.leaving is None:
                 await asyncio.to_thread(self.ownership.begin, fresh, owned.epoch, commit, time.time_ns())
                 if self.member.owned.get(shard) is owned:  # it may have been lost meanwhile
-                    self._active.update((link, owned.epoch) for link in fresh)
+                    self._activate(fresh, owned.epoch)
         await self._poll_active()
         self.member.set_revision(revision)
         self._tell_costs()
@@ -417,8 +422,13 @@ class FleetCollector:
         except sqlite3.Error as error:
             _log.error("shard %s is not polled: its epoch cannot be recorded: %s", event.shard, error)
             return
-        self._active.update((link, event.epoch) for link in links)
+        self._activate(links, event.epoch)
         self._note_silence(links, event.silent_since)
+
+    def _activate(self, links: Sequence[str], epoch: Epoch) -> None:
+        now = time.monotonic()
+        self._active.update((link, epoch) for link in links)
+        self._active_since.update((link, now) for link in links)
 
     def _note_ends(self, events: Sequence[ShardEvent]) -> None:
         """Record that links are not owned from now on, or since the last transaction where a lease has lapsed (rule 4).
@@ -473,8 +483,8 @@ class _OtherOwners:
         self._fleet = fleet
         self.member, self.group = member, group
 
-    def owns(self, device: str) -> bool:
-        return self._fleet.link_of(device) in self._fleet.links
+    def owned_since(self, device: str) -> float | None:
+        return self._fleet.owned_since(self._fleet.link_of(device))
 
     async def answers(self, device: str | None) -> bool:
         link = "" if device is None else self._fleet.link_of(device)

@@ -404,7 +404,10 @@ class NotedRunner:
 def receiver_of(names: list[str], permitted: list[str], **clocks: Any) -> tuple[CommandReceiver, NotedRunner]:
     """A receiver of messages for a device, ``d``, with points of these names at the topics ``plant/d/POINT``."""
     made = SimpleNamespace(
-        rights=InputRights("plant/{device}/{point}", tuple(permitted), 10.0), kind="mqtt", level=topic_level
+        rights=InputRights("plant/{device}/{point}", tuple(permitted), 10.0),
+        kind="mqtt",
+        level=topic_level,
+        join=lambda group, member: bool(group),
     )
     points = [Point(each, Table.HOLDING_REGISTERS, n, value_type("uint16")) for n, each in enumerate(names)]
     points = [replace(each, writing=WriteRule()) if each.name != "shown" else each for each in points]
@@ -461,6 +464,44 @@ async def test_of_the_collectors_of_a_fleet_the_one_that_polls_the_device_answer
         assert await answers(refused) == ["refused", None]
     assert await answers(InputMessage("plant/d/b", b"1")) == ["refused", "refused"], "a point of no collector"
     assert [each.status().refused for each in receivers] == [3, 1]
+
+
+class NotedOwners:
+    """A collector of a fleet that polls ``d`` since a moment, and whose messages go to all or to one of them."""
+
+    def __init__(self, group: str, since: float | None) -> None:
+        self.group, self.member, self.since = group, "c0", since
+
+    def owned_since(self, device: str) -> float | None:
+        return self.since
+
+    async def answers(self, device: str | None) -> bool:
+        return True
+
+    async def pass_on(self, command: PointCommand) -> dict[str, Any]:
+        raise AssertionError("it polls the device itself")
+
+
+@pytest.mark.parametrize(
+    ("group", "payload", "arrived", "state"),
+    [
+        ("", b"1", 100.0, "refused"),  # the very moment in which the link came
+        ("", b"1", 99.0, "refused"),  # it came before, and waited here
+        ("", b"1", 129.9, "refused"),
+        ("", b"1", 130.0, "done"),
+        ("", b'{"value": 1, "key": "k"}', 100.0, "done"),  # taken once in the whole fleet
+        ("hall", b"1", 100.0, "done"),  # no other collector gets this message
+    ],
+)
+async def test_a_message_without_a_key_that_an_earlier_owner_may_have_executed_is_refused(
+    group: str, payload: bytes, arrived: float, state: str
+) -> None:
+    receiver, runner = receiver_of(["a"], ["d/a"], others=NotedOwners(group, 100.0), moment=lambda: 131.0)
+    answer = json.loads(await receiver.take(InputMessage("plant/d/a", payload, arrived=arrived)))
+    assert answer["state"] == state, answer
+    assert len(runner.got) == (state == "done")
+    if state == "refused":
+        assert "send it with a key" in answer["reason"]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ Knows messages and the runner of commands; knows no broker.
    where the file names only one of them.
 5. In a fleet the owner of a link executes its commands. A server that can gives each message to one collector, which
    passes it on to the owner; where messages go to all collectors, the owner alone answers. A link without an owner is
-   answered with one error.
+   answered with one error. Where messages go to all, one may reach a collector late: the owner before it has executed
+   it already. So a command without a key is refused for `SETTLED` seconds after a link came here.
 6. The time of a message counts from its arrival, also while it waits for others.
 """
 
@@ -36,6 +37,8 @@ LONGEST_REQUEST: Final = 16_384
 """Bytes of a message."""
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 30.0
+SETTLED: Final = 30.0
+"""Seconds after which no message is still on its way that an earlier owner of the link has executed."""
 _LONGEST_NAME: Final = 100
 _KNOWN: Final = frozenset({"value", "key", "expires", "by"})
 
@@ -229,7 +232,8 @@ class CommandReceiver:
         except InvalidRequest as error:
             return self._refuse(message.where, error.message) if await self._answers(device) else None
         # Not later: who owned the link when the message came may have sent it.
-        is_own = self._others is None or self._others.owns(device)
+        arrived = self._moment() if message.arrived is None else message.arrived
+        since = None if self._others is None else self._others.owned_since(device)
         if not await self._answers(device):
             return None
         if message.is_retained:
@@ -240,12 +244,16 @@ class CommandReceiver:
                     refused, "retained commands are not executed: the broker would send them again"
                 ).content()
             )
-        if self._others is not None and not is_own:
+        if self._others is not None and since is None:
             if not self._is_shared:
                 return self._refuse(message.where, f"no collector owns the link of {device} now; nothing was sent")
             if "key" not in given:
                 command = replace(command, key=f"write-{secrets.token_hex(12)}")
             return _encoded(await self._others.pass_on(command))
+        if since is not None and not self._is_shared and "key" not in given and arrived - since < SETTLED:
+            reason = "its owner before may have executed this; send it with a key, or later"
+            left = since + SETTLED - arrived
+            return self._refuse(message.where, f"the link of {device} came here just now, and {reason} ({left:.0f} s)")
         try:
             result = await self._runner.write(
                 command.device,

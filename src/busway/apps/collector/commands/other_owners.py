@@ -17,8 +17,11 @@ class OtherOwners(Protocol):
     """The name under which the collectors share messages, so that each goes to one of them; empty where messages go to
     all, because no command can be passed on."""
 
-    def owns(self, device: str) -> bool:
-        """Whether this collector polls a device now, so that it executes commands for it."""
+    def owned_since(self, device: str) -> float | None:
+        """Return since when this collector polls a device, so that it executes commands for it; None if it does not.
+
+        Seconds of the monotonic clock.
+        """
 
     async def answers(self, device: str | None) -> bool:
         """Return whether this collector answers for a device where messages go to all: its owner, or one of them if it
