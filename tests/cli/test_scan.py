@@ -20,11 +20,13 @@ VALUE, ABSENT = bytes.fromhex("03 02 0000"), bytes.fromhex("83 0b")
 
 @pytest.fixture
 def line() -> Iterator[PacedLine]:
-    """A line with units 3, which has the register that is asked for, and 7, which has not."""
+    """A line with units 3, which has the register that is asked for, and 7, which has not. A pause of this process
+    within a request spoils none.
+    """
     units = {3: busway.Device(holding_registers=1), 7: busway.Device(coils=1)}
     with (
         PacedLine(ports=2, baud=38_400) as line,
-        busway.serve_in_thread(f"rtu://{line.paths[0]}?baud=38400", units=units),
+        busway.serve_in_thread(f"rtu://{line.paths[0]}?baud=38400&gap_limit=5", units=units),
     ):
         yield line
 
