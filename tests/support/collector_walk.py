@@ -408,7 +408,11 @@ class Walk:
             wrong += self._no_prefix(f"backup {number}", restored, before, everything, lines)
         answers = {name: self._world.answers[device.number] for name, device in self.devices.items()}
         lost = [gap for gap in table.gaps if gap.reason == Reason.LOST]
-        wrong += missing_answers(everything, bad_samples(table), lost, answers, self.excused)
+        excused = [
+            *self.excused,
+            (0, oldest),
+        ]  # what was lost before the oldest sample was told so until it was dropped
+        wrong += missing_answers(everything, bad_samples(table), lost, answers, excused)
         without = [end for end in self.ends if not any(gap.begin <= end <= gap.end for gap in table.gaps)]
         set_back = [gap for gap in table.gaps if gap.begin == gap.end]  # the clock, between the last commit and the end
         if len(without) > len(set_back) + self.shared_ends:

@@ -1,7 +1,8 @@
 """``busway`` with a store whose segments are small, so that they end, are sealed and dropped all the time.
 
-A day of ``keep_days`` has nine seconds, and it is looked at every second what is to be sealed or dropped. Few samples wait while the store cannot be written, so that some are lost. The
-wall clock can be stepped (`shifted_clock`), and is looked at twice a second.
+A day of ``keep_days`` has nine seconds, and it is looked at every second what is to be sealed or dropped. Few samples
+wait while the store cannot be written, so that some are lost. The wall clock can be stepped (`shifted_clock`), and is
+looked at twice a second.
 
 python small_segments.py BYTES ARGUMENT…
 """

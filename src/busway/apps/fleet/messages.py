@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import groupby
-from operator import attrgetter
 from typing import Any, Final
 
 from ...errors import ModbusError
@@ -22,8 +21,6 @@ from .lease_times import Epoch
 FORMAT: Final = 1
 MOST_ROWS: Final = 2000
 """Samples in one message: about 64 kB."""
-_COLUMNS: Final = attrgetter("commit", "device", "point", "unit_of_measure", "time", "half_width", "value", "reason")
-"""A sample as a row of the columns that a message has of it."""
 
 
 class UnreadableMessage(ModbusError):
@@ -67,10 +64,10 @@ class SampleMessage:
     def encode(self) -> bytes:
         """Return the message with samples as bytes."""
         require("msgpack", "samples of a fleet")
-        rows = zip(*map(_COLUMNS, self.samples), strict=True)
-        commits, devices, points, units, times, half_widths, values, reasons = tuple(rows) or ((),) * 8
-        places: dict[tuple[str, str, str], int] = {}
-        place_of = [places.setdefault(point, len(places)) for point in zip(devices, points, units, strict=True)]
+        columns = tuple(zip(*self.samples, strict=True)) or ((),) * 8
+        commits, devices, points, times, half_widths, values, reasons, units = columns
+        point_of = list(zip(devices, points, units, strict=True))
+        places = {point: place for place, point in enumerate(dict.fromkeys(point_of))}
         content = [
             FORMAT,
             self.collector,
@@ -83,7 +80,7 @@ class SampleMessage:
             self.part,
             self.round,
             list(places),
-            place_of,
+            [places[point] for point in point_of],
             commits,
             times,
             half_widths,

@@ -172,7 +172,7 @@ async def test_points_and_devices_that_there_are_no_longer_leave_the_births_at_o
     async with plant.sink() as sink:
         await sink.open()
         samples = [plant.sample("speed", 1), plant.sample("level", 2)]
-        await sink.send([*samples, replace(samples[0], device="valve")])
+        await sink.send([*samples, samples[0]._replace(device="valve")])
         await sink.show_current({("pump", "speed")})
         assert plant.shown() == {"speed": (1, 192)}
         assert "valve" not in plant.host.current
@@ -402,12 +402,12 @@ async def test_what_was_published_before_a_refusal_comes_again_if_the_connection
         samples = [plant.sample("a", 1), plant.sample("b", "x" * 2000)]
         await sink.send(samples[:1])
         with pytest.raises(SinkRefused):
-            await sink.send([plant.sample("a", 2), replace(samples[1], device="valve", commit=3)])
+            await sink.send([plant.sample("a", 2), samples[1]._replace(device="valve", commit=3)])
         plant.broker.lose()
         await turns()
         await sink.close()
         await sink.open()
-        await sink.send([replace(samples[0], time=at(3), commit=3, value=2)])
+        await sink.send([samples[0]._replace(time=at(3), commit=3, value=2)])
         assert [value for value, _ in plant.data("a")] == [1, 2, 2]
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST
@@ -30,8 +30,7 @@ _TRIES: Final = 10
 _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason", "half_width", "commit_number"]
 
 
-@dataclass(frozen=True, slots=True)
-class CommittedSample:
+class CommittedSample(NamedTuple):
     """A sample as sinks read it from the store, with its commit number.
 
     Attributes:
