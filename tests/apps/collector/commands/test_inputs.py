@@ -247,6 +247,8 @@ async def receiving(made: Any) -> AsyncIterator[HeldReceiver]:
         await asyncio.wait_for(receiver.is_connected.wait(), 60)
         yield receiver
     finally:
+        if task.done():
+            task.result()  # it has failed: say why
         task.cancel()
         await asyncio.wait([task])
 
