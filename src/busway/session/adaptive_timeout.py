@@ -1,42 +1,49 @@
-"""Adaptive timeout of a scan for units: as short as the replies seen so far allow without missing one.
+"""Adaptive timeout of a scan for units: as short as possible without missing a unit, judged by the replies so far.
 
 Knows response times; knows no line and no clock.
 
-1. It begins with the longest time, and keeps it until a unit has answered.
+1. The timeout begins with its longest value, and keeps it until a unit has answered.
 2. Then it is `FACTOR` times the slowest answer so far, and never below the floor: the next unit may be slower.
-3. A reply after the timeout shows that it was too short: from then on the longest time applies.
+3. A reply after the timeout shows that the timeout was too short: from then on the longest value applies.
 """
 
 from typing import Final
 
 FACTOR: Final = 4.0
-"""Multiple of the slowest answer. Units of one line differ by their processors and their other work; a unit that
-differs by more is noticed by its late reply."""
+"""Timeout divided by the slowest response time so far. Units of one line differ by their processors and their other
+work; a unit that differs by more is noticed by its late reply.
+"""
 ROOM: Final = 0.1
-"""Seconds of any floor in addition to the time of its characters: adapters and systems take up to 20 ms each way."""
+"""Seconds in each floor besides the time of its characters: adapters and systems take up to 20 ms each way."""
 CHARACTERS: Final = 32
-"""Longest request and reply of a probe together, in characters, in ASCII and with their silences."""
+"""Longest request and reply of a probe together, in characters; covers ASCII, and includes the silences around
+frames.
+"""
 
 
 def floor_for(character: float) -> float:
-    """Return the shortest safe timeout on a line whose characters take so many seconds; 0 for a network."""
+    """Return the floor of the timeout, in seconds, on a line whose characters take ``character`` seconds; 0 for a
+    network.
+    """
     return ROOM + CHARACTERS * character
 
 
 class AdaptiveTimeout:
-    """Adaptive timeout of one scan for units; it shrinks with the replies seen so far.
+    """Timeout of one scan for units: the time to wait for each unit's reply, shortened by the replies seen so far.
 
     Attributes:
-        longest, floor: the limits in seconds.
-        slowest: seconds of the slowest answer so far; 0 without any.
-        was_late: whether a reply has come too late.
-        learns: whether the time is ever shortened.
+        longest, floor: the limits of the timeout, in seconds.
+        slowest: seconds that the slowest answer so far took; 0 before the first.
+        was_late: whether a reply has come after its timeout; then ``longest`` applies for the rest of the scan.
+        learns: whether the timeout is ever shortened; if False, it is always ``longest``.
     """
 
     __slots__ = ("floor", "learns", "longest", "slowest", "was_late")
 
     def __init__(self, longest: float, floor: float, *, learns: bool = True) -> None:
-        """Start with ``longest`` seconds (above 0); never go below ``floor``, or ``longest`` if that is less."""
+        """Start with ``longest`` seconds (above 0); the timeout never goes below the smaller of ``floor`` and
+        ``longest``.
+        """
         self.longest: float = longest
         self.floor: float = min(floor, longest)
         self.slowest: float = 0.0
@@ -55,5 +62,5 @@ class AdaptiveTimeout:
         self.slowest = max(self.slowest, seconds)
 
     def late(self) -> None:
-        """Lengthen the timeout because a reply came after it was over (rule 3)."""
+        """Return to the longest timeout for good, because a reply came after its timeout (rule 3)."""
         self.was_late = True

@@ -4,12 +4,13 @@ A call is one or many requests to one unit, with their outcomes (Messaging on TC
 demand"). Knows its own progress and the layout of consecutive ADUs; knows no connection and no queue. Retries and
 the errors that end a request are in `retries`.
 
-1. What does not depend on transactions is computed once and kept with the requests (`Request.memo`): a poller sends the
-   same requests again and again.
-2. A reply is recognised by its transaction and the seven bytes after it: protocol, length, unit, function, byte count.
-   On any other reply the session splits the batch (`PipelinedBatch.apart`) and matches each request by itself.
-3. While a batch is in flight no request sent after it has ended, because any other reply splits the batch first. So its
-   identifiers are the latest ones, and need not be looked up among those of later requests.
+1. What does not depend on transaction identifiers is computed once and kept with the requests (`Request.memo`): a
+   poller sends the same requests again and again.
+2. A reply is recognised by its transaction identifier and the seven bytes after it: protocol, length, unit, function,
+   byte count. On any other reply the session splits the batch (`PipelinedBatch.apart`) and matches each request by
+   itself.
+3. While a batch is in flight no request sent after it has ended, because any other reply splits the batch first. So the
+   identifiers of the batch are the latest ones, and need not be looked up among those of later requests.
 """
 
 import struct
@@ -28,16 +29,17 @@ Outcome = Message | ModbusError
 _NO_ATTEMPTS: Mapping[int, int] = MappingProxyType({})
 _IS_WRITE = attrgetter("is_write")
 _BEHIND = struct.Struct(">HHB")
-"""The MBAP header after the transaction: protocol, length, unit."""
+"""The MBAP header after the transaction identifier: protocol, length, unit."""
 HEAD_SIZE = 9
-"""Bytes that identify a reply: the transaction and the seven bytes after it."""
+"""Bytes that identify a reply: the transaction identifier and the seven bytes after it."""
 
 
 class CallOptions(TypedDict, total=False):
-    """Options that every read and write of a unit accepts, such as a timeout; omitted ones are those of the link.
+    """Options that every read and write of a unit accepts. For omitted ones the link's options apply.
 
-    timeout: seconds per attempt. retries: further attempts of reads. deadline: seconds in all, queueing included.
-    idempotent: a write may be executed twice, so it is repeated like a read.
+    timeout: seconds per attempt, above 0 and at most 3600. retries: further attempts of reads, 0…100. deadline: seconds
+    for the whole call, time in the queue included. idempotent: a write may be executed twice, so it is repeated like a
+    read.
     """
 
     timeout: float
@@ -53,20 +55,23 @@ class Call:
         unit: unit identifier, 0…255.
         requests: the requests, in order.
         caller: identifies the caller; the queue is fair between callers.
-        is_priority: whether a gateway asks it for a priority host; the queue serves those first.
+        is_priority: whether a gateway makes the call for a priority host; the queue serves those first.
         timeout: seconds per attempt.
         deadline: when the whole call must have ended, in the clock of ``now``; None for no limit.
         retries: further attempts of each request.
         idempotent: whether its writes may be executed twice, so that they are repeated like reads.
         is_write: whether one of the requests may change something.
-        outcomes: for each request the reply or the error, None while it is open.
+        outcomes: for each request its reply or error; None while it has neither.
         open: how many requests have no outcome yet.
-        ended: whether it is finished or cancelled.
+        ended: whether the call is finished or cancelled.
         submitted: when the call was made, in the clock of ``now``.
         owner: an object that the driver stores here to find its caller again.
-        attempts: attempts begun, by position; only positions that were tried more than once appear.
+        next: position of the first request that was never sent.
+        again: positions of requests to be sent once more.
+        attempts: attempts begun, by position; a request appears only when it is repeated.
         markers: marker requests (`busway.session.late_replies`) that its unit did not answer while this call waited.
-        repeated: by position, further attempts of a read that are no retries: the reply before may have been its own.
+        repeated: by position, further attempts of a read that do not count as retries: an earlier reply was not used,
+            because it could have been a late one.
         places: how many places of the queue it takes: one for an application's call, whatever its requests; one for
             each request if a gateway makes the call for a client.
     """
@@ -114,7 +119,7 @@ class Call:
 
     @property
     def has_more(self) -> bool:
-        """Whether a request of this call has still to be sent, or sent again."""
+        """Whether a request of this call has still to be sent, for the first time or again."""
         return self.next < len(self.requests) or bool(self.again)
 
     @property
@@ -123,7 +128,10 @@ class Call:
         return self.again[0] if self.again else self.next
 
     def take(self, at_most: int) -> Sequence[int]:
-        """Return the positions of up to ``at_most`` requests to send next: first repetitions, then new ones."""
+        """Return the positions of up to ``at_most`` requests to send next, and count them as sent.
+
+        Requests to be repeated come first; while there are any, no new ones are returned.
+        """
         if self.again:
             taken, self.again = self.again[:at_most], self.again[at_most:]
             return taken
@@ -132,13 +140,13 @@ class Call:
         return range(first, self.next)
 
     def repeat(self, position: int) -> None:
-        """Queue one request of this call to be sent once more."""
+        """Arrange that the request at ``position`` of this call is sent once more."""
         self.attempts = {**self.attempts, position: self.attempts.get(position, 1) + 1}
         self.again = (*self.again, position)
 
     @property
     def error(self) -> ModbusError | None:
-        """The first error among the outcomes of the requests; None if there is none."""
+        """The first error among the outcomes of the requests; None if no request has failed so far."""
         return next((outcome for outcome in self.outcomes if isinstance(outcome, ModbusError)), None)
 
 
@@ -150,7 +158,19 @@ def call_for(
     now: float,
     caller: object = None,
 ) -> Call:
-    """Create the `Call` for one use of a unit's method; its ``caller`` may be set later."""
+    """Create the `Call` for one use of a unit's method.
+
+    Args:
+        unit: unit identifier, 0…255.
+        requests: the requests, one or more, in order.
+        defaults: options of the link.
+        call_options: the caller's own options; they replace those of the link.
+        now: the time; a deadline counts from it.
+        caller: identifies the caller for the queue; may be set later.
+
+    Raises:
+        InvalidRequest: an unknown option, or a value out of its range; nothing was sent.
+    """
     deadline = defaults.deadline
     timeout = defaults.timeout
     retries = defaults.retries
@@ -195,12 +215,13 @@ class EncodedRequest:
 
     Attributes:
         unit: the unit identifier.
-        tail: the ADU of the request without its transaction.
-        head: the seven bytes after the transaction of a fitting reply; empty if they do not suffice to recognise it.
-        reply_size: bytes of the ADU of a fitting reply.
+        tail: the ADU of the request without its transaction identifier.
+        head: the seven bytes that follow the transaction identifier in the expected reply; empty if they do not suffice
+            to recognise the reply.
+        reply_size: bytes of the ADU of the expected reply.
         take: builds the reply from its data.
-        others: the same request for each unit, if it was sent to more than one.
-        plan: the plan of the last pipelined batch that began with this request.
+        others: the same request for each unit, if it was sent to several units; else None.
+        plan: the plan of the last pipelined batch that began with this request; None without one.
     """
 
     __slots__ = ("head", "others", "plan", "reply_size", "tail", "take", "unit")
@@ -219,7 +240,7 @@ class EncodedRequest:
 
 
 def encoded_request(request: Request, unit: int) -> EncodedRequest:
-    """Return the bytes of a request to a unit, encoded at the first use and then kept with the request."""
+    """Return the bytes of a request to a unit; encoded at the first use, then kept with the request."""
     try:
         encoded: EncodedRequest = request.memo
     except AttributeError:
@@ -233,7 +254,9 @@ def encoded_request(request: Request, unit: int) -> EncodedRequest:
 
 
 def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
-    """Return the bytes of a request to one more unit; the request then keeps a table of bytes by unit."""
+    """Return the bytes of a request that was sent to another unit before; ``known`` has a table of its bytes by
+    unit.
+    """
     if known.others is None:
         known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references
     found = known.others.get(unit)
@@ -244,7 +267,14 @@ def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) 
 
 
 class RequestInFlight:
-    """A request that was sent and whose reply is awaited; the object is reused for later requests."""
+    """A request that was sent and whose reply is awaited; the object is reused for later requests.
+
+    Attributes:
+        call: the call of the request; None if it was cancelled.
+        position: position of the request in the call.
+        encoded: the bytes of the request and of its expected reply.
+        sent, expires: when it was sent and when it times out, in the clock of ``now``.
+    """
 
     __slots__ = ("call", "encoded", "expires", "position", "sent")
 
@@ -256,11 +286,13 @@ class RequestInFlight:
 
 
 FreeSlots = list[RequestInFlight]
-"""The free slots for requests in flight."""
+"""Unused `RequestInFlight` objects. Each request in flight takes one, so their number limits the requests in flight."""
 
 
 def free_slots(count: int) -> FreeSlots:
-    """Create ``count`` reusable objects for requests in flight, for one session or all sessions of a client."""
+    """Create ``count`` reusable objects for requests in flight; the caller gives them to one session, or to all of a
+    client.
+    """
     return [RequestInFlight() for _ in range(count)]
 
 
@@ -268,12 +300,12 @@ class BatchPlan:
     """The bytes of several requests to one unit, and of their expected replies, without transaction identifiers.
 
     Attributes:
-        following: the requests after the first. The first request holds the plan, so the plan does not refer to it:
-            that would be a reference cycle for each call.
+        following: the requests after the first. The first request holds the plan, so the plan does not refer to the
+            request: that would be a reference cycle for each call.
         fits: whether all replies can be recognised by their first bytes; otherwise the requests cannot be batched.
-        heads: the seven bytes after the transaction of each reply.
-        reply_sizes, reply_size: bytes of the ADU of each reply, and of all together.
-        takers: builds each reply from its data.
+        heads: the seven bytes after the transaction identifier of each reply.
+        reply_sizes, reply_size: bytes of the ADU of each reply, and of all replies together.
+        takers: for each reply a function that builds it from its data.
     """
 
     __slots__ = (
@@ -304,13 +336,17 @@ class BatchPlan:
             self._pack, self._unpack_from = out.pack, back.unpack_from
 
     def encode(self, transactions: Sequence[int]) -> bytes:
-        """Return the frames of all requests with these transaction identifiers, joined."""
+        """Return the joined frames of all requests, with these transaction identifiers in order. Only if ``fits``."""
         fields = self._fields.copy()  # another thread may use the same plan
         fields[0::2] = transactions
         return self._pack(*fields)
 
     def replies(self, transactions: tuple[int, ...], buffer: bytes, at: int) -> list[Message] | None:
-        """Return all replies if ``buffer`` from ``at`` on holds them complete and in order, else None."""
+        """Return all replies if ``buffer`` holds them from ``at`` on, in order, else None.
+
+        ``buffer`` must have ``reply_size`` bytes from ``at`` on. A reply is the data alone, as bytes, where the
+        requests ask for that (as a gateway's do).
+        """
         fields = self._unpack_from(buffer, at)
         if fields[0::3] != transactions or fields[1::3] != self.heads:
             return None
@@ -321,15 +357,18 @@ class BatchPlan:
 
 @lru_cache(maxsize=256)
 def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.Struct, struct.Struct]:
-    """Return the `struct` layouts of a batch's requests and replies; ``tails`` and ``replies`` are sizes in bytes."""
+    """Return the `struct` layouts of a batch's requests and of its replies; ``tails`` and ``replies`` are sizes in
+    bytes.
+    """
     out = "".join(f"H{size}s" for size in tails)
     back = "".join(f"H7s{size - HEAD_SIZE}s" for size in replies)
     return struct.Struct(">" + out), struct.Struct(">" + back)
 
 
 def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
-    """Return the prepared bytes of ``count`` requests, from the one at ``first`` on, sent together to
-    one unit; cached.
+    """Return the prepared bytes of ``count`` consecutive requests to one unit, sent together; cached with the first.
+
+    ``first`` is the position in ``requests`` of the first of them.
     """
     encoded = encoded_request(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])
@@ -343,13 +382,13 @@ class PipelinedBatch:
     """Consecutive requests of one call that were sent together, and whose replies are expected in order.
 
     Attributes:
-        call: the call they belong to.
+        call: the call of the requests.
         first: position of the first request in the call.
-        plan: their bytes without transactions.
-        transactions: their transaction identifiers.
-        slots: the slots they take, one for each request still without its reply.
-        answered: how many of them, counted from the first, have their reply.
-        sent, expires: when they were sent and when they time out, in the clock of ``now``.
+        plan: the bytes of the requests without transaction identifiers.
+        transactions: the transaction identifiers of the requests, in order.
+        slots: slots that the batch takes, one for each request still without its reply.
+        answered: how many requests, counted from the first, have their reply.
+        sent, expires: when the batch was sent and when it times out, in the clock of ``now``.
     """
 
     __slots__ = ("answered", "call", "expires", "first", "plan", "sent", "slots", "transactions")
@@ -373,7 +412,9 @@ class PipelinedBatch:
         self.expires: float = sent + call.timeout
 
     def expects(self, buffer: bytes, at: int) -> bool:
-        """Whether the frame that begins at ``at`` is the next expected reply of the batch."""
+        """Whether the frame in ``buffer`` that begins at ``at`` is the next expected reply of the batch, by its first
+        nine bytes.
+        """
         following = self.answered
         return (
             buffer[at + 2 : at + HEAD_SIZE] == self.plan.heads[following]
@@ -381,7 +422,10 @@ class PipelinedBatch:
         )
 
     def apart(self) -> Iterator[tuple[int, RequestInFlight]]:
-        """Split the batch into its unanswered requests, each with its transaction identifier."""
+        """Yield each unanswered request as a request in flight of its own, with its transaction identifier before it.
+
+        Empties ``slots``; the batch must not be used afterwards.
+        """
         call = self.call
         for index in range(self.answered, len(self.transactions)):
             awaited = self.slots.pop()

@@ -4,11 +4,12 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.1 and of devices that break t
 times are ``now`` in seconds, and the driver of a session calls `TcpClientSession.tick` at `deadline`.
 
 1. At most ``max_transactions`` requests are in flight; the rest waits in a bounded queue, in the order of `queue`.
-2. A reply belongs to the pending transaction it names, and must fit it in unit, function, length and echo. A reply that
-   fits no pending transaction is dropped and counted; it is never given to another request.
+2. A reply belongs to the request in flight whose transaction identifier it carries, and must fit that request in unit,
+   function, length and echo. A reply that fits no request in flight is dropped and counted; it is never given to
+   another request.
 3. The identifier of a request that timed out or was cancelled is remembered and not used again while the connection
    lasts; its late reply is dropped, and shows how slow the device is.
-4. A read is repeated after a timeout or a lost connection, a write only if nothing of it left this host or
+4. A read is repeated after a timeout or a lost connection; a write is repeated only if nothing of it left this host or
    ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
 5. Where transactions cannot be told apart (policies automatic and ignore), a timeout ends the connection: the next
    reply could be the late one.
@@ -41,19 +42,24 @@ from .unit_breaker import Breakers, BreakerState
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
 _PACE_FORGETS = 0.9
-"""The usual time of a unit is its slowest lately: each faster reply takes a tenth off."""
+"""Decay of a unit's usual response time, which is that of its slowest recent reply: each faster reply takes a tenth
+off.
+"""
 _LAUNCHES_APART = 32
-"""Sends without batches after replies came in another order, or one was an exception: splitting a batch costs a fifth
-of what its requests cost."""
+"""Requests or batches sent one by one after a batch had to be split, because replies came in another order or one was
+an
+exception: splitting a batch costs a fifth of what its requests cost.
+"""
 _LATE_FACTOR = 2
+"""How many times more timeouts are tolerated while late replies come: the device is alive then. But if every reply
+answers the request before the last one (Growatt_ModbusTCP#317), only a new connection helps."""
 _LATE_KNOWN = 60.0
-"""Seconds for which a unit that answered too late is called slow."""
-"""How many times more timeouts are tolerated while late replies come: the device is alive then, but if every reply
-stays one behind (Growatt_ModbusTCP#317) only a new connection helps."""
+"""Seconds after a late reply for which errors of the unit say that it is slow."""
 _NO_DOUBTS: Mapping[int, object] = MappingProxyType({})
 _STEP = 1021
 """Step from one transaction identifier to the next; odd, so that all are used. Some devices answer with the identifier
-plus 1 (sunsynk#680): with a step of 1 that would name another request in flight, and give it the wrong data."""
+plus 1 (sunsynk#680): with a step of 1 that would be the identifier of another request in flight, and give wrong data.
+"""
 
 
 class TcpClientSession:
@@ -61,11 +67,11 @@ class TcpClientSession:
 
     Attributes:
         counters: counters of the link.
-        finished: calls that have all their outcomes; the driver empties the list.
-        recycle: why the driver must close the connection and open another; empty while it need not.
-        late_units: by unit, when its last late reply came and how many seconds it had taken.
+        finished: calls whose requests all have an outcome; the driver empties the list.
+        recycle: why the driver must close the connection and open another; empty if it need not.
+        late_units: by unit, when its last late reply came, and how many seconds after its request.
         valid_reply: whether this connection has brought a reply that answers a request, in time or late.
-        breakers: the circuit breakers of the units; None without breakers.
+        breakers: the circuit breakers of the units; None if the link uses none.
     """
 
     __slots__ = (
@@ -134,7 +140,7 @@ class TcpClientSession:
     # Calls of the application.
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue the requests of a call. Raises `Overloaded` or `UnitSuspended`; nothing was sent then."""
+        """Queue the requests of a call. Raises `Overloaded` or `UnitSuspended`; then nothing was sent."""
         if self.breakers is not None:
             pause = self.breakers.suspended_for(call.unit, now)
             if pause is not None:
@@ -155,13 +161,15 @@ class TcpClientSession:
         return bool(requests_in_flight)
 
     def serve_units_in_turn(self) -> None:
-        """Send each caller's requests to its units in turn, not in call order; for a gateway's upstream links."""
+        """Serve the units that each caller asks in turn, not its requests in their order; for a gateway's upstream
+        links.
+        """
         self._queue.units_in_turn = True
         self._queue.burst = BURST
 
     @property
     def has_calls(self) -> bool:
-        """Whether calls wait that have requests left to send."""
+        """Whether calls with requests left to send wait in the queue."""
         return self._queue.size > 0
 
     @property
@@ -171,7 +179,7 @@ class TcpClientSession:
 
     @property
     def queued(self) -> int:
-        """Number of calls, or of requests of a gateway's clients, that wait to be sent."""
+        """Number of calls that wait to be sent; a gateway's calls count with each of their requests."""
         return self._queue.waiting
 
     @property
@@ -196,7 +204,7 @@ class TcpClientSession:
         self.counters.connections += 1
 
     def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
-        """End or repeat the requests in flight because the connection ended; queued calls stay.
+        """Repeat or end the requests in flight, because the connection ended; queued calls stay queued.
 
         ``lost`` is False if the client itself closed an unused connection.
         """
@@ -217,14 +225,14 @@ class TcpClientSession:
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
         """End all waiting calls with one error, because no connection could be opened.
 
-        With ``keep_repeated`` a call that is about to be repeated waits for the next attempt.
+        With ``keep_repeated`` a call with a request that is about to be repeated stays in the queue.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
     # Sending and receiving.
 
     def transmit(self, now: float) -> list[bytes]:
-        """Return the frames that are due, in order; they count as sent at ``now``."""
+        """Return the frames to send now, in order; they count as sent at ``now``. Empty if there are none."""
         out: list[bytes] = []
         queue = self._queue
         if not queue.size or not self._connected or self.recycle or not self._free:
@@ -264,7 +272,10 @@ class TcpClientSession:
         return out
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """Return the joined frames of a call that can be sent at once; None if it has to be queued with `submit`."""
+        """Return the joined frames of a call that can be sent at once, and count them as sent.
+
+        None if the call has to be queued with `submit`; then nothing has changed.
+        """
         count = len(call.requests)
         if (
             self._queue.size
@@ -289,14 +300,18 @@ class TcpClientSession:
         return adus
 
     def _is_doubted(self, call: Call) -> bool:
-        """Whether the unit's circuit breaker blocks requests, or lets only a single one through to try the unit."""
+        """Whether the circuit breaker of the call's unit is not closed: it blocks requests, or lets a single probe
+        through.
+        """
         return self.breakers is not None and self.breakers.state(call.unit) is not BreakerState.CLOSED
 
     def _may_ask(self, now: float, call: Call) -> bool:
         return self.breakers is None or self.breakers.suspended_for(call.unit, now) is None
 
     def _next_batch(self, call: Call, at_most: int, now: float) -> list[bytes]:
-        """Return up to ``at_most`` requests of a call as one pipelined batch; nothing if they cannot be batched."""
+        """Return up to ``at_most`` requests of a call as one pipelined batch, joined; an empty list if they cannot be
+        batched.
+        """
         requests = len(call.requests)
         if requests == 1 or call.again or call.is_write or self.parameters.single_adu_segments:
             return []
@@ -351,13 +366,18 @@ class TcpClientSession:
         return transaction.to_bytes(2, "big") + encoded.tail
 
     def _adaptive_timeout(self, call: Call, now: float) -> float:
-        """Return the seconds to wait for a reply: for the probe of a suspended unit, fewer than the timeout."""
+        """Return the seconds to wait for a reply of a unit that timed out before: a probe of a suspended unit waits
+        less.
+        """
         assert self.breakers is not None
         usual = self._usual(call.unit)
         return self.breakers.asked(call.unit, now, call.timeout, usual or call.timeout)
 
     def _usual(self, unit: int) -> float:
-        """Return the seconds that a unit usually takes to answer; if unknown, those of the slowest unit, or 0."""
+        """Return the seconds that a unit usually takes to answer.
+
+        If that is unknown, those of the slowest unit of the link; 0 if no unit has answered.
+        """
         return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
     def _split_batches(self) -> None:
@@ -476,9 +496,9 @@ class TcpClientSession:
         return at
 
     def in_work(self) -> list[Call]:
-        """The calls with several requests of which some were sent and others may still wait.
+        """Return the calls with several requests of which some were sent and others may still wait.
 
-        A call may appear more than once, and single-request calls in flight may appear too.
+        Single-request calls in flight may be among them, and a call may be there more than once.
         """
         if not (self._batches or self._pending or self._queue.begun):
             return []  # the usual case: a server answers all at once
@@ -524,7 +544,10 @@ class TcpClientSession:
             self._tracker.expire_queue(now, in_flight)
 
     def _timed_out(self, transaction: int, awaited: RequestInFlight, now: float, *, over: bool) -> None:
-        """Handle a request without reply: block its transaction identifier, then repeat or fail the request."""
+        """Handle a request without reply: block its transaction identifier, then repeat or fail the request.
+
+        ``over``: the deadline of its call has passed.
+        """
         self._remember(transaction, awaited.sent)
         kept = self._buffer.kept
         is_given_up = self.breakers is not None and self._unit_is_silent(self.breakers, awaited, now)
@@ -566,7 +589,7 @@ class TcpClientSession:
                 self._tracker.give_up(call, now, reason, in_flight)
 
     def _unit_lives(self, unit: int) -> None:
-        """Close the unit's circuit breaker, because it has answered, if only with an exception."""
+        """Close the unit's circuit breaker, because the unit has answered, even if only with an exception."""
         if self.breakers is not None:
             self.breakers.answered(unit)
 
@@ -663,7 +686,10 @@ class TcpClientSession:
         self._tracker.conclude(call, awaited.position, reply)
 
     def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> RequestInFlight | None:
-        """Return the only request in flight if the option ``mismatch`` accepts another transaction identifier."""
+        """Return the request in flight that a reply with another transaction identifier is accepted for, or None.
+
+        The option ``mismatch`` must allow it, and there must be only one request in flight.
+        """
         policy = self.parameters.transaction_policy
         if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol or self.recycle:
             # After a timeout that ends the connection, this may be the late reply to that request.
@@ -689,7 +715,11 @@ class TcpClientSession:
         return True
 
     def _unit_fits(self, awaited: RequestInFlight, unit: int, *, alone: bool) -> bool:
-        """Whether the option ``mismatch`` accepts a reply of ``unit``; ``alone``: nothing else is in flight."""
+        """Whether a reply of ``unit`` is accepted for a request; another unit only if the option ``mismatch`` allows
+        it.
+
+        ``alone``: no other request is in flight.
+        """
         if unit == awaited.encoded.unit or awaited.encoded.unit in (0, TCP_DEVICE_UNIT):
             return True
         policy = self.parameters.unit_policy

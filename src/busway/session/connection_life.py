@@ -1,5 +1,5 @@
 """The life of a client's connection: when to connect, what to report, what happens to waiting calls; for both
-drivers.
+kinds of client session, TCP and serial.
 
 Knows a session, the states of `reconnect` and the errors that calls get; knows no socket, thread, loop or log.
 The driver opens and closes the connection, reports its events with their time, and acts on the results.
@@ -20,7 +20,10 @@ from .reconnect import ConnectionEvent, ConnectionState, Reconnect
 from .serial_client import SerialClientSession
 
 Moved = Callable[[ConnectionEvent, str, str], None]
-"""Called with each event, its reason, and a message for the operator, empty if there is nothing new."""
+"""Called as ``moved(event, reason, news)`` with each event, its reason in words, and a message for the operator, which
+is
+empty if there is nothing to tell.
+"""
 
 
 class ConnectionLife:
@@ -28,7 +31,7 @@ class ConnectionLife:
 
     Args:
         conversation: the client session that uses the connection.
-        reconnect: states and pauses.
+        reconnect: states of the connection, and the pauses between attempts.
         endpoint: URL of the peer, for errors.
         hold: seconds that an unused connection is kept; 0 closes it as soon as it is unused.
         moved: method of the link that is called with every event; held weakly, so that a dropped link is freed at
@@ -37,7 +40,7 @@ class ConnectionLife:
     Attributes:
         endpoint, reconnect, hold: as given.
         failure: why the last attempt failed; None while connected, and before the first attempt.
-        closed: whether the link was closed for good.
+        closed: whether the link was closed for good; the driver sets it.
     """
 
     __slots__ = ("_asked_before", "_conversation", "_moved", "closed", "endpoint", "failure", "hold", "reconnect")
@@ -63,7 +66,9 @@ class ConnectionLife:
     # How a connection begins.
 
     def may_dial(self, now: float) -> bool:
-        """Whether an attempt to connect may be made now."""
+        """Whether an attempt to connect may be made now: there is no connection, no attempt in progress and no
+        pause.
+        """
         return self.reconnect.may_dial(now)
 
     def dialled(self, now: float) -> None:
@@ -71,14 +76,17 @@ class ConnectionLife:
         self._move(ConnectionEvent.DIALLED, now)
 
     def connected(self, now: float) -> None:
-        """Record that the connection is open, so that the session sends requests."""
+        """Record that the connection is open. From now on the session has requests to send."""
         self.failure = None
         self._asked_before = self._conversation.counters.requests
         self._move(ConnectionEvent.CONNECTED, now)
         self._conversation.connected(now)
 
     def failed(self, now: float, failure: LinkDown) -> None:
-        """Record that an attempt to connect failed; every call that waited for it fails too."""
+        """Record that an attempt to connect failed.
+
+        Every call that waits in the queue ends with ``failure`` as its error.
+        """
         self.failure = failure
         self._move(ConnectionEvent.FAILED, now, failure.message)
         self._conversation.unreachable(now, failure)
@@ -90,12 +98,14 @@ class ConnectionLife:
     # While it is open.
 
     def replied(self, now: float) -> None:
-        """Record that bytes were received; a valid reply among them makes the state of the connection "up"."""
+        """Record that the session has processed received bytes; once it has had a valid reply, the connection is
+        "up".
+        """
         if self._conversation.valid_reply:
             self._move(ConnectionEvent.VALID_REPLY, now)
 
     def tick(self, now: float) -> bool:
-        """End requests whose timeout is over. Returns whether there were any."""
+        """End or repeat the requests whose timeout is over. Returns whether there were any."""
         counters = self._conversation.counters
         timeouts = counters.timeouts
         self._conversation.tick(now)
@@ -105,7 +115,10 @@ class ConnectionLife:
         return True
 
     def spent(self, now: float, last_used: float) -> str:
-        """Return the reason to close an unused connection now, such as its idle time; empty to keep it."""
+        """Return the reason to close an unused connection now, such as its idle time; empty to keep it.
+
+        ``last_used`` is when the connection was last used, in the clock of ``now``.
+        """
         if now < last_used + self.hold:
             return ""
         return f"unused for {self.hold:g} s" if self.hold else "nothing more is asked"
@@ -113,7 +126,12 @@ class ConnectionLife:
     # How it ends.
 
     def lost(self, now: float, reason: str) -> None:
-        """Record that the connection ended; after repeated failures only calls about to be repeated go on waiting."""
+        """Record that an open connection ended unexpectedly; its requests in flight are repeated or fail.
+
+        Waiting calls stay in the queue. But after several connections in a row without a valid reply they fail, except
+        those with a request that is about to be repeated; not so if the session itself asked for a new connection
+        (``recycle``).
+        """
         conversation = self._conversation
         if conversation.has_calls or conversation.counters.requests != self._asked_before:
             self._move(ConnectionEvent.LOST, now, reason, had_reply=conversation.valid_reply)
@@ -137,7 +155,11 @@ class ConnectionLife:
     # What calls are told.
 
     def refusal(self, now: float, unit: int | None = None) -> LinkDown | None:
-        """Return the error for a call while no attempt to connect may be made; None if the call may wait."""
+        """Return the error for a new call if it cannot be accepted now; None if the call may be queued.
+
+        It cannot while the link is closed, or in the pause after a failed attempt. ``unit`` is the unit asked, for the
+        error.
+        """
         if self.closed:
             return LinkClosed("the link is closed", endpoint=self.endpoint, unit=unit)
         failure = self.failure

@@ -5,11 +5,12 @@ V1.02 appendix A).
 
 1. Several units on one port are several devices to a master. Each has counters, an event log and a mode of its own;
    restart, clear and listen-only mode concern the unit addressed. What every device of a line hears is counted once,
-   for the line: messages, damaged frames and overruns. Each unit reads it from its own last restart or clear on.
+   for the line: messages, damaged frames and overruns. Each unit counts these from its own last restart or clear on.
 2. Counters are 16 bit on the wire and wrap there; here they go on, so that a status can show the true number.
-3. A receive event is stored when a message comes in, a send event when it is done with, answered or not (§6.10).
-4. 01 answers before it restarts, except in listen-only mode, where it restarts without an answer. So it is done when
-   the outcome of its request is reported, by `answered` or `kept_silent`. In listen-only mode nothing else is done.
+3. A receive event is stored when a message comes in, a send event when its processing ends, answered or not (§6.10).
+4. A restart (08/01) is answered before it is done, except in listen-only mode, where there is no answer. So it is done
+   when the outcome of its request is reported, by `answered` or `kept_silent`. In listen-only mode nothing else is
+   executed.
 5. On a network listener the sub-functions that change something (01, 03, 04, 0A, 14) are refused with 01 unless
    ``changes_allowed``: one packet could mute a server for all clients.
 6. The ASCII delimiter is the port's: sub-function 03 changes it for all units of the line.
@@ -40,7 +41,7 @@ _CHANGES = frozenset(
 
 
 class ReceiveEvent(IntFlag):
-    """Bits of a receive event in the log of function 12; 0x80 is always set."""
+    """Bits of a receive event in the event log that function 12 reads; 0x80 is always set."""
 
     RECEIVED = 0x80
     COMMUNICATION_ERROR = 0x02
@@ -50,7 +51,7 @@ class ReceiveEvent(IntFlag):
 
 
 class SendEvent(IntFlag):
-    """Bits of a send event in the log of function 12; 0x40 is always set."""
+    """Bits of a send event in the event log that function 12 reads; 0x40 is always set."""
 
     SENT = 0x40
     READ_EXCEPTION = 0x01
@@ -80,7 +81,7 @@ _PLAIN_EXCHANGE = bytes((_SENT, _RECEIVED))
 
 @dataclass(slots=True)
 class Counters:
-    """The diagnostic counters of function 08, named as its sub-functions 0B…12 name them."""
+    """The eight diagnostic counters of function 08, named as its sub-functions 0B…12."""
 
     bus_message_count: int = 0
     bus_communication_error_count: int = 0
@@ -118,17 +119,17 @@ class LineDiagnostics:
 
     Args:
         changes_allowed: whether the sub-functions of 08 that change something are offered.
-        listed_unit: the unit as which a device is listed that also answers as another (`ListedUnits.listed_unit`):
-            both have the same state. Left out, every number is a unit of its own.
+        listed_unit: returns the unit number under which a device is listed, for a device with several unit numbers
+            (`ListedUnits.listed_unit`): all its numbers have the same state. Left out, each number has its own state.
 
     Attributes:
-        exchanged: by unit, number of requests that were received and answered without an exception, and are not in
-            counters and log yet. A session that answers many at once adds here, which is much quicker than
-            `CommunicationState.received` and `answered`; every reading of the counters includes it.
-        arrived, departed: likewise for answers that come later: requests received, and answers sent, without an
-            exception.
+        exchanged: by unit, number of requests that were answered without an exception and are not yet in counters and
+            log. A session that answers many at once adds here, which is much quicker than
+            `CommunicationState.received` and `answered`. `fold` moves the numbers to counters and logs.
+        arrived: by unit, number of requests received whose answer comes later; not yet in counters and log either.
+        departed: by unit, number of such later answers sent, without an exception; not yet in counters and log either.
         heard: what was heard since the start; call `fold` before you read it.
-        requests: requests for own units since the start, a broadcast once; nothing clears them.
+        requests: requests for own units since the start; a broadcast counts once. Never cleared.
         listen_only_units: the units that answer nothing until they are restarted.
         ascii_delimiter: the character that ends an ASCII frame (sub-function 03), 0x0A by default.
         changes_allowed: as above.
@@ -163,7 +164,7 @@ class LineDiagnostics:
         self._damage_log: deque[int] = deque(maxlen=EVENT_LOG_SIZE)
 
     def of(self, unit: int) -> "CommunicationState":
-        """Return the diagnostic state of the unit with this number, 0…255."""
+        """Return the diagnostic state of the unit with this number, 0…255; created at the first use."""
         state = self._states.get(unit)
         if state is None:
             listed = unit if self._listed_unit is None else self._listed_unit(unit)
@@ -218,9 +219,10 @@ class LineDiagnostics:
             state.log_received(event)
 
     def fold(self) -> None:
-        """Move the numbers in `exchanged`, `arrived` and `departed` to the counters and logs of their units.
+        """Count the numbers in `exchanged`, `arrived` and `departed` in the counters and logs of their units, and empty
+        the three.
 
-        They are 0 afterwards. To be called before a counter or a log is read.
+        To be called before a counter or a log is read; the properties here that return counters do so.
         """
         if not (self.exchanged or self.arrived or self.departed):
             return
@@ -233,7 +235,7 @@ class LineDiagnostics:
             self.of(unit).take_many(exchanged[unit], arrived[unit], departed[unit])
 
     def _distinct(self) -> list["CommunicationState"]:
-        """Return the diagnostic state of each device once, also of one that answers for several units."""
+        """Return the diagnostic state of each device once, even if the device answers for several units."""
         return [state for unit, state in list(self._states.items()) if unit == state.unit]
 
 
@@ -241,16 +243,16 @@ class CommunicationState:
     """Diagnostic counters, event log and mode of one unit, as `busway.pdu.model.Diagnostics` asks for.
 
     Args:
-        line: the line or listener that the unit is on; one of its own if left out.
-        unit: its number, 0…255.
-        heard_before: events of damaged frames, the newest first, from before anything was sent to the unit.
-        changes_allowed: the same for a line of its own.
+        line: the line or listener that the unit is on; if left out, the unit gets a line of its own.
+        unit: the number of the unit, 0…255.
+        heard_before: events of damaged frames, the newest first, from before the first message to the unit.
+        changes_allowed: for a line of its own, as in `LineDiagnostics`; without effect if ``line`` is given.
 
     Attributes:
         line: as above.
         unit: as above.
         own: the counters of what concerned this unit; those of what every unit hears are 0 here.
-        program_command_running: whether the status word of 11 and 12 is FFFF.
+        program_command_running: whether the status word of functions 11 and 12 is FFFF.
         diagnostic_register: what sub-function 02 returns; the application sets it.
     """
 
@@ -286,7 +288,7 @@ class CommunicationState:
 
     @property
     def counters(self) -> Counters:
-        """A copy of the eight diagnostic counters of the unit, up to date."""
+        """A copy of the eight diagnostic counters of the unit, up to date, since its last restart or clear."""
         self.line.fold()
         return _with_heard(self.own, self.line.heard, self._heard_before)
 
@@ -312,7 +314,10 @@ class CommunicationState:
     # What functions 08, 11 and 12 ask for.
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
-        """Execute a sub-function of function 08 and return the data of its reply. Raises `Refusal` 01 if unknown."""
+        """Execute a sub-function of function 08 and return the data of its reply.
+
+        Raises `Refusal` 01 if the sub-function is unknown or not allowed here, or in listen-only mode is no restart.
+        """
         self.line.fold()
         if sub_code in _CHANGES and not self.line.changes_allowed:
             raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "this listener does not take diagnostics that change it")
@@ -344,12 +349,17 @@ class CommunicationState:
         return 0xFFFF if self.program_command_running else 0, self.event_count
 
     def event_log(self) -> tuple[int, int, int, bytes]:
-        """Return status word, event and message counts, and up to 64 event bytes, newest first, for function 12."""
+        """Return what function 12 replies: status word, event count, message count, and up to 64 event bytes, newest
+        first.
+        """
         status, events = self.event_counter()
         return status, events, self.message_count, bytes(self._log)
 
     def restart(self, *, clear_log: bool = False) -> None:
-        """Restart communications (08/01): clear counters, leave listen-only mode, keep the event log unless asked."""
+        """Restart communications (08/01): clear the counters and leave listen-only mode.
+
+        ``clear_log`` empties the event log too.
+        """
         self._clear()
         self.line.listen_only_units.discard(self.unit)
         self._restart_clears_log = None
@@ -371,7 +381,7 @@ class CommunicationState:
         self._log.appendleft(_RECEIVED_MUTED if muted and self.unit in muted else _RECEIVED)
 
     def received_broadcast(self) -> None:
-        """Count a broadcast for this unit; the line has counted it already."""
+        """Count a broadcast for this unit; `LineDiagnostics.received_broadcast` has counted it for the line."""
         self.own.server_message_count += 1
         self.log_received(ReceiveEvent.RECEIVED | ReceiveEvent.BROADCAST)
 
@@ -380,7 +390,11 @@ class CommunicationState:
         self._log.appendleft(event | ReceiveEvent.LISTEN_ONLY if self.listen_only else event)
 
     def answered(self, *, exception: int | None = None, counts: bool = True) -> None:
-        """Count a reply of this unit; ``counts`` is False for functions that leave the event counter alone (11)."""
+        """Count a reply of this unit, and carry out the restart that its request may have asked for.
+
+        ``exception``: the exception code of the reply; None for a normal reply. ``counts``: whether a normal reply
+        raises the event count; False for functions that do not (11).
+        """
         line = self.line
         if line.exchanged or line.arrived or line.departed:
             line.fold()
@@ -405,9 +419,10 @@ class CommunicationState:
             self.own.bus_exception_error_count += 1
 
     def kept_silent(self, *, executed: bool = False, write_failed: bool = False) -> None:
-        """Count a message to this unit that is not answered.
+        """Count a message to this unit that is not answered, and carry out the restart that it may have asked for.
 
-        ``executed``: it was a broadcast, and is done. ``write_failed``: the port did not take the answer.
+        ``executed``: the message was a broadcast, and was executed. ``write_failed``: the port did not accept the
+        answer.
         """
         self.line.fold()
         self.own.server_no_response_count += 1
@@ -416,7 +431,10 @@ class CommunicationState:
         self._finish(_SENT | SendEvent.WRITE_TIMEOUT if write_failed else _SENT)
 
     def take_many(self, exchanged: int, arrived: int, departed: int) -> None:
-        """Count and log the exchanges of this unit in `LineDiagnostics.exchanged`, `arrived` and `departed`."""
+        """Count and log many messages of this unit at once: the unit's numbers of `LineDiagnostics.exchanged`,
+        `arrived` and
+        `departed`.
+        """
         self.own.server_message_count += exchanged + arrived
         self._event_count += exchanged + departed
         log = self._log
@@ -431,7 +449,9 @@ class CommunicationState:
             self.restart(clear_log=self._restart_clears_log)
 
     def _clear(self) -> None:
-        """Clear the diagnostic counters of the unit, also those of functions 11 and 12 (§6.9, §6.10)."""
+        """Clear the diagnostic counters of the unit, including the event and message counts of functions 11 and 12
+        (§6.9, §6.10).
+        """
         self.line.fold()
         self._heard_before = replace(self.line.heard)
         self.own = Counters()

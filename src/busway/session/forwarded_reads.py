@@ -2,12 +2,12 @@
 
 Knows the layout of a read and its answer on TCP, and the slots of a connection; knows no upstream and no route.
 
-1. A read is recognised by the ten bytes after its transaction, like the known reads of the server's fast path. The
-   responder is asked once what they mean, for all clients with the same rights.
+1. A read is recognised by the ten bytes after its transaction identifier, like the known reads of the server's fast
+   path. The responder is asked once how such a read is forwarded, for all clients with the same rights.
 2. Each read takes a slot until its answer is there (Messaging on TCP/IP V1.0b §4.4.2). If none is left, the read goes
    to the generic path, which answers 06.
-3. Each read taken here is answered once, by `answer`, `reply` or `refuse`, with the unit and the transaction of its
-   request; or it ends with the connection, and the batch that works on it is told.
+3. Each read taken here is answered once, by `answer`, `reply` or `refuse`, with the unit and the transaction identifier
+   of its request; or it ends with the connection, and the read batch that contains it is told.
 4. Answers and counters are the same as on the generic path.
 """
 
@@ -27,30 +27,32 @@ if TYPE_CHECKING:
 READ_SIZE = 12
 """Bytes of the ADU of a read (functions 01 to 04)."""
 _READ_LENGTH = b"\0\0\0\6"
-"""Protocol and length of such a read."""
+"""Protocol identifier and length field of such a read."""
 _UNIT_ASKED = 4
-"""Offset of the unit in the key of a read, and in the head of its answer."""
+"""Offset of the unit in the key of a read (its ten bytes after the transaction identifier), and in the head of its
+answer.
+"""
 LAST_READ = 4
 """The largest function code of these reads."""
 _PLAN_LIMIT = 4096
 DeliverTogether = Callable[[list[bytes]], None]
-"""Takes the bytes of late replies to the connection."""
+"""Function that sends the frames of several late replies on the connection."""
 
 
 class ForwardPlan:
     """How a gateway forwards one particular read: to which upstream unit, and with which request.
 
     Args:
-        target: the unit upstream it is sent to.
+        target: the upstream unit that the read is forwarded to.
         unit: the unit that the client named.
         request: the request sent upstream, prepared; its reply is the data alone, or a message with ``data``.
 
     Attributes:
         target: as above.
-        requests: the request, alone.
-        key: the bytes that identical reads of a unit have in common.
-        place: None: the data are not remembered.
-        head: the bytes between the transaction and the data of its answer.
+        requests: a tuple with the request alone.
+        key: the PDU of the request: the same for identical reads of one unit.
+        place: None: the data of the reply are not remembered.
+        head: what the client's reply has between the transaction identifier and the data.
     """
 
     __slots__ = ("head", "key", "requests", "target")
@@ -76,9 +78,9 @@ class ForwardPlans:
     """Cache of how known reads are forwarded, by the ten bytes after the transaction identifier.
 
     Attributes:
-        known: plans of the reads that are forwarded.
+        known: plans of the reads that are forwarded together.
         others: reads that take the generic path.
-        sole_target: the target of all known reads; None if there are several.
+        sole_target: the target of all reads in ``known``; None if there are several targets, or no reads.
         several_units: whether clients named more than one unit so far.
     """
 
@@ -95,7 +97,7 @@ class ForwardPlans:
         return key in self.known or key in self.others
 
     def learn(self, key: bytes, plan: ForwardPlan | None) -> None:
-        """Store how a read is forwarded; None means that such reads must be decoded and forwarded one by one."""
+        """Store how a read is forwarded; ``plan`` None means that such reads take the generic path, one by one."""
         if plan is None:
             if len(self.others) >= _PLAN_LIMIT:
                 self.others.clear()
@@ -116,17 +118,17 @@ class ForwardPlans:
 
 
 class ReadObserver(Protocol):
-    """Observer of forwarded reads, such as metrics: told of their replies (see `RequestPipeline`)."""
+    """Observer of forwarded reads, such as metrics; is told of their replies. A `RequestPipeline` is one."""
 
     @property
     def clock(self) -> Callable[[], float]:
-        """The clock that measures the time ``began`` of a read."""
+        """The clock that ``began`` is measured with, in seconds."""
 
     def forwarded(self, client: "ClientIdentity", replies: Sequence[bytes], began: float) -> None:
         """Report that reads which arrived together at ``began`` were answered with these ADUs."""
 
     def unanswered(self, client: "ClientIdentity", requests: int) -> None:
-        """Report that a client disconnected before so many of its reads were answered."""
+        """Report that a client disconnected before ``requests`` of its reads were answered."""
 
 
 @runtime_checkable
@@ -134,7 +136,7 @@ class ReadForwarder(Protocol):
     """Interface of a gateway's responder that can forward several reads together."""
 
     def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
-        """Return how a read is forwarded; None if it has to be decoded and forwarded by itself."""
+        """Return how a read is forwarded; None if the read has to be decoded and forwarded by itself."""
 
 
 @lru_cache(maxsize=64)
@@ -147,10 +149,11 @@ class ForwardedReads:
     """The reads of one client connection that a gateway has forwarded, and their replies until they are sent.
 
     Attributes:
+        plans: how known reads are forwarded; the session replaces the object when rights change.
         peer: ``host:port`` of the client.
         is_priority: whether the client is a priority host.
         waiting: number of reads whose answer is still to come.
-        batches: the batches that work on its reads; they add and remove themselves.
+        batches: the read batches that contain reads of this connection; they add and remove themselves.
     """
 
     __slots__ = (
@@ -194,8 +197,15 @@ class ForwardedReads:
         self.batches: dict[Any, None] = {}  # Any: batches are the gateway's
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
-        """Forward the reads in ``buffer`` from ``at`` on whose plan is cached, up to the limit of requests. Returns
-        their end.
+        """Forward consecutive known reads in ``buffer``, as many as have a free slot.
+
+        Args:
+            buffer: received bytes.
+            at: offset of the first read.
+            size: number of valid bytes in ``buffer``.
+
+        Returns:
+            The offset after the last read that was forwarded; ``at`` if none was.
         """
         slots = self._slots
         count = min((size - at) // READ_SIZE, slots.limit - slots.used)
@@ -238,7 +248,7 @@ class ForwardedReads:
         return end
 
     def _known_ones(self, keys: Sequence[bytes]) -> Iterator[ForwardPlan]:
-        """Return how each read is forwarded, up to the first read that is not known yet."""
+        """Yield how each read is forwarded, up to the first read that is not known yet."""
         for key in keys:
             plan = self.plans.known.get(key)
             if plan is None:
@@ -256,7 +266,10 @@ class ForwardedReads:
             target.ask(self, some, their_plans)
 
     def answer(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan], data: Sequence[bytes]) -> None:
-        """Answer the reads of one upstream unit with the data it sent; `send` transmits the replies."""
+        """Answer reads with the data that their upstream unit sent; the three sequences go together.
+
+        `send` transmits the replies.
+        """
         if self._is_open:
             count = len(plans)
             self.waiting -= count
@@ -304,6 +317,8 @@ class ForwardedReads:
     def close(self) -> None:
         """End with the client's connection: reads without reply get none, and no longer count towards the limit of
         requests.
+
+        Tells the observer and the read batches.
         """
         self._is_open = False
         if self._observed_by is not None and self.waiting:

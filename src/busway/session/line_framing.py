@@ -22,12 +22,14 @@ from ..pdu.functions import STANDARD, FunctionTable
 
 
 class LineFraming:
-    """How one station speaks RTU or ASCII: receiver, encoder and silent times. Created by `line_framing`.
+    """How one station (master or server) speaks RTU or ASCII: receiver, encoder, silent times.
+
+    Created by `line_framing`.
 
     Attributes:
-        receiver: finds the frames.
-        timing: character time, t1.5, t3.5.
-        send_gap: seconds of silence before a frame of ours.
+        receiver: finds the frames in received bytes.
+        timing: character time, t1.5 and t3.5 of the line.
+        send_gap: seconds of silence on the line before a frame may be sent; 0 with ASCII and over a network.
     """
 
     __slots__ = ("_ascii", "_rtu", "receiver", "send_gap", "timing")
@@ -41,7 +43,7 @@ class LineFraming:
 
     @property
     def is_network(self) -> bool:
-        """Whether the frames travel over a network, so that characters have no duration."""
+        """Whether the frames travel over a network, where characters have no duration, and not on a serial wire."""
         return not self.timing.character
 
     def encode(self, unit: int, pdu: bytes) -> bytes:
@@ -51,7 +53,10 @@ class LineFraming:
         return encode_rtu(unit, pdu)
 
     def skip_requests(self, now: float) -> bool:
-        """As `RtuReceiver.skip_requests`; False with ASCII and with strict timing."""
+        """Skip requests that were recognised without the receiver, as `RtuReceiver.skip_requests` does.
+
+        Returns whether that was possible; always False with ASCII and with strict timing.
+        """
         return self._rtu is not None and self._rtu.skip_requests(now)
 
     def delimit_by(self, character: int) -> None:
@@ -76,14 +81,14 @@ def line_framing(
 
     Args:
         framing: ``rtu`` or ``ascii``.
-        role: master, server or observer.
+        role: what the station is on the line: master, server or observer.
         timing: character times of a wire or of a network.
-        parameters: options of the framing.
+        parameters: options of the framing; None for the defaults.
         functions: the functions whose lengths are known.
         units: the own units of a server; may be a live view.
         echo: whether the port echoes the bytes that are sent.
-        strip_parity: ASCII: whether the eighth bit is ignored.
-        started: when the port was opened; None where the line is known to be idle.
+        strip_parity: only for ASCII: whether the eighth bit of a character is ignored.
+        started: when the port was opened, in the clock of later calls; None if the line is known to be idle.
 
     Raises:
         ConfigError: a ``gap_limit`` below t3.5, or strict timing where characters have no times.

@@ -1,12 +1,12 @@
 """The way of every request through a server: authorizer, responder and observers; or the fast path past them.
 
-Knows the order of the parts, and when what was learnt becomes invalid; knows no transport, no device and no rule.
+Knows the order of the parts, and when the fast path becomes invalid; knows no transport, no device and no rule.
 
 1. Generic path (`RequestPipeline.answer`): listen-only mode, decode, authorizer, responder. The authorizer stands
    beside the responder: it permits or refuses, and answers nothing else.
-2. Fast path (`FastPath`): from the bytes of a request to a function that computes the reply, never to the data of a
-   reply. It is the only cache on the way. It is shared by clients with equal rights, contains only what these rights
-   permit, and is dropped as a whole when ``generation`` changes.
+2. Fast path (`FastPath`): the bytes of a request lead to a function that computes the reply, never to stored data of
+   a reply. It is the only cache between request and reply. It is shared by clients with equal rights, contains only
+   what these rights permit, and is dropped as a whole when ``generation`` changes.
 3. Both paths give the same replies (a property test compares them). What the fast path cannot decide takes the generic
    path, so each refusal is decided, counted and recorded there.
 4. Observers see what becomes of requests on both paths, and cannot change it.
@@ -38,26 +38,33 @@ from .responder import (
 
 _DIAGNOSTICS: Final = int(FunctionCode.DIAGNOSTICS)
 _MOST_RIGHTS: Final = 256
-"""Most sets of rights whose fast path is kept; beyond that, all are dropped and learnt anew."""
+"""Most sets of rights whose fast path is kept; when there are more, all fast paths are dropped and built anew."""
 MOST_READS: Final = 4096
 """Most reads that one fast path knows by all their bytes: enough for a poller of 4096 different ranges. Other reads are
-answered by the function of their unit: 1.0 µs instead of 0.4."""
+answered by the function for their unit and function code: that takes 1.0 µs instead of 0.4.
+"""
 PLANNED: Final = frozenset({int(FunctionCode.READ_HOLDING_REGISTERS), int(FunctionCode.READ_INPUT_REGISTERS)})
-"""The functions whose reads are known by all their bytes; a read of bits has to shift them."""
+"""Codes of the functions whose reads are known by all their bytes.
+
+Reads of bits are not: their data must be shifted.
+"""
 _MOST_FUNCTIONS: Final = 4096
-"""Most functions of units that one fast path knows."""
+"""Most answering functions (one for each unit and function code) that one fast path keeps."""
 
 
 class ClientRights(Protocol):
-    """Interface of what a policy permits to certain clients; equal for clients with equal rights."""
+    """Interface of what a policy permits to certain clients; objects of clients with equal rights are equal."""
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """Return a function that answers requests with one function code from their bytes; None if each needs a policy
-        decision.
+        """Return a function that answers requests with one function code from their bytes.
+
+        ``kind`` is the request class of that code. None if each request needs a decision of the policy.
         """
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read request is always permitted, without a rate limit, so that it may be forwarded unchecked."""
+        """Whether a read request is always permitted, without a rate limit, so that the same read needs no check
+        later.
+        """
 
 
 class Authorizer(Protocol):
@@ -65,7 +72,7 @@ class Authorizer(Protocol):
 
     @property
     def generation(self) -> int:
-        """A number that changes when earlier decisions, or results of `rights_of`, are no longer valid."""
+        """A number that changes when earlier decisions, or earlier results of `rights_of`, are no longer valid."""
 
     def rights_of(self, client: ClientIdentity) -> ClientRights:
         """Return what the access rules permit to a client."""
@@ -73,25 +80,29 @@ class Authorizer(Protocol):
     def authorize(
         self, context: RequestContext, request: AnyRequest, served: ServedUnit | None
     ) -> ExceptionResponse | None:
-        """Return None to permit a request, or the reply that refuses it. Sets `RequestContext.judged`."""
+        """Return None to permit a request, or the exception reply that refuses it. Sets `RequestContext.judged`.
+
+        ``served`` is what `Responder.serves` returned for the unit asked.
+        """
 
 
 class RequestObserver(Protocol):
     """Observer of requests and their outcomes, without influence on them. Seconds count from a request's arrival."""
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Called with replies of the fast path (from bytes to bytes), as Modbus TCP frames, and the seconds all of them
-        took.
+        """Called with replies of the fast path, as Modbus TCP frames, and the seconds that all of them took
+        together.
         """
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Called when a client disconnected before so many of its forwarded requests were answered."""
+        """Called when a client disconnected before its forwarded reads were answered; ``requests`` is their number."""
 
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
     ) -> None:
-        """Called with the outcome of a request that the fast path did not answer: a reply, `SILENCE`, or None after a
-        disconnect.
+        """Called with the outcome of a request that the fast path did not answer.
+
+        The outcome is a reply, `SILENCE` if there is none, or None if the client disconnected before it.
         """
 
 
@@ -104,13 +115,13 @@ class ResponderFailure:
 
 
 class RequestPipeline:
-    """The processing of every request of a listener: authorizer, then responder; observers see the outcome.
+    """The processing of every request of a listener: authorizer, then responder; observers are told the outcome.
 
     Args:
         responder: answers permitted requests.
         authorizer: permits requests; None permits all.
-        observers: see what becomes of them.
-        clock: seconds, for observers.
+        observers: are told what becomes of requests.
+        clock: returns the time in seconds; from it come the durations that observers get.
     """
 
     def __init__(
@@ -136,12 +147,15 @@ class RequestPipeline:
 
     @property
     def generation(self) -> int:
-        """A number that changes when functions compiled to answer requests from bytes are no longer valid."""
+        """A number that changes when the functions that answer requests from their bytes are no longer valid."""
         authorizer = self.authorizer
         return self.responder.generation if authorizer is None else self.responder.generation + authorizer.generation
 
     def fast_path(self, client: ClientIdentity) -> "FastPath":
-        """Return the cache of functions that answer from bytes, shared by all clients with the same rights."""
+        """Return the functions that answer requests from their bytes, shared by all clients with the same rights.
+
+        A session calls it again when `generation` has changed.
+        """
         generation = self.generation
         if self._fast_of != generation or len(self._fast) > _MOST_RIGHTS:
             self._fast, self._fast_of = {}, generation
@@ -152,7 +166,10 @@ class RequestPipeline:
         return found
 
     def answer(self, context: RequestContext, pdu: bytes, failures: list[ResponderFailure]) -> Outcome:
-        """Decode and answer a request that the fast path did not answer. Responder errors are added to ``failures``."""
+        """Decode and answer a request that the fast path did not answer.
+
+        An exception of the responder other than `Refusal` is added to ``failures``, and the outcome is exception 04.
+        """
         function = context.function
         was_listen_only = context.diagnostics.listen_only
         if was_listen_only and function != _DIAGNOSTICS:
@@ -184,21 +201,21 @@ class RequestPipeline:
         return outcome
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], began: float) -> None:
-        """Report to the observers replies of the fast path (from bytes to bytes) to requests that
-        arrived at ``began``.
-        """
+        """Report replies of the fast path to the observers; ``began`` is when their requests arrived, by ``clock``."""
         seconds = self.clock() - began
         for observer in self.observers:
             observer.answered(client, replies, seconds)
 
     def forwarded(self, client: ClientIdentity, replies: Sequence[bytes], began: float) -> None:
-        """Report to the observers replies to forwarded reads, each of which arrived at ``began``."""
+        """Report replies to forwarded reads to the observers; all these reads arrived at ``began``, by ``clock``."""
         seconds = (self.clock() - began) * len(replies)
         for observer in self.observers:
             observer.answered(client, replies, seconds)
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Report to the observers forwarded reads whose client disconnected before their replies."""
+        """Report to the observers that a client disconnected before ``requests`` of its forwarded reads were
+        answered.
+        """
         for observer in self.observers:
             observer.unanswered(client, requests)
 
@@ -213,11 +230,12 @@ class FastPath:
     """Cache of functions that answer requests from their bytes, for all clients with the same rights.
 
     Attributes:
-        reads: how reads of registers are answered, by the ten bytes after the transaction: a poller repeats them.
-        functions: by the two bytes of unit and function, what computes the reply PDU (`busway.pdu.fast_answers`); None
-            where all requests take the generic path.
-        frames: likewise for RTU frames that come over a network, by their eight bytes: a known frame needs no CRC.
-        forwards: reads that a gateway forwards, by the ten bytes of ``reads``.
+        reads: how reads of registers are answered, by the ten bytes after the transaction identifier: a poller sends
+            the same reads again and again.
+        functions: by the two bytes of unit and function code, the function that computes the reply PDU
+            (`busway.pdu.fast_answers`); None where all requests take the generic path.
+        frames: as ``reads``, for RTU frames that come over a network, by their eight bytes: a known frame needs no CRC.
+        forwards: reads that a gateway forwards, by the same ten bytes as ``reads``.
     """
 
     __slots__ = ("_responder", "_rights", "forwards", "frames", "functions", "reads")
@@ -231,8 +249,9 @@ class FastPath:
         self.forwards: ForwardPlans = ForwardPlans()
 
     def bind(self, unit: int, function: int) -> Answer | None:
-        """Find and keep the function that answers one function code of a unit from bytes; None if requests must be
-        decoded.
+        """Find and keep the function that answers one function code of a unit from bytes.
+
+        None if such requests must take the generic path; that is kept too.
         """
         answer = self._bound(unit, function)
         if len(self.functions) >= _MOST_FUNCTIONS:
@@ -247,8 +266,9 @@ class FastPath:
         return kind.direct(served.device) if self._rights is None else self._rights.bind(unit, served, kind)
 
     def learn_read(self, adu: bytes) -> bool:
-        """Store the bytes of a read just answered, to recognise it next time. Returns whether there is
-        room for more.
+        """Store the bytes of a read just answered, so that the same read is recognised next time.
+
+        ``adu`` is the whole request on TCP. Returns whether there is room for more reads.
         """
         plan = self._plan(adu[6], adu[7:])
         if plan is not None:
@@ -256,14 +276,19 @@ class FastPath:
         return len(self.reads) < MOST_READS
 
     def learn_frame(self, frame: bytes) -> None:
-        """Store the eight bytes of an RTU frame with a read just answered, to recognise it next time."""
+        """Store the eight bytes of an RTU frame with a read just answered, so that the same frame is recognised next
+        time.
+        """
         if len(self.frames) < MOST_READS:
             plan = self._plan(frame[0], frame[1:-2])
             if plan is not None:
                 self.frames[frame] = plan
 
     def can_forward(self, forwarder: ReadForwarder, context: RequestContext, adu: bytes) -> bool:
-        """Find out how a new read is forwarded. Returns whether such reads are forwarded undecoded from now on."""
+        """Find out how a read that is not known yet is forwarded, and keep that.
+
+        Returns whether this read is forwarded undecoded from now on; False also if it is known already.
+        """
         key = adu[2:]
         if not is_read(adu) or key in self.forwards:
             return False  # a known read comes here if no slot is left, or it needs the generic path
@@ -281,7 +306,9 @@ class FastPath:
         return plan if plan is not None and self._permits(unit, served, pdu) else None
 
     def _direct(self, unit: int, function: int) -> tuple[ServedUnit | None, type[Request] | None]:
-        """Return unit and request class of a function code if the unit's device can answer it from bytes; else None."""
+        """Return unit and request class of a function code, or two times None if the device cannot answer it from
+        bytes.
+        """
         served = self._responder.serves(unit)
         if served is None or served.device is None or not served.is_direct or not served.device.enabled(function):
             return None, None
@@ -309,4 +336,4 @@ class _NoUnits:
 
 
 NO_FAST_PATH: Final = FastPath(_NoUnits(), None)
-"""Knows no request: while a unit of the listener is in listen-only mode."""
+"""A fast path that answers no request: used while a unit of the listener is in listen-only mode."""

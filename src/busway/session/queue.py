@@ -2,18 +2,18 @@
 
 Knows callers, units and the order among them; knows no clock and no bytes.
 
-1. Round robin over callers, one request each. A new caller is served before the one that was served last: a flood
-   of one caller delays the others by the request on the line and no more.
+1. Round robin over callers, one request each. A new caller is served before the one that was served last, so a flood
+   of one caller delays the others by the request in flight and no more.
 2. Of one caller, writes go before reads to other units, but never past its own earlier requests to the same unit.
 3. A unit that must not be asked now (``eligible``) holds up its own requests only.
 4. The queue is bounded; a call that does not fit is refused before anything was sent.
-5. For a caller that acts for many (a client of a gateway), its units can be served in turn too (``units_in_turn``).
+5. For a caller that acts for many (a client of a gateway), the units it asks can be served in turn (``units_in_turn``).
 6. Where several requests may be sent at once, a caller's turn may be more than one of them (``burst``), because
    requests that leave together are answered together. A turn never waits for more room: if only one request may be
    sent, it is one.
-7. The priority hosts of a gateway go first (`Call.is_priority`). When each of those that wait has had a turn, one of
-   the others has one, so none waits for ever. A flood of others costs a priority host what is in flight and one turn,
-   and it finds `RESERVED_PLACES` in a queue that they have filled.
+7. The priority hosts of a gateway go first (`Call.is_priority`). When each waiting priority host has had a turn, one
+   other caller has a turn, so none waits for ever. A flood of other callers delays a priority host by what is in flight
+   and one turn; in a queue that they have filled there are still `RESERVED_PLACES` for it.
 """
 
 from collections import deque
@@ -25,13 +25,16 @@ from .call import Call
 BURST = 8
 """Largest turn, in requests, of a gateway's client while others wait. Requests that leave together are answered
 together, in one segment for the server and one for the client: 8 at once take 10 µs each, 4 take 15, single ones 45.
-Half of the requests that may be in flight, so that two clients have their turns at once."""
+It is half of the requests that may be in flight, so that two clients have their turns at once.
+"""
 
 RESERVED_PLACES = 64
-"""Places beyond the limit of a queue that only priority hosts take: what four connections may have in work."""
+"""Places beyond the limit of a queue that only priority hosts may take: enough for the open requests of four
+connections.
+"""
 
 Eligible = Callable[[Call], bool]
-"""Whether the unit of a call may be asked now."""
+"""Function that tells whether the unit of a call may be asked now."""
 
 
 class _Caller:
@@ -68,14 +71,19 @@ class _Caller:
         return chosen
 
     def has_served(self, unit: int) -> None:
-        """Record that a request to this unit was sent, so that other units come before it, if units take turns."""
+        """Record that a request to this unit is sent, so that the caller's other units come before it, if units take
+        turns.
+        """
         served = self.served
         if served is not None and len(self.units) > 1:
             served.pop(unit, None)
             served[unit] = None
 
     def _unit_in_turn(self, served: dict[int, None], eligible: Eligible | None) -> Call | None:
-        """Return the caller's oldest call to the unit that has waited longest since its last request."""
+        """Return the caller's oldest call to the unit that has waited longest since its last request.
+
+        Units that ``eligible`` excludes are left out; None if no unit is left.
+        """
         oldest: dict[int, Call] = {}
         for call in self.calls:
             oldest.setdefault(call.unit, call)
@@ -110,10 +118,10 @@ class RequestQueue:
     """The bounded queue of the calls of a link that have requests left to send.
 
     Attributes:
-        limit: how many places there are; for priority hosts `RESERVED_PLACES` more.
+        limit: number of places for calls; for priority hosts there are `RESERVED_PLACES` more.
         size: how many calls are queued.
-        waiting: how many places they take (`Call.places`); ``limit`` applies to this number.
-        burst: requests of one caller that may be sent before the next caller's turn, if there is room for all of them.
+        waiting: how many places the queued calls take (`Call.places`); ``limit`` applies to this number.
+        burst: requests of one caller that may be sent before the next caller's turn, if that many may be sent at once.
         begun: calls with both sent and waiting requests; kept only if ``burst`` is above 1.
         units_in_turn: whether the units of a caller are served in turn, instead of its requests in their order.
     """
@@ -148,7 +156,10 @@ class RequestQueue:
         self._last: _Caller | None = None  # the caller served last
 
     def add(self, call: Call) -> None:
-        """Queue a call after the others of its caller. Raises `Overloaded` if the queue is full."""
+        """Queue a call after the others of its caller.
+
+        Raises `Overloaded` if the queue is full; then nothing was sent.
+        """
         limit = self.limit + RESERVED_PLACES if call.is_priority else self.limit
         if self.waiting + call.places > limit:
             raise Overloaded(f"{limit} calls wait on this link already; nothing was sent")
@@ -190,8 +201,10 @@ class RequestQueue:
         self.waiting += call.places
 
     def share(self, room: int) -> int:
-        """Return how many of ``room`` free slots a caller may use in one turn: ``burst``, or its fair
-        share if larger.
+        """Return how many requests one caller may send in its turn, if ``room`` more may be in flight.
+
+        All of them for a sole caller. With several callers 1, or if ``burst`` is above 1: ``burst``, or an equal part
+        of ``room`` where that is more.
         """
         callers = len(self._callers)
         if callers == 1:
@@ -199,7 +212,10 @@ class RequestQueue:
         return 1 if self.burst == 1 else max(self.burst, room // callers)
 
     def sent(self, call: Call, count: int) -> None:
-        """Count ``count`` requests of a picked call as sent; a call with none left leaves the queue."""
+        """Record that ``count`` requests of a picked call were sent.
+
+        The call leaves the queue if it has none left to send.
+        """
         if not call.has_more:
             self.remove(call)
             return
@@ -210,7 +226,10 @@ class RequestQueue:
             self.waiting -= freed
 
     def pick_same(self, eligible: Eligible | None = None) -> Call | None:
-        """Return a further call of the caller that `pick` chose last, so that its turn goes on; None without one."""
+        """Return a further call of the caller that `pick` chose last, so that its turn goes on.
+
+        None if that caller has no call left, or none that ``eligible`` allows.
+        """
         caller = self._last
         if caller is None or not caller.calls:
             return None
@@ -220,7 +239,12 @@ class RequestQueue:
         return call
 
     def pick(self, eligible: Eligible | None = None) -> Call | None:
-        """Return the call whose request is sent next, or None. Its caller goes to the end of the round."""
+        """Return the call whose request is sent next; its caller's turn is then over.
+
+        The call itself stays in the queue.
+
+        None if no queued call may be sent, as judged by ``eligible``; without it every call may.
+        """
         others = self._others
         if len(self._callers) == 1 and others.callers:  # the usual case
             caller = others.callers[0]
@@ -236,7 +260,9 @@ class RequestQueue:
         return call
 
     def peek(self, eligible: Eligible | None = None) -> Call | None:
-        """Return the call that `pick` would return now, without ending its caller's turn."""
+        """Return the call that `pick` would return now, without ending its caller's turn; None if no call may be
+        sent.
+        """
         for round_ in self._rounds() if self._priority.callers else (self._others,):
             for caller in round_.callers:
                 call = caller.pick(eligible)
@@ -245,7 +271,7 @@ class RequestQueue:
         return None
 
     def take_turn(self, call: Call) -> None:
-        """End the turn of the caller of this call: it goes, with those before it, to the end of the round."""
+        """End the turn of the caller of this call: that caller, with those before it, goes to the end of the round."""
         caller = self._last = self._callers[call.caller]
         round_ = caller.round
         round_.last = caller
@@ -259,7 +285,7 @@ class RequestQueue:
             caller.has_served(call.unit)
 
     def _rounds(self) -> tuple[_Round, ...]:
-        """Return both rounds of callers, the one whose turn is next first."""
+        """Return both rounds, of priority hosts and of other callers; the one to be served now comes first."""
         if self._passed >= self._allowed:
             return self._others, self._priority
         return self._priority, self._others

@@ -3,8 +3,8 @@
 Knows outcomes and times; knows no socket. ``jitter`` is passed in (it returns a number 0…1), so a test can fix it.
 
 1. After a connection that brought a valid reply, the next request reconnects at once.
-2. After one that could not be opened, or ended without a valid reply, there is a pause that doubles each time. Only a
-   valid reply resets it: a peer that accepts and closes is not a peer that works.
+2. After a connection that could not be opened, or ended without a valid reply, there is a pause. It doubles each time.
+   Only a valid reply resets it: a peer that accepts and closes is not a peer that works.
 3. A connection that ends without any request sent, or is closed because it is unused, changes neither pause nor count.
 4. Every change of state is reported once. Failed attempts in a row are counted, and reported when the peer answers.
 """
@@ -15,7 +15,9 @@ from typing import Final
 
 
 class ConnectionState(Enum):
-    """States of a client's connection, from closed to up or backing off."""
+    """States of a client's connection; SUSPECT is an open connection after a timeout, BACKING_OFF a pause before an
+    attempt.
+    """
 
     DOWN = "down"
     CONNECTING = "connecting"
@@ -25,7 +27,10 @@ class ConnectionState(Enum):
 
 
 class ConnectionEvent(Enum):
-    """Events that change the state of a client's connection, such as connected, lost or failed."""
+    """Events that change the state of a client's connection.
+
+    DIALLED: an attempt has begun; RELEASED: closed as unused.
+    """
 
     DIALLED = "dialled"
     CONNECTED = "connected"
@@ -53,13 +58,16 @@ TRANSITIONS: dict[tuple[ConnectionState, ConnectionEvent], ConnectionState] = {
     (_S.UP, _E.RELEASED): _S.DOWN,
     (_S.SUSPECT, _E.RELEASED): _S.DOWN,
 }
-"""State after each event. LOST leads to BACKING_OFF instead if the connection brought no valid reply (rule 2). RELEASED
-is an end that counts neither way (rule 3)."""
+"""The next state, by present state and event; an event without an entry changes nothing.
+
+LOST leads to BACKING_OFF instead if the connection brought no valid reply (rule 2). RELEASED is an end that counts
+neither as a success nor as a failure (rule 3).
+"""
 
 FIRST_PAUSE: Final = 0.1
 """Seconds of the first pause."""
 LONGEST_PAUSE: Final = 5.0
-"""Seconds of the longest pause: the longest wait for a device that is back."""
+"""Seconds of the longest pause: a device that is back waits no longer than this to be connected to."""
 
 
 class Reconnect:
@@ -67,7 +75,7 @@ class Reconnect:
 
     Attributes:
         state: the current state.
-        failures: connections in a row that brought no valid reply.
+        failures: attempts and connections in a row that brought no valid reply.
         not_before: when the next attempt may be made, in the clock of ``now``.
     """
 
@@ -82,12 +90,12 @@ class Reconnect:
         self.not_before: float = 0.0
 
     def move(self, event: ConnectionEvent, now: float, *, reason: str = "", had_reply: bool = False) -> str:
-        """Change the state of the connection by an event; one that the table has no entry for changes nothing.
+        """Change the state of the connection by an event. An event without an entry in `TRANSITIONS` changes nothing.
 
         Args:
             event: the event.
             now: the time of the event, in seconds.
-            reason: why, in words.
+            reason: the cause of the event, in words.
             had_reply: for `LOST`: whether the connection had brought a valid reply.
 
         Returns:
@@ -109,19 +117,22 @@ class Reconnect:
 
     @property
     def is_flapping(self) -> bool:
-        """Whether several attempts to connect failed in a row, so that calls fail at once instead of waiting."""
+        """Whether a pause follows several connections in a row without a valid reply; then calls fail at once, and do
+        not wait.
+        """
         return self.state is ConnectionState.BACKING_OFF and self.failures > 1
 
     def may_dial(self, now: float) -> bool:
-        """Whether an attempt to connect may be made now; ends the state BACKING_OFF if the pause is over."""
+        """Whether an attempt to connect may be made now. Also ends the state BACKING_OFF if its pause is over."""
         if self.state is ConnectionState.BACKING_OFF and now >= self.not_before:
             self.move(ConnectionEvent.PAUSE_OVER, now)
         return self.state is ConnectionState.DOWN
 
 
 def _news(event: ConnectionEvent, reason: str, failed: int, state: ConnectionState, *, new_state: bool) -> str:
-    """Return the log message for a connection event; empty if it needs none. ``failed``: attempts
-    without valid reply.
+    """Return the log message for a connection event; empty if it needs none.
+
+    ``failed``: connections in a row without a valid reply before the event. ``state``: the state after it.
     """
     if event is ConnectionEvent.VALID_REPLY:
         if failed:

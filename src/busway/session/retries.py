@@ -2,9 +2,9 @@
 
 Knows the queue, retries and the errors a request ends with; knows no framing, and no reply.
 
-1. A read is repeated after a timeout or a lost connection, a write only if nothing of it left this host or
+1. A read is repeated after a timeout or a lost connection; a write is repeated only if nothing of it left this host or
    ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
-2. Every request gets exactly one outcome. A call whose requests all have one is in ``finished``.
+2. Every request gets exactly one outcome. A call whose requests all have their outcome is in ``finished``.
 3. A call may have a deadline; time in the queue counts.
 """
 
@@ -20,7 +20,23 @@ from .queue import RequestQueue
 
 @dataclass(slots=True)
 class ClientCounters:
-    """Counters of a link since its creation."""
+    """Counters of a link since its creation.
+
+    Attributes:
+        exceptions: replies that are exception replies; they do not count in ``replies``.
+        retries: requests arranged to be sent again.
+        bad_replies: replies to a request that break the protocol or do not fit the request.
+        late_replies: replies that came after the timeout of their request.
+        foreign_replies: frames that answer no request of this link.
+        tolerated_replies: replies accepted although their transaction identifier was wrong (option ``mismatch``).
+        foreign_protocol: TCP frames with a protocol identifier other than 0.
+        overruns: damaged frames with a character overrun.
+        markers: marker requests sent (`busway.session.late_replies`).
+        suspended: requests that failed at once because the circuit breaker of their unit was open.
+        cancelled: calls that were cancelled before they had all outcomes.
+        overloaded: calls that were refused because the queue was full.
+        recycled: connections that the link itself gave up, to open another.
+    """
 
     requests: int = 0
     replies: int = 0
@@ -49,9 +65,9 @@ class CallTracker:
     Attributes:
         endpoint: URL of the link, for errors.
         parameters: retries and the limit of the queue.
-        queue: calls that have something left to send.
+        queue: calls with requests left to send.
         counters: counters of the link.
-        finished: calls that have all their outcomes; the driver empties the list.
+        finished: calls whose requests all have an outcome; the driver empties the list.
         deadlines: how many open calls have a deadline.
     """
 
@@ -66,7 +82,7 @@ class CallTracker:
         self.deadlines: int = 0
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue a call. Raises `Overloaded` if the queue is full; nothing was sent then."""
+        """Queue a call. Raises `Overloaded` if the queue is full; then nothing was sent."""
         try:
             self.queue.add(call)
         except Overloaded as error:
@@ -76,13 +92,16 @@ class CallTracker:
         self.begin(call, now)
 
     def begin(self, call: Call, now: float) -> None:
-        """Track a call that is sent at once, without entering the queue."""
+        """Start to track a call; `submit` does so for queued calls.
+
+        Called alone for a call that is sent without queueing.
+        """
         call.submitted = now
         if call.deadline is not None:
             self.deadlines += 1
 
     def withdraw(self, call: Call) -> None:
-        """Take a cancelled call out of the queue: no more requests of it are sent."""
+        """Remove a cancelled call from the queue: no more requests of it are sent, and it is never in ``finished``."""
         self.queue.remove(call)
         if call.open and not call.ended:
             self.counters.cancelled += 1
@@ -95,7 +114,7 @@ class CallTracker:
         reason: Callable[[], ModbusError],
         in_flight: Collection[tuple[int, int]] = (),
     ) -> None:
-        """End the unsent requests of a call, each with an error of its own.
+        """End the unsent requests of a call; ``reason`` is called once for each of them and returns its error.
 
         ``in_flight`` holds (``id`` of the call, position) of the requests already sent; those go on.
         """
@@ -105,12 +124,12 @@ class CallTracker:
                 self._given_up(call, position, reason(), now)
 
     def suspended(self, call: Call, pause: float, timeouts: int) -> UnitSuspended:
-        """Return the error of a request to a unit whose circuit breaker is open, and count it.
+        """Create the error for a request to a unit whose circuit breaker is open, and count it.
 
         Args:
             call: the call of the request.
             pause: seconds until the unit may be asked again.
-            timeouts: how often in a row it did not answer.
+            timeouts: how often in a row the unit did not answer.
         """
         self.counters.suspended += 1
         return UnitSuspended(
@@ -122,7 +141,8 @@ class CallTracker:
         )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """End every waiting call with the same error, because no connection could be opened.
+        """End every call in the queue because no connection could be opened; each open request gets a copy of
+        ``error``.
 
         With ``keep_repeated`` a call that is about to be repeated stays in the queue.
         """
@@ -138,7 +158,7 @@ class CallTracker:
                     self._given_up(call, position, copy, now)
 
     def next_deadline(self) -> float | None:
-        """The earliest deadline among the calls in the queue; None if none has one."""
+        """The earliest deadline among the calls in the queue; None if no queued call has a deadline."""
         if not self.deadlines:
             return None
         return min((one.deadline for one in self.queue if one.deadline is not None), default=None)
@@ -153,8 +173,9 @@ class CallTracker:
 
         Args:
             now: the time.
-            in_flight: (``id`` of the call, position) of the requests already sent.
-            reason: gives the error for a call that had a particular reason not to be sent, else None.
+            in_flight: (``id`` of the call, position) of the requests already sent; these are not ended here.
+            reason: returns the error for a call that was held back for a particular reason; None for the usual error.
+                Called only for requests that were never sent.
         """
         if not self.deadlines:
             return
@@ -182,7 +203,11 @@ class CallTracker:
             self.conclude(call, position, self.placed(error, call, position, now))
 
     def failed(self, call: Call, position: int, error: ModbusError, now: float, *, again: bool) -> None:
-        """Handle a sent request without valid answer: repeat it if rule 1 allows, else end it with the right error."""
+        """Handle a sent request without valid answer: repeat it if that is allowed (rule 1), else end it with an error.
+
+        ``again`` False forbids a repetition. An error of a write becomes `WriteOutcomeUnknown`, because the write may
+        have been executed.
+        """
         request = call.requests[position]
         attempt = call.attempts.get(position, 1)
         guarded = request.is_write and not call.idempotent
@@ -197,7 +222,7 @@ class CallTracker:
             self.conclude(call, position, self.placed(error, call, position, now))
 
     def repeat(self, call: Call, position: int) -> None:
-        """Repeat a read that may have been answered; this uses up none of its retries."""
+        """Repeat a read whose reply may have been taken for a late one; this uses up none of its retries."""
         call.repeated = {**call.repeated, position: call.repeated.get(position, 0) + 1}
         self._again(call, position)
 
@@ -216,7 +241,7 @@ class CallTracker:
         self.conclude(call, position, self.placed(unknown, call, position, now))
 
     def placed(self, error: ModbusError, call: Call, position: int, now: float) -> ModbusError:
-        """Return an error completed with endpoint, unit, function, address, attempt and elapsed time."""
+        """Add endpoint, unit, function, address, attempt and elapsed time to an error, and return it."""
         request = call.requests[position]
         spans = request.spans()
         return error.at(
@@ -229,7 +254,10 @@ class CallTracker:
         )
 
     def conclude(self, call: Call, position: int, outcome: Message | ModbusError) -> None:
-        """Set the outcome of one request, and complete the call if it was its last one."""
+        """Set the outcome of one request.
+
+        If no request of the call is open any more, the call is added to ``finished``.
+        """
         call.outcomes[position] = outcome
         call.open -= 1
         if not call.open:
@@ -247,5 +275,5 @@ class CallTracker:
 
 
 def function_of(request: Request) -> int:
-    """Return the function code of a request, encoded or not."""
+    """Return the function code of a request; encodes the request if that was not done yet."""
     return request.wire[0] if hasattr(request, "wire") else request.prepare()[0]

@@ -4,7 +4,8 @@
 class TransactionSlots:
     """Limit of how many requests may be processed at once, 1…16: NumberMaxOfServerTransaction (TCP/IP §4.4.2.1).
 
-    One object per connection, or one shared by all connections of a server: that is the whole difference of scope.
+    Each connection has an object of its own, or all connections of a server share one: then the limit is for all
+    together. Those who take a slot add to ``used``, and subtract again; nothing is enforced here.
     """
 
     __slots__ = ("limit", "used")

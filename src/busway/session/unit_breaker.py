@@ -1,4 +1,4 @@
-"""Circuit breakers, one for each unit of a link: requests to a unit that is silent fail at once and delay no other.
+"""Circuit breakers, one for each unit of a link: requests to a silent unit fail at once and delay no other unit.
 
 Knows timeouts, replies and times; knows no bytes. ``jitter`` returns a number 0…1; a test can fix it.
 
@@ -19,7 +19,9 @@ from ..options.lines import BreakerParameters
 
 
 class BreakerState(Enum):
-    """The states of a circuit breaker: closed, open or probing."""
+    """States of a circuit breaker: closed (requests are sent), open (they fail at once), probing (one request tries the
+    unit).
+    """
 
     CLOSED = "closed"
     OPEN = "open"
@@ -50,23 +52,30 @@ class Breakers:
         return BreakerState.CLOSED if breaker is None else breaker.state
 
     def states(self) -> dict[int, BreakerState]:
-        """The state of the circuit breaker of each unit that ever timed out, by unit."""
+        """The state of the circuit breaker of each unit that has timed out and has not answered since, by unit."""
         return {unit: breaker.state for unit, breaker in self._units.items()}
 
     @property
     def doubtful(self) -> Mapping[int, object]:
-        """Units that timed out and have not answered since; always the same live mapping."""
+        """Units that timed out and have not answered since, as keys; always the same live mapping.
+
+        Its values mean nothing here.
+        """
         return self._units
 
     def suspended_for(self, unit: int, now: float) -> float | None:
-        """Return the seconds until a suspended unit may be probed; None if requests may be sent now."""
+        """Return the seconds until a suspended unit may be probed; None if a request to the unit may be sent now."""
         breaker = self._units.get(unit)
         if breaker is None or breaker.state is BreakerState.CLOSED or now >= breaker.probe_at:
             return None
         return breaker.probe_at - now
 
     def asked(self, unit: int, now: float, timeout: float, usual: float = 0.0) -> float:
-        """Record that a request is sent to a unit that usually takes ``usual`` seconds. Returns the timeout to use."""
+        """Record that a request is sent to a unit, and return the timeout to use, in seconds.
+
+        It is ``timeout``, or less if the request is the probe of a suspended unit: then it follows from ``usual``, the
+        seconds that the unit usually takes to answer (0 if unknown).
+        """
         breaker = self._units.get(unit)
         if breaker is None or breaker.state is BreakerState.CLOSED:
             return timeout
@@ -76,23 +85,32 @@ class Breakers:
         return probe
 
     def is_probing(self, unit: int) -> bool:
-        """Whether the request in flight only probes whether a suspended unit answers; it is not repeated."""
+        """Whether the request in flight to this unit is a probe of its open circuit breaker; a probe is not
+        repeated.
+        """
         breaker = self._units.get(unit)
         return breaker is not None and breaker.state is BreakerState.PROBING
 
     def not_decided(self, unit: int) -> None:
-        """Forget a probe that ended without showing whether the unit answers; the next request is a probe again."""
+        """Record that a probe ended without showing whether the unit answers, such as by a lost connection.
+
+        The circuit breaker is open again, and the next request that may be sent is the probe. No effect without a
+        probe.
+        """
         breaker = self._units.get(unit)
         if breaker is not None and breaker.state is BreakerState.PROBING:
             breaker.state = BreakerState.OPEN
 
     def answered(self, unit: int) -> bool:
-        """Record a valid reply of a unit. Returns whether that closed its circuit breaker."""
+        """Record a valid reply of a unit, even a late one. Returns whether the reply closed an open circuit breaker."""
         breaker = self._units.pop(unit, None)
         return breaker is not None and breaker.state is not BreakerState.CLOSED
 
     def timed_out(self, unit: int, now: float) -> bool:
-        """Record that a unit did not answer in time. Returns whether its circuit breaker is open now."""
+        """Record that a unit did not answer in time. Returns whether its circuit breaker is open now.
+
+        If ``open_after`` is 0, breakers are off: nothing is recorded, and the result is False.
+        """
         if not self.parameters.open_after:
             return False
         breaker = self._units.setdefault(unit, _UnitBreaker())
