@@ -2,24 +2,25 @@
 
 Knows requests, units and times; knows no bytes of a frame beyond its PDU, no port and no clock.
 
-Frames of RTU and ASCII have no transaction numbers. A reply is matched to its request by unit, function, length and
-echo; a late reply to an earlier request may have all of them in common. The order is reliable: a unit answers each
+Frames of RTU and ASCII have no transaction identifiers. A reply is matched to its request by unit, function, length
+and echo; a late reply to an earlier request may have all of these in common. The order is reliable: a unit answers each
 request at most once, and in the order in which it received them.
 
 1. A request without a reply is *owed* one (`OwedReply`), until the reply comes or the order excludes it. This
    outlives connections; no clock ends it.
-2. A reply belongs to the earliest request of its unit that it could answer. Requests sent before that one get no reply
-   any more.
+2. A reply belongs to the earliest request to its unit that it could answer. Requests sent before that request get no
+   reply any more.
 3. A unit is *in doubt* for a request while another call is owed a reply that could be taken for the reply to it. A
    read is recognised by function and length, and its exception decides nothing then. A write is recognised by its
    function alone: it cannot be repeated to make sure.
 4. Such a request is sent only after a *marker*: a harmless request whose reply cannot be taken for an owed one. The
    reply to the marker ends the doubt (rule 2).
-5. A unit may break the order. So a request with a function that is owed a reply waits until twice the timeout has
-   passed since the last attempt, or until as many replies have come as are owed. ``trust_reply_order`` skips that.
+5. A unit may break the order. So while a reply to a function is owed, the next request with that function waits until
+   twice the timeout has passed since the last attempt, or until as many replies have come as are owed. The option
+   ``trust_reply_order`` skips that.
 6. If a unit answers no marker, the read itself is sent: replies are counted against the owed ones (rule 2), so
-   a read may have to be repeated, but its result is never wrong. One call counts at a time: two would owe each other
-   their replies for ever. A write is not sent.
+   a read may have to be repeated, but its result is never wrong. Only one call at a time does so: two would owe each
+   other their replies for ever. A write is not sent.
 7. A unit that sent a frame unasked, or too early, is in doubt for that function. Unasked replies may look like good
    ones: after `CHECK_EVERY` replies of one shape in a row a marker is sent, which reveals a shift.
 """
@@ -35,14 +36,19 @@ from ..pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters
 from .call import Call
 
 CHECK_EVERY: Final = 128
-"""Replies of one shape in a row after which a marker is sent: costs less than a hundredth of a line's requests."""
+"""Replies of one shape in a row after which a marker is sent, to check: less than a hundredth of a line's requests."""
 OWED_LIMIT: Final = 256
-"""Owed replies of a unit that are kept one by one. A unit that is dead for an hour is probed about 400 times."""
+"""Owed replies of a unit that are kept one by one; of earlier ones only the number is kept. A unit that is dead for an
+hour is probed about 400 times.
+"""
 _EXCEPTION: Final = 0x80
 
 
 class MarkerKind(Enum):
-    """Kinds of marker requests: harmless ones whose reply proves that no older reply will come, in the order tried."""
+    """Kinds of marker requests: harmless ones whose reply proves that no older reply will come.
+
+    They are tried in this order.
+    """
 
     RETURN_QUERY_DATA = "08/00 with a number of its own"
     OTHER_LENGTH = "a read that was answered before, with another length"
@@ -68,14 +74,15 @@ class Marker:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwedReply:
-    """A request that got no reply in time but may still get one.
+    """A request that got no reply in time; its reply may still come.
 
     Attributes:
         request: the request, prepared.
         function: its function code.
         sent: when its last byte left, in seconds.
         until: when its reply must have come even from a unit that breaks the order (rule 5).
-        call, position: the call that made the request; None for a marker, or for a cancelled call.
+        call, position: the call that made the request, and its position there; ``call`` is None for a marker request,
+            or for a cancelled call.
         times: attempts in a row that this entry stands for; above 1 only when the list is full.
     """
 
@@ -103,15 +110,15 @@ class UnitDoubt:
     Attributes:
         owed: the replies that may still come, in the order of their requests.
         older: number of further owed replies by function code, requested before all of ``owed``.
-        pending: owed replies whose function code still has to wait, for units that break the order (rule 5).
-        unasked: the function code of a frame that the unit sent unasked; None without one.
+        pending: owed replies because of which new requests with the same function code wait (rule 5).
+        unasked: the function code of a frame that the unit sent unasked; None if there was no such frame.
         delay: seconds that its last late reply had taken; None before the first, and after a reply in time.
-        last: the request that it answered last; None before the first.
+        last: the request that the unit answered last; None before the first.
         alike: replies in a row with the same shape as the one before (rule 7).
-        silent: kinds of markers that it did not answer.
-        works: the kind of marker that it answered last.
-        good: a read that it answered.
-        counting: the call whose read is repeated to count off what is owed (rule 6); None without one.
+        silent: kinds of marker requests that the unit did not answer.
+        works: the kind of marker request that the unit answered last; None before the first.
+        good: a read that the unit answered without an exception; None before the first.
+        counting: the call whose read is repeated until the owed replies have come (rule 6); None without such a call.
     """
 
     owed: list[OwedReply] = field(default_factory=list)
@@ -129,9 +136,7 @@ class UnitDoubt:
     # Owed replies.
 
     def owe(self, reply: OwedReply) -> None:
-        """Record a request that got no reply in time, or before the connection ended, as one that may
-        get a late reply.
-        """
+        """Record a request that got no reply, in time or before the connection ended: its reply may still come late."""
         self.pending = [one for one in self.pending if one.until > reply.sent]
         if len(self.pending) >= OWED_LIMIT:
             self.pending.remove(min(self.pending, key=lambda one: one.until))
@@ -154,18 +159,23 @@ class UnitDoubt:
         return function in self.older and pdu[0] != ReturnQueryData.code
 
     def older_came(self, pdu: bytes) -> None:
-        """Count one late reply less in ``older``; the earliest is assumed, so that waiting never ends too early."""
+        """Count one late reply less in ``older``.
+
+        It is taken for the earliest of its function, so that no wait ends too early.
+        """
         function = pdu[0] & ~_EXCEPTION
         self.older[function] -= 1
         if not self.older[function]:
             del self.older[function]
 
     def candidates(self, pdu: bytes) -> list[OwedReply]:
-        """Return the requests whose late reply a received PDU could be; it counts for the earliest (rule 2)."""
+        """Return the requests in ``owed`` that a received PDU could answer late; the reply belongs to the first (rule
+        2).
+        """
         return [owed for owed in self.owed if owed.may_be(pdu)]
 
     def came(self, reply: OwedReply) -> None:
-        """Record that a late reply has come; requests sent before its own get no reply any more."""
+        """Record that a late reply has come; requests sent before its own get no reply any more (rule 2)."""
         index = self.owed.index(reply)
         if reply.times > 1:
             self.owed[index] = replace(reply, times=reply.times - 1)
@@ -176,14 +186,17 @@ class UnitDoubt:
         self._count(reply.function)
 
     def _count(self, function: int) -> None:
-        """Count one late reply with this function code less among those that only time can exclude (rule 5)."""
+        """Remove one late reply with this function code from ``pending``, because it has come."""
         for index, owed in enumerate(self.pending):
             if owed.function == function:
                 del self.pending[index]
                 return
 
     def answered(self, request: Request) -> None:
-        """Forget all late replies of the unit: the reply that just came proves that none is left (rule 2)."""
+        """Forget all late replies of the unit: its reply to ``request`` proves that none is left (rule 2).
+
+        A frame that was sent unasked is forgotten too, unless it had the function code of ``request``.
+        """
         self.owed.clear()
         self.older.clear()
         if request.wire[0] != self.unasked:
@@ -192,7 +205,10 @@ class UnitDoubt:
     # Requests that may be sent.
 
     def in_doubt(self, request: Request, call: object, position: int) -> bool:
-        """Whether a late reply to another call could be taken for the reply to this request (rule 3)."""
+        """Whether a late reply to another request could be taken for the reply to this one (rule 3).
+
+        ``call`` and ``position`` say which request it is: earlier attempts at the same request raise no doubt.
+        """
         function = request.wire[0]
         if self.unasked == function or function in self.older:
             return True
@@ -200,7 +216,11 @@ class UnitDoubt:
         return any(request.is_write or _same_shape(owed.request, request) for owed in others)
 
     def waits_until(self, function: int, call: object, position: int, now: float) -> float:
-        """Return the earliest time to send a request to a unit whose order of replies is not trusted (rule 5)."""
+        """Return the earliest time to send a request, because a unit may break the order of replies (rule 5).
+
+        It is ``now`` if no other request with this function code is owed a reply. ``call`` and ``position`` are as for
+        `in_doubt`.
+        """
         if not self.pending:
             return now
         self.pending = [owed for owed in self.pending if owed.until > now]
@@ -219,16 +239,16 @@ class UnitDoubt:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no late reply of the unit can come and no waiting time for one is running."""
+        """Whether no late reply of the unit can come, and no request has to wait for one."""
         return not self.is_owed and not self.pending
 
     # Markers.
 
     def marker(self, number: int, *, is_check: bool = False) -> Marker | None:
-        """Return the next marker request (harmless; its reply proves that no late one follows); None if the unit
-        answers none.
+        """Return the next marker request to send (see `Marker`); None if the unit answers no kind of marker.
 
-        ``number``, 0…65535, is the data of 08/00; no marker that is still owed a reply may have used it.
+        ``number``, 0…65535, is the data of 08/00; no marker that is still owed a reply may have used it. ``is_check``:
+        the marker is the regular check of rule 7, for which fewer kinds are used.
         """
         kinds: Iterable[MarkerKind] = _OF_CHECKS if is_check else MarkerKind
         if self.works is not None and not is_check:
@@ -252,7 +272,11 @@ class UnitDoubt:
         return None if taken else request
 
     def _read_of_other_length(self) -> Request | None:
-        """Return a marker request: a read so short that no late reply could be taken for its answer."""
+        """Return a marker request: a read of fewer items than the unit answered before, so that no late reply looks
+        like its own.
+
+        None if there is no such read.
+        """
         good = self.good
         if good is None or good.wire[0] in self.older:
             return None
@@ -266,9 +290,7 @@ class UnitDoubt:
         return None
 
     def marked(self, kind: MarkerKind) -> None:
-        """Record that the unit answers this kind of marker request (see `Marker`), so that it is tried
-        first next time.
-        """
+        """Record that the unit answered this kind of marker request (see `Marker`); it is tried first next time."""
         self.works = kind
         self.silent.discard(kind)
         self.unasked = None
@@ -285,7 +307,9 @@ class UnitDoubt:
     # Replies in time.
 
     def heard(self, request: Request, *, is_exception: bool) -> None:
-        """Count how many replies in a row came in time and had the same shape (rule 7)."""
+        """Record a request that was answered in time, and count how many such replies in a row had the same shape (rule
+        7).
+        """
         last, self.last = self.last, request
         if request is last or (
             last is not None and self._is_alike(request, last, is_exception=is_exception)
@@ -301,7 +325,9 @@ class UnitDoubt:
 
 
 def may_answer(request: Request, pdu: bytes) -> bool:
-    """Whether a received PDU could be the reply, or an exception reply, to a request."""
+    """Whether a received PDU could be the normal reply, or an exception reply, to a request; judged without its
+    values.
+    """
     if pdu[0] & ~_EXCEPTION != request.wire[0]:
         return False
     if pdu[0] & _EXCEPTION:
@@ -327,7 +353,7 @@ def _may_be_reply_to(part: Request, owed: OwedReply) -> bool:
 
 
 class Doubts:
-    """The late replies that all units of one link may still send; kept across connections, and after the link.
+    """The late replies that all units of one link may still send; kept while connections change, and for the next link.
 
     Attributes:
         units: the state of each unit that a request was sent to.
@@ -347,7 +373,9 @@ class Doubts:
         return found
 
     def marker(self, unit: int, *, is_check: bool = False) -> Marker | None:
-        """Return the next marker request (see `Marker`) for a unit; None if there is none to try."""
+        """Return the next marker request (see `Marker`) for a unit; None if the unit answers no kind. ``is_check``: see
+        `UnitDoubt.marker`.
+        """
         self._number = (self._number + 1) & 0xFFFF
         return self.of(unit).marker(self._number, is_check=is_check)
 
@@ -357,11 +385,15 @@ class Doubts:
 
     @property
     def is_owed(self) -> bool:
-        """Whether late replies may still come that the next link to the same endpoint must know of."""
+        """Whether late replies may still come, or requests wait for them, so that the next link to the endpoint must
+        know.
+        """
         return any(not doubt.is_empty for doubt in self.units.values())
 
     def add(self, other: "Doubts") -> None:
-        """Add the late replies of an earlier link to the same endpoint, in the order of their requests."""
+        """Add the late replies that are owed to an earlier link to the same endpoint, in the order of their
+        requests.
+        """
         for unit, theirs in other.units.items():
             ours = self.of(unit)
             ours.owed = sorted((*ours.owed, *theirs.owed), key=lambda owed: owed.sent)

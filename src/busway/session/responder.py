@@ -4,9 +4,9 @@ Knows no device, policy or gateway.
 
 1. `Responder.answer` returns the reply or an awaitable of it, or `LATER` (the responder calls `RequestContext.reply`
    once, later), `SILENCE` (the request gets no reply), or a `Forwarding`, which the session begins. It raises `Refusal`
-   for a reply with that exception code.
-2. `Responder.serves` returns whether a unit is served, with its device where that is in this process. Requests to such
-   a device may take the fast path and are not passed to `answer` then (`busway.session.pipeline`).
+   for an exception reply with the code of the `Refusal`.
+2. `Responder.serves` returns whether a unit is served, with its device if the device is in this process. Requests to
+   such a device may take the fast path; then they are not passed to `answer` (`busway.session.pipeline`).
 """
 
 from collections.abc import Awaitable, Callable, Sequence
@@ -24,19 +24,22 @@ from .diagnostics import CommunicationState
 
 
 class Deferral(Enum):
-    """What a responder returns instead of a reply: `LATER` (it follows) or `SILENCE` (there is none)."""
+    """What a responder returns instead of a reply: `LATER` (the reply follows) or `SILENCE` (there is no reply)."""
 
     LATER = "later"
     SILENCE = "silence"
 
 
 LATER: Final = Deferral.LATER
-"""The responder will call `RequestContext.reply` exactly once."""
+"""Returned by a responder that will call `RequestContext.reply` exactly once."""
 SILENCE: Final = Deferral.SILENCE
-"""No reply is sent."""
+"""Returned by a responder for a request that gets no reply."""
 
 Replaced = tuple[bytes | None, ...]
-"""What a write replaces, an element for each range: items in wire order, or None where they do not exist."""
+"""The old values that a write replaces, one element for each range it writes: the items in wire order, or None where
+they
+do not exist.
+"""
 
 
 class ClientIdentity:
@@ -47,9 +50,9 @@ class ClientIdentity:
         listener: URL of the listener.
         role: role of the client's certificate; None without one.
         is_priority: whether the client is a priority host.
-        listener_names: further URLs that rules may use for the listener: as it was configured, and every
+        listener_names: further URLs by which access rules may name the listener: as it was configured, and every
             address that it is bound to.
-        audit_text: how audit lines name the client; filled in by what writes them.
+        audit_text: how lines of the audit log name the client; the audit log fills it in, empty before.
     """
 
     __slots__ = ("audit_text", "is_priority", "listener", "listener_names", "peer", "role")
@@ -78,9 +81,10 @@ class Judged:
 
     Attributes:
         rule: name of the rule that permits or denies the request.
-        is_denied: whether it is refused.
-        is_write: whether the responder is to show what the request replaces, and the audit log records it.
-        check: called with what the request replaces; may raise `Refusal`. None permits every value.
+        is_denied: whether the request is refused.
+        is_write: whether the request is a write: then the responder reports the values it replaces
+            (`RequestContext.replacing`), and the audit log records the write.
+        check: called with the values that the request replaces; may raise `Refusal`. None permits every value.
         replaced: the values that the request replaces; None if not known.
     """
 
@@ -98,13 +102,13 @@ class RequestContext:
     """Circumstances of one request: client, unit, listener; and the way to give its reply later.
 
     Attributes:
-        client: who sent it; also as ``peer``, ``listener``, ``role`` and ``is_priority``.
+        client: who sent the request; also as ``peer``, ``listener``, ``role`` and ``is_priority``.
         unit: the unit identifier asked, 0…255.
         function: the function code.
-        transaction: the identifier of the request; 0 where the framing has none.
+        transaction: the transaction identifier of the request; 0 where the framing has none.
         diagnostics: counters, event log and mode of the unit asked.
         executed: for a broadcast, which goes to every unit of a line: ``id`` of each device that has executed it, so
-            that a device with several units executes it once. None otherwise.
+            that a device with several units executes it once. None for other requests.
         gone: called if the client disconnects before its late reply; a responder that returned `LATER` may set it.
         judged: the authorizer's decision about the request; None without an authorizer.
     """
@@ -166,8 +170,9 @@ class RequestContext:
     def replacing(self, values: Replaced) -> None:
         """Report the old values that a write replaces; the responder calls it in one step with the write.
 
-        There is one element for each range to be written, in the order of `Request.spans` (for file records, for each
-        group). Raises `Refusal` where a rule forbids the write because of these values; then it is not executed.
+        ``values`` has one element for each range to be written, in the order of `Request.spans` (for file records, for
+        each group). Raises `Refusal` where a rule forbids the write because of these values; then the write is not
+        executed.
         """
         judged = self.judged
         if judged is not None:
@@ -176,7 +181,9 @@ class RequestContext:
                 judged.check(values)
 
     def inside(self, finish: Callable[["RequestContext", Message | Deferral], None]) -> "RequestContext":
-        """Return a context for a responder inside another one; its late reply is given to the function ``finish``."""
+        """Return a context for a responder that another responder asks; its late reply goes to the function
+        ``finish``.
+        """
         made = RequestContext(
             unit=self.unit,
             function=self.function,
@@ -191,11 +198,14 @@ class RequestContext:
 
     @property
     def replied(self) -> bool:
-        """Whether the late reply to this request was given, or can no longer be given."""
+        """Whether a late reply is no longer accepted: it was given, or the request has ended otherwise."""
         return self._finish is None
 
     def reply(self, reply: Message | Deferral) -> None:
-        """Give the reply that `LATER` promised. A second reply, or one after the client left, is ignored."""
+        """Give the reply that `LATER` promised; `SILENCE` ends the request without one.
+
+        A second reply, or one after the client left, is ignored.
+        """
         finish, self._finish = self._finish, None
         if finish is not None:
             self.end(reply)
@@ -214,11 +224,13 @@ class RequestContext:
             gone()
 
     def watch(self, ended: Callable[[Message | Deferral | None], None]) -> None:
-        """Register a function called once with the outcome: reply, `SILENCE`, or None if the client leaves before."""
+        """Register a function called once with the outcome: the reply, `SILENCE`, or None if the client leaves before
+        it.
+        """
         self._watchers = (*self._watchers, ended)
 
     def end(self, outcome: Message | Deferral | None) -> None:
-        """Report the outcome of this request to its watchers, unless that was done before."""
+        """Report the outcome of this request to the functions registered with `watch`, unless that was done before."""
         watchers, self._watchers = self._watchers, ()
         for ended in watchers:
             ended(outcome)
@@ -228,7 +240,11 @@ class ForwardingTarget(Protocol):
     """Interface of a unit on another server to which requests are forwarded."""
 
     def ask(self, asker: Any, tags: Sequence[Any], asked: Sequence[Any]) -> None:  # Any: of `Forwarding`, or of reads
-        """Forward a request. ``asker`` gets the answer, possibly before this method returns."""
+        """Forward one or several requests.
+
+        ``asker`` gets each answer by its ``answer``, ``reply`` or ``refuse``, with the elements of ``tags`` and
+        ``asked`` that belong to the request; possibly before this method returns.
+        """
 
 
 class ForwardedMessage(Protocol):
@@ -244,17 +260,18 @@ class ForwardedMessage(Protocol):
 class Forwarding:
     """A request that a gateway forwards to one or more targets, with the client that waits for its answer.
 
-    The session begins it: ``ask`` of each target, with `ALONE`. When all have answered, the client gets the reply.
+    The session begins it: it calls ``ask`` of each target, with `ALONE`. When all have answered, the client gets the
+    reply.
 
     Args:
         context: the request.
-        asks: the requests to each target.
-        reply: answers the request unless a target refuses it; None for the reply of the only target.
+        asks: each target with the request to it.
+        reply: the client's reply unless a target refuses the request; None: the reply of the first target that answers.
 
     Attributes:
         asks: as above.
-        peer, is_priority: the client.
-        batches: the batches with its requests, which add and remove themselves.
+        peer, is_priority: the client's address, and whether it is a priority host.
+        batches: the read batches with its requests, which add and remove themselves.
     """
 
     __slots__ = ("_context", "_left", "_reply", "asks", "batches", "is_priority", "peer")
@@ -276,7 +293,10 @@ class Forwarding:
         context.gone = self._client_gone
 
     def answer(self, tags: Sequence[None], asked: Sequence[ForwardedMessage], data: Sequence[bytes]) -> None:
-        """Answer the client with data that were read upstream."""
+        """Answer the client with data that were read upstream; called by a target.
+
+        The sequences have one element each.
+        """
         self._answered(asked[0].of_data(data[0]))
 
     def reply(self, tag: None, asked: ForwardedMessage, reply: Message) -> None:
@@ -284,7 +304,9 @@ class Forwarding:
         self._answered(asked.client_reply(reply))
 
     def refuse(self, tag: None, asked: ForwardedMessage, code: int) -> None:
-        """Answer the client of a forwarded request with an exception code."""
+        """Record that a target refused the request: the client gets this exception code instead of the intended
+        reply.
+        """
         self._reply = None
         self._answered(ExceptionResponse(self._context.function, code))
 
@@ -305,7 +327,7 @@ class Forwarding:
 
 
 ALONE: Final = (None,)
-"""The tag of a request that is forwarded by itself."""
+"""The tags passed to `ForwardingTarget.ask` for a request that is forwarded by itself."""
 Outcome = Message | Awaitable[Message] | Deferral | Forwarding
 
 
@@ -321,13 +343,13 @@ class ServedUnit:
     """A unit for which a responder answers, with its device if that can be used directly, for speed.
 
     Attributes:
-        unit: the unit as which its device is configured; the first where a sole device has several.
-        device: the device, if it is one of this process: then `Responder.answer` calls `RequestContext.replacing`
-            before it executes a write.
+        unit: the unit as which its device is configured; the first of them if the only device of a server has several.
+        device: the device if it is in this process, else None. With a device, `Responder.answer` calls
+            `RequestContext.replacing` before it executes a write.
         is_direct: whether requests may reach the device by the fast path.
-        units: all units as which its device is configured; ``unit`` alone where nothing is said. Rules about any of
-            them hold, also where the device answers as yet others, such as 0 and 255: a client denied on unit 1 must
-            not reach the same device by another unit.
+        units: all units as which its device is configured; if left out, ``unit`` alone. Rules about any of them hold,
+            even if the device answers as further units, such as 0 and 255: a client denied on unit 1 must not reach the
+            same device by another unit.
     """
 
     unit: int
@@ -355,11 +377,15 @@ class Responder(Protocol):
         """Return the unit that answers requests to ``unit``, 0…255; None if there is none."""
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Return the reply to a request, or `LATER` or `SILENCE`. Requests to unknown units come here too (rule 1)."""
+        """Return the reply to a request, an awaitable of it, `LATER`, `SILENCE` or a `Forwarding` (rule 1 of this
+        module).
+
+        Called for requests to unknown units as well.
+        """
 
 
 class SerialUnits:
-    """The units 1…247 for which a responder answers on a serial line; follows changes of its configuration."""
+    """The units 1…247 for which a responder answers on a serial line, for ``in``; follows changes of the responder."""
 
     def __init__(self, responder: Responder) -> None:
         self._responder = responder

@@ -4,7 +4,8 @@ Knows the master's state diagram (Serial Line V1.02 §2.4.1) and how to recover 
 RTU and ASCII differ only in the framing that is passed in.
 
 1. States: idle → waiting for a reply (unicast) or for the turnaround (broadcast) → idle. One request is in flight.
-2. A reply of another unit keeps the timer running. A damaged frame counts, and may be repeated like a timeout.
+2. A reply of another unit keeps the timer running. So does a damaged frame: it is counted, and the request may be
+   repeated as after a timeout.
 3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``, and nothing to
    the same unit before that much time has passed since the timeout. Frames that come until then are late and dropped.
 4. A unit that owes a reply is in doubt (`late_replies`): a request whose reply could be confused with the owed one is
@@ -47,10 +48,14 @@ from .retries import CallTracker, ClientCounters, function_of
 from .unit_breaker import Breakers
 
 OWED_FOR: Final = 2.0
-"""Multiple of the timeout after which even a unit that breaks the order has replied (rule 5 of `late_replies`)."""
+"""Multiple of the timeout after which even a unit that breaks the order of replies has replied (rule 5 of
+`late_replies`).
+"""
 _NOTES_AT_MOST: Final = 16
 _PACE_FORGETS = 0.9
-"""Decay of a unit's usual delay, which is its slowest lately: each faster reply takes a tenth off."""
+"""Decay of a unit's usual response time, which is that of its slowest recent reply: each faster reply takes a tenth
+off.
+"""
 
 
 class MasterState(Enum):
@@ -64,7 +69,16 @@ class MasterState(Enum):
 
 @dataclass(slots=True)
 class _RequestInFlight:
-    """The request whose reply the master awaits. ``call`` is None if it was cancelled, or is a ``marker``."""
+    """The request whose reply the master awaits.
+
+    Attributes:
+        call: None if the call was cancelled, and for a marker request.
+        marker: the marker request that this is; None for a request of a call.
+        begun, sent: when its first byte left and when its last byte leaves, in the clock of ``now``.
+        expires: when it times out.
+        damage: bytes of the last damaged frame since it was sent.
+        early: whether a frame came that began too early to be its reply (rule 8).
+    """
 
     call: Call | None
     request: Request
@@ -81,7 +95,7 @@ class _RequestInFlight:
 
     @property
     def deadline(self) -> float | None:
-        """The deadline of the call that the request belongs to; None without one."""
+        """The deadline of the call that the request belongs to; None without a call or without a deadline."""
         return None if self.call is None else self.call.deadline
 
 
@@ -89,7 +103,10 @@ class SerialClientSession:
     """State of one serial line on the client: queue, request in flight, late replies. It survives reopening the port.
 
     Attributes:
-        counters, finished, recycle, valid_reply: as in `TcpClientSession`.
+        counters: counters of the link.
+        finished: calls whose requests all have an outcome; the driver empties the list.
+        recycle: why the driver must close the connection and open another; empty if it need not.
+        valid_reply: whether the port, since it was opened, has brought a reply that answers a request.
         state: state of the master.
         breakers: the circuit breakers of the units.
         doubts: the outstanding late replies of the units.
@@ -179,16 +196,16 @@ class SerialClientSession:
     # Calls of the application.
 
     def set_unit_gaps(self, unit_gaps: Mapping[int, float]) -> None:
-        """Set for how many seconds each of these units gets no request after its replies."""
+        """Set pauses by unit: the seconds for which the unit gets no request after each of its replies."""
         self._unit_gaps = dict(unit_gaps)
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue a call. Raises `ModbusError` if the unit cannot be asked or the queue is full; nothing was sent.
+        """Queue a call.
 
         Raises:
             InvalidRequest: a unit above 247, or a broadcast of a request that is no write.
             Overloaded: the queue is full.
-            UnitSuspended: the unit's breaker is open.
+            UnitSuspended: the circuit breaker of the unit is open.
             In all cases nothing was sent.
         """
         unit = call.unit
@@ -240,17 +257,21 @@ class SerialClientSession:
         return is_flying
 
     def serve_units_in_turn(self) -> None:
-        """Send each caller's requests to its units in turn, not in call order; for a gateway's upstream links."""
+        """Serve the units that each caller asks in turn, not its requests in their order; for a gateway's upstream
+        links.
+        """
         self._tracker.queue.units_in_turn = True
 
     @property
     def has_calls(self) -> bool:
-        """Whether calls wait that have requests left to send."""
+        """Whether calls with requests left to send wait in the queue."""
         return self._tracker.queue.size > 0
 
     @property
     def has_gap(self) -> bool:
-        """Whether waiting requests may be sent only later; always so on a serial line, after every frame."""
+        """Whether requests may have to wait for silence before they are sent; on a serial line true while the port is
+        open.
+        """
         return self._connected
 
     @property
@@ -266,7 +287,7 @@ class SerialClientSession:
     # Events of the port.
 
     def connected(self, now: float) -> None:
-        """Tell the session that the port is open. Whether the line is idle is known t3.5 later."""
+        """Tell the session that the port is open. Only after t3.5 of silence is the line known to be idle."""
         self._connected = True
         self._receiver.flush(now)
         self._receiver.expect_nothing()
@@ -306,19 +327,19 @@ class SerialClientSession:
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
         """End all waiting calls with one error, because the port could not be opened.
 
-        With ``keep_repeated`` a call that is about to be repeated waits for the next attempt.
+        With ``keep_repeated`` a call with a request that is about to be repeated stays in the queue.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
     def written(self, until: float) -> None:
-        """Record that a frame was given to the port; its last character leaves at ``until``."""
+        """Record that the port has accepted the frame to send; its last character leaves at ``until``."""
         awaited = self._awaited
         if awaited is not None and until > awaited.sent:
             self._leaves_later(awaited, until)
             self._receiver.sent(awaited.frame, until)
 
     def still_sending(self, until: float) -> None:
-        """Record that the port still holds characters of the frame; the last leaves at ``until`` or later."""
+        """Record that the port still holds characters of the frame to send; the last leaves at ``until`` or later."""
         if self._awaited is not None and until > self._awaited.sent:
             self._leaves_later(self._awaited, until)
 
@@ -330,7 +351,11 @@ class SerialClientSession:
     # Sending.
 
     def transmit(self, now: float) -> list[bytes]:
-        """Return the frame to send now, or nothing; it counts as sent when its last character has left."""
+        """Return the frame to send now, as the only element, or an empty list.
+
+        Its timeout begins when its last character has
+        left.
+        """
         queue = self._tracker.queue
         if not self._connected or self.state is not MasterState.IDLE or not queue.size or self.recycle:
             return []
@@ -378,7 +403,9 @@ class SerialClientSession:
         return (is_clear and not self._not_asked_before) or self._askable_at(call, now) <= now
 
     def _waits_for_counting(self, doubt: UnitDoubt, call: Call) -> bool:
-        """Whether a read must wait: a repeated read of another call is counting the unit's late replies."""
+        """Whether a read must wait, because a repeated read of another call is counting the unit's late replies (rule 6
+        there).
+        """
         if doubt.counting is None or doubt.counting.ended:
             doubt.counting = None
             return False
@@ -386,7 +413,9 @@ class SerialClientSession:
         return not request.is_write and self._is_in_doubt(doubt, call)
 
     def _askable_at(self, call: Call, now: float) -> float:
-        """Return the earliest time to send a request of this call, as its unit may still send a late reply."""
+        """Return the earliest time to send the next request of this call, given the pauses and late replies of its
+        unit.
+        """
         at = self._not_asked_before.get(call.unit, now)
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not doubt.pending or self._serial.trust_reply_order:
@@ -398,10 +427,10 @@ class SerialClientSession:
         return max(at, doubt.waits_until(function_of(request), call, position, now))
 
     def _marker_before(self, call: Call) -> Marker | None:
-        """Return the harmless request to send first, to make sure that no late reply is taken for the next one; or
-        None.
+        """Return the marker request to send before the next request of a call; None if there is none to send.
 
-        A restart needs none: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
+        A marker is harmless, and makes sure that no late reply is taken for the reply to the next request. A restart
+        needs none: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
         """
         unit = call.unit
         doubt = self.doubts.units.get(unit)
@@ -439,8 +468,9 @@ class SerialClientSession:
                 self._tracker.give_up(call, now, partial(self._suspended, call, pause))
 
     def _send_marker(self, marker: Marker, call: Call, now: float) -> bytes:
-        """Send a harmless request whose reply proves that no late reply follows; the call keeps its position in the
-        queue.
+        """Send a marker request: a harmless one whose reply proves that no late reply follows. Returns its frame.
+
+        The call that waits for it keeps its position in the queue.
         """
         frame = self._framing.encode(call.unit, marker.request.wire)
         self.counters.markers += 1
@@ -479,9 +509,10 @@ class SerialClientSession:
             self._found(found, now)
 
     def receive_damaged(self, data: bytes, now: float, *, overrun: bool = False) -> None:
-        """Process bytes with a parity or framing error that the port marked, or after which it lost some (S14).
+        """Process bytes with a parity or framing error that the port marked, or after which the port lost some.
 
-        The frame in progress is discarded, and so is one that these bytes complete.
+        The frame in progress is discarded, and so is a frame that these bytes complete. ``overrun``: characters were
+        lost.
         """
         self._last_byte = max(self._last_byte, now)
         marked = [found for found in self._receiver.receive(data, now) if isinstance(found, Damaged)]
@@ -541,9 +572,10 @@ class SerialClientSession:
             self._reply(awaited, frame, now, doubt)
 
     def _is_of_another(self, awaited: _RequestInFlight, doubt: UnitDoubt, pdu: bytes) -> bool:
-        """Whether a PDU of the right function that does not fit the request must be an older reply.
+        """Whether a reply of the right function that does not fit the request in flight must be the reply to an older
+        request.
 
-        Otherwise it is a broken reply.
+        If it is not, the reply is a broken one.
         """
         last = doubt.last
         return (
@@ -576,7 +608,10 @@ class SerialClientSession:
         self._tracker.repeat(call, awaited.position)
 
     def _late(self, doubt: UnitDoubt, owed: Sequence[OwedReply], frame: SerialFrame) -> None:
-        """Count and drop a late reply: one of ``doubt.older`` if it must be, else that of the earliest of ``owed``."""
+        """Count and drop a late reply.
+
+        It is taken for one of ``doubt.older`` if it must be one, else for the reply to the first of ``owed``.
+        """
         if doubt.is_older(frame.pdu):
             doubt.older_came(frame.pdu)
         else:
@@ -609,7 +644,10 @@ class SerialClientSession:
     def _reply(
         self, awaited: _RequestInFlight, frame: SerialFrame, now: float, doubt: UnitDoubt, *, owes_own: bool = False
     ) -> None:
-        """End the request in flight with a reply; ``owes_own``: it may be the reply to an earlier attempt."""
+        """End the request in flight with a reply. ``owes_own``: the reply may belong to an earlier attempt.
+
+        In that case the request in flight may still get a reply of its own, late.
+        """
         pdu = frame.pdu
         outcome: Message | ModbusError
         try:
@@ -647,9 +685,7 @@ class SerialClientSession:
         self._conclude(awaited, outcome, now)
 
     def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
-        """Handle the reply to the session's own harmless request: it proves that no late reply of this
-        unit can come.
-        """
+        """Handle the reply to a marker request: no late reply of this unit can come after it."""
         if isinstance(outcome, ModbusError) and marker.kind is MarkerKind.OTHER_LENGTH:
             doubt.not_marked(marker.kind)  # it reads nothing but that length
         else:
@@ -679,7 +715,7 @@ class SerialClientSession:
         self._pace[unit] = max(frame.ended - awaited.sent, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _keep_gap(self, frame: SerialFrame) -> None:
-        """Start the time for which this unit gets no further request after its reply."""
+        """Start the pause in which this unit gets no further request after its reply (`set_unit_gaps`)."""
         gap = self._unit_gaps.get(frame.unit)
         if gap:
             before = self._not_asked_before.get(frame.unit, 0.0)
@@ -743,7 +779,9 @@ class SerialClientSession:
         self._tracker.expire_queue(now, in_flight, self._why_not_sent)
 
     def _why_not_sent(self, call: Call) -> NoReply | None:
-        """Return the error of a call that was not sent in time because its unit may send late replies, or None."""
+        """Return the error of a call whose deadline passed while late replies kept it waiting; None if that was not the
+        reason.
+        """
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not self._is_in_doubt(doubt, call):
             return None
@@ -805,9 +843,7 @@ class SerialClientSession:
             self.counters.recycled += 1
 
     def _not_marked(self, awaited: _RequestInFlight, marker: Marker, now: float) -> None:
-        """Handle a harmless request of the session without reply: the waiting call fails once its
-        attempts are used up.
-        """
+        """Handle a marker request without reply: a call that waits for it fails once its attempts are used up."""
         doubt = self.doubts.of(awaited.unit)
         doubt.not_marked(marker.kind)
         doubt.alike = 0

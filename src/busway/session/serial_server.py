@@ -6,11 +6,12 @@ RTU and ASCII differ only in the framing that is passed in.
 1. Only a request for an own unit is answered; frames for others, requests or replies, are counted as messages of
    the line and nothing else.
 2. A damaged frame is never answered and never executed; an error of content is answered.
-3. A broadcast is executed by every unit and answered by none; a device with several units executes it once. One that
-   asks for a read, or fails, is only counted: it is one message of the line, and one for each unit.
+3. A broadcast is executed by every unit and answered by none; a device with several units executes it once. A broadcast
+   that asks for a read, or fails, is only counted. Any broadcast counts as one message of the line, and as one for
+   each unit.
 4. The answer leaves t3.5 after the last byte on the line at the earliest. If another frame comes before that, or before
-   a slow responder is ready, it is not sent: the master has given up and may be using the line. So of two requests back
-   to back both are executed, and the last one is answered. An answer counts when it has left.
+   a slow responder is ready, the answer is not sent: the master has given up and may be using the line. So of two
+   requests back to back both are executed, and only the last is answered. An answer is counted when it has left.
 5. A unit in listen-only mode answers and executes nothing, until a restart that is not answered either. The other
    units of the line are not affected.
 6. Function 08/03 changes the delimiter of what comes after its own answer.
@@ -36,7 +37,7 @@ from .server import Deferred
 
 _NO_TRANSACTION = bytes(2)
 _UNIT = 4
-"""Offset of the unit in the header of a plan, which begins behind the transaction."""
+"""Offset of the unit in the stored reply header of a read, which begins after the transaction identifier."""
 _READ_SIZE = 8
 """Bytes of an RTU frame with a read: unit, function, address, count and CRC."""
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
@@ -67,7 +68,11 @@ class _Answer:
         _count_answer(self.context, self.reply)
 
     def lost(self, *, write_failed: bool = False) -> None:
-        """Count the request as one without reply, for the diagnostics; an exception reply is counted as well."""
+        """Count the request as one without reply, for the diagnostics; an exception reply is counted as an exception as
+        well.
+
+        ``write_failed``: the port did not accept the reply.
+        """
         diagnostics = self.context.diagnostics
         if isinstance(self.reply, ExceptionResponse):
             diagnostics.failed(self.reply.exception)
@@ -87,9 +92,9 @@ class SerialServerSession:
     Attributes:
         deferred, failures: as in `TcpServerSession`; the driver empties them.
         requests: requests for own units so far, broadcasts included.
-        foreign: frames of others that passed by.
+        foreign: frames on the line so far that were not for own units, and replies of other stations.
         damaged_frames: damaged frames so far.
-        abandoned: answers that did not leave because another frame came first (rule 4).
+        abandoned: answers that were not sent because another frame came first (rule 4).
     """
 
     __slots__ = (
@@ -134,9 +139,9 @@ class SerialServerSession:
             framing: the framing, in the role of a server with the same units.
             diagnostics: counters and modes of the units of the line.
             deliver: sends late answers.
-            client: who sends the requests: the master of the line.
-            sends_at_once: whether every answer leaves as soon as it is ready, as over a network: then it counts at
-                once, and `answer_left` is not called.
+            client: who sends the requests: the master of the line; None if not known.
+            sends_at_once: whether every answer leaves as soon as it is ready, as over a network: then the answer counts
+                at once, and `answer_left` is not called.
         """
         self._pipeline = pipeline
         self._units = units
@@ -171,9 +176,10 @@ class SerialServerSession:
         return [*filter(None, map(self.process, self.find(data, now)))]
 
     def answer_known(self, data: bytes, now: float) -> list[bytes] | None:
-        """Answer bytes, read at ``now`` from a network, that are nothing but RTU frames with reads asked before.
+        """Answer bytes from a network that are nothing but RTU frames with reads asked before; ``now`` is when they
+        were read.
 
-        Returns the replies in order; None, with nothing done, if the bytes have to be passed to `receive`.
+        Returns the replies in order. None if the bytes have to be passed to `receive`: then nothing was done.
         """
         if len(data) % _READ_SIZE or not self._takes_more or self._waiting is not None:
             return None
@@ -198,14 +204,16 @@ class SerialServerSession:
         return [body + crc_bytes(body) for body in bodies]
 
     def find(self, data: bytes, now: float) -> list[Received]:
-        """Return the complete frames, and damaged bytes, in what was read at ``now``; pass each to
-        `process`, in order.
+        """Return the complete frames, and the damaged bytes, in bytes read at ``now``.
+
+        Each is to be passed to `process`, in
+        order.
         """
         self._last_byte = max(self._last_byte, now)
         return self._receiver.receive(data, now)
 
     def process(self, frame: Received) -> FrameToSend | None:
-        """Process a received frame, or damaged bytes. Returns the reply if there is one at once."""
+        """Process a received frame, or damaged bytes. Returns the reply; None if there is none, or not yet."""
         self._abandon()
         if isinstance(frame, Damaged):
             self.damaged_frames += 1
@@ -246,9 +254,10 @@ class SerialServerSession:
         return None
 
     def receive_damaged(self, data: bytes, now: float, *, overrun: bool = False) -> None:
-        """Process bytes with a parity or framing error that the port marked, or after which it lost some (S14).
+        """Process bytes with a parity or framing error that the port marked, or after which the port lost some.
 
-        The frame in progress is discarded, and so is one that these bytes complete.
+        The frame in progress is discarded, and so is a frame that these bytes complete. ``overrun``: characters were
+        lost.
         """
         self._last_byte = max(self._last_byte, now)
         marked = [found for found in self._receiver.receive(data, now) if isinstance(found, Damaged)]
@@ -260,7 +269,7 @@ class SerialServerSession:
         return self._last_byte + self._framing.send_gap
 
     def tick(self, now: float) -> list[FrameToSend]:
-        """Process the silence of the line until ``now``. Returns the replies to send."""
+        """Process frames that the silence until ``now`` has ended. Returns the replies to send."""
         return [*filter(None, map(self.process, self._receiver.tick(now)))]
 
     def deadline(self) -> float | None:
@@ -302,7 +311,7 @@ class SerialServerSession:
     # Inside.
 
     def _fast_path(self) -> FastPath:
-        """Return the functions that answer from bytes; none while a unit is in listen-only mode."""
+        """Return the functions that answer requests from their bytes; none while a unit is in listen-only mode."""
         generation = self._pipeline.generation
         if self._generation != generation:
             self._generation = generation
@@ -357,7 +366,12 @@ class SerialServerSession:
             diagnostics.kept_silent(executed=done)
 
     def _is_executed(self, context: RequestContext, outcome: Outcome) -> bool:
-        """Whether a unit executes a broadcast, which it must not answer; counts the outcome."""
+        """Whether a unit has executed a broadcast, judged by the outcome of `RequestPipeline.answer`.
+
+        A failure is counted.
+
+        False also if a responder has not finished yet; then the driver awaits it.
+        """
         if isinstance(outcome, ExceptionResponse):
             context.diagnostics.failed(outcome.exception)
             return False

@@ -2,7 +2,7 @@
 
 Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no device.
 
-1. A frame with a protocol other than 0 is discarded and the stream goes on; an invalid length ends the
+1. A frame with a protocol identifier other than 0 is discarded and the stream goes on; an invalid length ends the
    connection (``broken``), after the requests before it were answered.
 2. Order of checks: protocol → slot (exception 06) → function (01) → the pipeline's outcome. A request that is answered
    within its call holds no slot, and the fast path needs none. In listen-only mode there is no answer of any kind.
@@ -11,8 +11,8 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no dev
    transaction of its request, and only while the connection lasts.
 5. Every request that gets no answer is counted.
 6. Known reads that the responder forwards (`ReadForwarder`) are forwarded together and bypass the generic path.
-7. With a share, one call processes at most that many requests, known reads not counted; bytes after them
-   wait (``rest``) until the driver calls `go_on`.
+7. With a ``share``, one call of `receive` processes at most that many requests; known reads do not count. The bytes
+   after them wait in ``rest`` until the driver calls `go_on`.
 8. `TcpServerSession.receive` has two loops: one for segments of nothing but known reads, one for everything else. With
    the second alone, a known read would take half as many instructions again (67 instead of 45).
 """
@@ -35,19 +35,19 @@ from .transaction_slots import TransactionSlots
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
 _cut_reads = Struct("2s10s").iter_unpack
-"""Cuts reads of twelve bytes into the transaction and the ten bytes that are the key of a plan."""
+"""Cuts reads of twelve bytes into the transaction identifier and the ten bytes by which a known read is found."""
 _UNIT = 6
 _FUNCTION = 7
-"""Offsets of the unit and of the function in an ADU."""
+"""Offset of the function code in an ADU; `_UNIT` is that of the unit."""
 _unit_of = itemgetter(_UNIT)
 _LENGTHS = frozenset(range(MIN_LENGTH, MAX_LENGTH + 1))
 """Valid values of the length field: one look-up is quicker than two comparisons."""
 _LEAST_SIZE = 8
-"""Bytes of the shortest request."""
+"""Bytes of the shortest request: the MBAP header and a function code."""
 _NO_SHARE = 1 << 62
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
 Deliver = Callable[[bytes], None]
-"""Sends the bytes of a late reply; called with no bytes if a request gets no reply."""
+"""Function that sends the frame of a late reply. It is called with no bytes if a request ends without a reply."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +62,12 @@ class TcpServerSession:
     """State of one TCP connection on a server: turns request bytes into reply bytes.
 
     Attributes:
-        broken: why the stream cannot be decoded any further; empty while it can. The driver closes the connection.
-        deferred: replies that the driver has to await; it empties the list.
+        broken: why the stream cannot be decoded any further; empty while it can. The driver then closes the connection.
+        deferred: replies that the driver has to await; the driver empties the list.
         failures: failures of the responder to log; the driver empties the list.
-        unfinished: bytes of a frame that has begun and not ended.
+        unfinished: number of received bytes of a frame that is not complete yet.
         requests: requests received so far.
-        discarded: frames that got no answer: foreign protocol, function above 127.
+        discarded: frames that got no answer: foreign protocol identifier, function above 127.
         refused_busy: requests answered 06 because all slots were taken.
         rest: received bytes that are not processed yet, because the share was used up or `put_off` was called; at most
             as many as were passed in. Do not pass in more before `go_on` has emptied it.
@@ -113,11 +113,12 @@ class TcpServerSession:
 
         Args:
             pipeline: answers the requests.
-            diagnostics: counters and mode of the listener.
+            diagnostics: counters and modes of the units of the listener.
             slots: limit of requests that wait for their reply.
-            deliver, deliver_together: send late replies, one or several.
-            client: who sends the requests.
-            share: requests that one call processes, known reads not counted; None for no limit.
+            deliver, deliver_together: send one late reply, or several; without the second, the first is called for
+                each.
+            client: who sends the requests; None if not known.
+            share: most requests that one call of `receive` processes, known reads not counted; None for no limit.
         """
         self._pipeline = pipeline
         self._client = ClientIdentity() if client is None else client
@@ -159,7 +160,10 @@ class TcpServerSession:
         return waiting if self._reads is None else waiting + self._reads.waiting
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
-        """Process the first ``size`` bytes of ``buffer``. Returns the reply frames to send, in order."""
+        """Process the first ``size`` bytes of ``buffer``. Returns the reply frames to send, in order.
+
+        Nothing is processed, and nothing returned, once ``broken`` is set.
+        """
         if self.broken:
             return []
         if self.unfinished:
@@ -296,14 +300,17 @@ class TcpServerSession:
         return out
 
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
-        """Keep the first ``size`` bytes of ``buffer`` unprocessed, in ``rest``, until `go_on`."""
+        """Keep the first ``size`` bytes of ``buffer`` unprocessed, in ``rest``, until `go_on` is called."""
         if self.unfinished:
             buffer, size = self._buffer.join(buffer, size)
             self.unfinished = 0
         self.rest += bytes(memoryview(buffer)[:size])
 
     def go_on(self) -> list[bytes]:
-        """Process kept bytes, up to the connection's share of time. Returns the reply frames to send, in order."""
+        """Process the bytes in ``rest``, up to the session's share of requests.
+
+        Returns the reply frames to send, in order.
+        """
         rest, self.rest = self.rest, b""
         return self.receive(rest, len(rest))
 
@@ -355,7 +362,10 @@ class TcpServerSession:
         )
 
     def _generic_path(self, transaction: int, unit: int, pdu: bytes) -> bytes:
-        """Decode a request, ask the responder, encode the reply. Empty if there is no reply, or not yet."""
+        """Decode a request, ask the responder, encode the reply.
+
+        Returns the frame; empty if there is no reply, or not yet.
+        """
         function = pdu[0]
         if function > 0x7F:
             self.discarded += 1
