@@ -2,9 +2,9 @@
 
 Knows bytes, positions and the lock that writers share; knows no table, no address rule, no hook and no request.
 
-1. ``data`` is read without a lock, in one slice. A writer holds the lock and changes it in one call of C code
-   that leaves its length (a slice assignment, ``pack_into``), or replaces it by another object, so a reader never meets
-   half of a change.
+1. The attribute ``data`` of a run is read without a lock, in one slice. A writer holds the lock and changes ``data`` in
+   one call of C code that keeps its length (a slice assignment, ``pack_into``), or replaces it by another object, so a
+   reader never sees half of a change.
 2. A position counts from the run's first item. The caller has checked that the items exist.
 3. Several runs change at once by `replace_all` and in no other way.
 """
@@ -19,8 +19,9 @@ from typing import Final, Protocol
 from ..pdu.bits import slice_bits, splice_bits
 
 _PACKED: Final = 125
-"""Registers at most that are packed: as many as any request has. An assignment to a slice would make a `bytearray` of
-what is assigned, 0.55 µs for 0.38 (CPython 3.11)."""
+"""Most registers that are written by ``pack_into``: as many as a request can have. An assignment to a slice would first
+make a `bytearray` of the new bytes: 0.55 µs instead of 0.38 (CPython 3.11).
+"""
 _COPIES: Final = tuple(struct.Struct(f"{2 * count}s") for count in range(_PACKED + 1))
 _PACK: Final = tuple(copy.pack_into for copy in _COPIES)
 _UNPACK: Final = tuple(copy.unpack_from for copy in _COPIES)
@@ -29,8 +30,8 @@ _pack_register, _unpack_register = _REGISTER.pack_into, _REGISTER.unpack_from
 
 
 class Run(Protocol):
-    """Interface of registers or bits at consecutive addresses of a device, in memory shared by Modbus and the
-    application.
+    """Interface of registers or bits at consecutive addresses of a device, in memory that Modbus and the application
+    share.
     """
 
     @property
@@ -43,19 +44,22 @@ class Run(Protocol):
 
     @property
     def memory(self) -> "RegisterRun | BitRun":
-        """The object that stores the bytes: this one, or the registers that this one shows as bits."""
+        """The run that stores the bytes: this run itself, or for registers shown as bits the run of the registers."""
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy items out of ``data``, which is the bytes of ``memory`` or a copy of them."""
+        """Return items from ``data``, which is the bytes of ``memory`` or a copy of them."""
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write items into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
+        """Replace items in ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
 
     def get(self, position: int, count: int) -> bytes:
-        """Return a range of items as the bytes of a reply. ``position`` counts from the first item."""
+        """Return the current items of a range, in the wire order of a reply.
+
+        ``position`` counts from the first item of the run.
+        """
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the items of a range by bytes of a write; ``position`` as for `get`. Safe from any thread."""
+        """Replace the items of a range; ``data`` is in wire order, ``position`` as for `get`. Safe from any thread."""
 
 
 class RegisterRun:
@@ -77,15 +81,15 @@ class RegisterRun:
 
     @property
     def memory(self) -> "RegisterRun":
-        """The object that stores the bytes of these registers: always this one itself."""
+        """The run that stores the bytes of these registers: always this run itself."""
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy registers out of ``data``, which is the bytes of ``memory`` or a copy of them."""
+        """Return registers from ``data``, which is the bytes of ``memory`` or a copy of them."""
         return bytes(data[2 * position : 2 * (position + count)])
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write registers into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
+        """Replace registers in ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
         data[2 * position : 2 * (position + count)] = items
 
     def get(self, position: int, count: int) -> bytes:
@@ -119,7 +123,10 @@ class RegisterRun:
             _pack_register(items, 2 * position, current & and_mask | or_mask & ~and_mask)
 
     def put_then_get(self, position: int, count: int, data: bytes, start: int, size: int) -> bytes:
-        """Replace ``count`` registers from ``position``, then return ``size`` from ``start``; one step for threads."""
+        """Replace ``count`` registers from ``position`` on, then return ``size`` registers from ``start`` on.
+
+        No other thread can change them in between. All four numbers count registers of this run, also ``start``.
+        """
         with self._lock:
             items = self.data
             _PACK[count](items, 2 * position, data)
@@ -129,7 +136,7 @@ class RegisterRun:
 
 
 class BitRun:
-    """Coils or discrete inputs at consecutive addresses, packed from the lowest bit of the first byte.
+    """Coils or discrete inputs at consecutive addresses, packed: the first bit is the lowest bit of the first byte.
 
     Args:
         first: address of the first bit.
@@ -148,15 +155,15 @@ class BitRun:
 
     @property
     def memory(self) -> "BitRun":
-        """The object that stores the bytes of these bits: always this one itself."""
+        """The run that stores the bytes of these bits: always this run itself."""
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy bits out of ``data``, which is the bytes of ``memory`` or a copy of them."""
+        """Return bits from ``data``, which is the bytes of ``memory`` or a copy of them."""
         return slice_bits(data, position, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write bits into ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
+        """Replace bits in ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
         splice_bits(data, position, count, items)
 
     def get(self, position: int, count: int) -> bytes:
@@ -183,15 +190,15 @@ class BitRun:
 
 
 class RegisterBits:
-    """Registers shown as bits: bit ``n`` is bit ``n % 16`` of register ``n // 16``.
+    """Registers shown as bits: bit ``n`` is bit ``n % 16`` of register ``start + n // 16``.
 
     Bit 0 of a register is its least significant (Application Protocol V1.1b3 §4.3, figure 7: one block for all).
 
     Args:
         memory: the registers.
-        start: the register, counted from the run's first, whose least significant bit is bit 0.
+        start: the register, counted from the first of ``memory``, that contains bits 0…15.
         count: number of bits.
-        lock: taken for every change; the one of ``memory``.
+        lock: the lock of ``memory``, taken for every change.
     """
 
     __slots__ = ("_lock", "_start", "count", "first", "memory")
@@ -204,23 +211,23 @@ class RegisterBits:
         self._lock = lock
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Copy bits out of ``data``, which is the bytes of the registers or a copy of them."""
+        """Return bits from ``data``, which is the bytes of the registers or a copy of them."""
         low, high = self._bytes_of(position, count)
         return slice_bits(_bytes_swapped(data[low:high]), position & 15, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write bits into ``data``, which is the bytes of the registers or a copy of them, in one assignment."""
+        """Replace bits in ``data``, which is the bytes of the registers or a copy of them, in one assignment."""
         low, high = self._bytes_of(position, count)
         words = _bytes_swapped(data[low:high])
         splice_bits(words, position & 15, count, items)
         data[low:high] = _bytes_swapped(words)
 
     def get(self, position: int, count: int) -> bytes:
-        """Return bits of the registers, packed from the lowest bit of the first byte on; both numbers count bits."""
+        """Return ``count`` bits from bit ``position`` on, packed: the first is the lowest bit of the first byte."""
         return self.fetch(self.memory.data, position, count)
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the bits of a range in the registers; safe from any thread."""
+        """Replace ``count`` bits from bit ``position`` on in the registers; safe from any thread."""
         with self._lock:
             self.patch(self.memory.data, position, count, data)
 
@@ -232,8 +239,9 @@ class RegisterBits:
 def replace_all(fresh: Mapping[RegisterRun | BitRun, bytearray]) -> None:
     """Replace the bytes of several runs so that every reader sees all changes or none; the caller holds the lock.
 
-    Readers hold no lock, so between two Python statements one of them could see the first run new and the second
-    old. ``deque`` draws ``map`` dry inside one call of C code, during which no other thread runs Python.
+    ``fresh`` has the new bytes by run. Readers hold no lock, so between two Python statements a reader could see the
+    first run new and the second old. ``deque`` exhausts ``map`` inside one call of C code, during which no other thread
+    runs Python.
     """
     deque(map(setattr, fresh.keys(), repeat("data"), fresh.values()), maxlen=0)
 

@@ -16,8 +16,8 @@ async def listening_sockets(loop: asyncio.AbstractEventLoop, settings: ListenerS
     """Open and bind the sockets of a listener's endpoint, one for each address of its host name.
 
     Raises:
-        OSError: one cannot be had, or the host is not known; then none is bound.
-        ConfigError: it shall listen on one interface, and the system has no means for that.
+        OSError: a socket cannot be opened or bound, or the host is not known; then none is bound.
+        ConfigError: the listener is to use one network interface, and the system cannot do that.
     """
     endpoint = settings.endpoint
     addresses = await loop.getaddrinfo(
@@ -36,7 +36,7 @@ def bound_name(scheme: str, bound: socket.socket) -> str:
 
 
 def is_everywhere(url: str) -> bool:
-    """Whether a listener's URL means every address of this host, as ``0.0.0.0`` does."""
+    """Whether a listener's URL stands for all addresses of this host, as with ``0.0.0.0`` or ``::``."""
     return urlsplit(url).hostname in ("0.0.0.0", "::")
 
 

@@ -2,8 +2,8 @@
 
 Knows numbers, sequences and mappings; knows no lock, no store and no request.
 
-1. What cannot be is refused here, at construction, with `ConfigError`: an address outside 0…65535, two values for one
-   address, a value that does not fit, a read-only range of items that do not exist.
+1. A wrong declaration is refused here, at construction, with `ConfigError`: an address outside 0…65535, two values for
+   one address, a value that does not fit, a read-only range of items that do not exist.
 2. Items of adjacent addresses become one run, however they were declared: a request may cross where they meet.
 """
 
@@ -26,9 +26,9 @@ class Cells:
     Args:
         first: address of the first item, 0-based.
         count: number of items from ``first`` on; None for as many as ``values`` has.
-        values: what the items hold at first: a sequence, from ``first`` on; or a mapping of an address to its value or
-            to the values from there on. With a mapping and no ``count``, exactly the addresses in it exist. What has
-            no value holds zero. Registers take 0…65535, bits ``bool`` or 0 and 1.
+        values: the initial values: a sequence, from ``first`` on; or a mapping of an address to its value, or to a list
+            of values from that address on. With a mapping and no ``count``, exactly the addresses in the mapping exist.
+            Items without a value are zero. Registers take 0…65535, bits ``bool`` or 0 and 1.
         read_only: ranges, each first address and count, that Modbus cannot write (exception 02); the application can.
     """
 
@@ -39,7 +39,9 @@ class Cells:
 
 
 TableLike = int | Values | Cells | None
-"""What declares a table: a number of items from 0 on, their values, or `Cells`; None and 0 for none at all."""
+"""What declares a table: a number of items from address 0 on, a list or mapping of their values, or `Cells`. None and 0
+declare a table without items.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +70,12 @@ def lay_out(declared: TableLike, *, key: str, bits: bool = False, size: int = TA
 
     Args:
         declared: the items.
-        key: the argument at fault, for the sentence of an error.
-        bits: whether an item is one bit.
-        size: addresses that there can be.
+        key: the argument that declares them, named in errors.
+        bits: whether an item is one bit; else it is a register.
+        size: number of possible addresses, from 0 on.
 
     Raises:
-        ConfigError: the declaration cannot be.
+        ConfigError: the declaration is wrong.
     """
     cells = _as_cells(declared, key)
     pieces = _merged(_pieces(cells, key, bits, size), key)

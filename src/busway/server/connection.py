@@ -5,10 +5,10 @@ Knows when bytes arrive and leave; knows nothing of their meaning.
 1. Received bytes are processed in one call and answered with one write, up to the share of a turn.
 2. Reading pauses while a client does not read its replies (Messaging on TCP/IP V1.0b §4.1), and while its host is
    above its rate.
-3. No task, future or timer per request; a task only for a handler's awaitable.
+3. No task, future or timer per request; a task only for a responder that returns an awaitable.
 4. Timeouts are watched by connection management, which has one timer for all connections.
-5. In one turn of the loop a connection receives and processes a limited amount. Requests beyond that wait for the next
-   turns, after those of others (`busway.server.turns`), and nothing more is read meanwhile.
+5. In one turn of the event loop a connection receives and processes a limited amount. Requests beyond that wait for
+   the next turns, behind other connections (`busway.server.turns`), and nothing more is read meanwhile.
 """
 
 import asyncio
@@ -30,8 +30,9 @@ _USUAL_REQUEST: Final = 12
 """Bytes of a read request."""
 _LONGEST_REQUEST: Final = 260
 _BYTES_OF_A_TURN: Final = 17 * _LONGEST_REQUEST // _USUAL_REQUEST * _USUAL_REQUEST
-"""Most bytes received in a turn, a whole number of read requests: 16 of the longest requests never fill it. Full of
-cached reads, which have no other limit, it takes a sixth of a millisecond."""
+"""Most bytes received in a turn, a whole number of read requests; more than 16 of the longest requests. If they are all
+cached reads, which have no other limit, their processing takes a sixth of a millisecond.
+"""
 _MANY_BYTES: Final = 512
 """Bytes in one turn above which the server checks whether other connections have to wait."""
 
@@ -40,20 +41,20 @@ class ServerConnection(asyncio.BufferedProtocol):
     """The asyncio driver of one accepted connection: an `asyncio` protocol that feeds a server session.
 
     Args:
-        management: gives it a slot and a session.
-        role, subject: of the client's certificate, if TLS has found one.
+        management: gives the connection a slot and a session.
+        role, subject: of the client's certificate, after a TLS handshake.
         accepted: whether `ConnectionManagement.accept` was called already, by the TLS handshake acceptor.
 
     Attributes:
-        session: its session; None until it has a slot, and after its end.
+        session: the server session of the connection; None until the connection has a slot, and after its end.
         peer, host: ``host:port`` of the client, and the host alone.
-        role, subject: of its certificate; None and empty without one.
-        is_priority: whether it is of a priority host: no limit of the server closes or slows it.
-        pool: the pool of its slot.
-        is_greedy: whether it sends more than the share of a turn.
+        role, subject: of the client's certificate; None and empty without one.
+        is_priority: whether the client is a priority host: no limit of the server closes or slows its connection.
+        pool: the pool of the connection's slot.
+        is_greedy: whether the client sends more than is processed in one turn.
         opened, last_used: monotonic seconds.
         received, sent: bytes so far.
-        charged: requests that its host's rate was charged with.
+        charged: how many of its requests have been counted against its host's rate.
     """
 
     __slots__ = (
@@ -137,7 +138,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         return self._window
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Process received bytes and send the replies, up to the connection's share of time."""
+        """Process received bytes and send the replies, up to the connection's share of a turn."""
         session = self.session
         if session is None:
             return
@@ -213,7 +214,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         return True
 
     def _look_at_share(self, session: Session, nbytes: int) -> None:
-        """Put the connection into the queue for a turn if it has used up its share of the event loop's time."""
+        """Queue the connection for another turn if it has used up its share of this turn of the event loop."""
         session.spent = 0
         self._management.turns.worked()
         self.is_greedy = bool(session.rest) or nbytes == len(self._window)
@@ -227,7 +228,10 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._management.turns.wait(self)
 
     def take_turn(self) -> bool:
-        """Answer queued requests for the connection's share of time. Returns whether more remain."""
+        """Process requests that wait, for one share of a turn. Returns whether more remain.
+
+        Raises no ordinary exception.
+        """
         try:
             more = self._work_on()
         except (SystemExit, KeyboardInterrupt):
@@ -263,8 +267,8 @@ class ServerConnection(asyncio.BufferedProtocol):
     def deliver(self, adu: bytes) -> None:
         """Send the late reply to a request; empty bytes mean that the request ends without a reply.
 
-        Those that come in one turn of the event loop leave together: a gateway gets many at once from the line behind,
-        and a segment for each costs more than all the rest of the way.
+        The replies of one turn of the event loop are sent together: a gateway gets many at once from its upstream, and
+        a segment for each costs more than all other steps.
         """
         if self._late is None:
             self._late = []
@@ -277,7 +281,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self.deliver_together(late or [])
 
     def deliver_together(self, late: list[bytes]) -> None:
-        """Send the late replies to several requests in one write."""
+        """Send the late replies to several requests in one write, or one by one with ``single_adu_segments``."""
         if self.session is not None and not self._transport.is_closing():
             if late:
                 self._write(late)
@@ -285,7 +289,9 @@ class ServerConnection(asyncio.BufferedProtocol):
                 self._transport.close()
 
     def attend(self) -> None:
-        """Handle what the session reports without new bytes, such as a late reply or a frame that silence ended."""
+        """Start awaiting late replies and report failures, after the session has processed something without new
+        bytes.
+        """
         session = self.session
         if session is not None and session.deferred:
             self._start_waiting(session)
@@ -297,7 +303,9 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._transport.pause_reading()
 
     def go_on(self) -> None:
-        """Read from the client again after `hold`, unless there is another reason for a pause."""
+        """Read from the client again after a pause, unless there is another reason for a pause; queued requests come
+        first.
+        """
         if self._is_stuck or self._is_queued or self._transport.is_closing():
             return
         if self.session is not None and self.session.rest:
@@ -310,7 +318,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._transport.resume_reading()
 
     def close(self) -> None:
-        """Close the connection after the replies given so far have been sent."""
+        """Close the connection after all replies given so far have been sent."""
         if self._late:
             self._send_late()
         if self._transport is not None:

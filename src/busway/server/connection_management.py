@@ -6,9 +6,9 @@ Knows connections and their limits; knows no request.
 2. `busway.server.connection_slots` decides which connection is closed for a new one, `busway.server.deadlines` what is
    overdue.
 3. No timeout, rate or new connection closes or slows a connection of a priority host, nor does the user timeout of its
-   socket. It ends with an error, with the server, or when the system finds its peer gone.
+   socket. It ends with an error, with the server, or when the system finds that its peer has gone.
 4. There is one timer for all connections of a listener.
-5. What happens is counted, and can be seen.
+5. Every refusal and every closed connection is counted; the status shows the counts.
 """
 
 import asyncio
@@ -40,8 +40,9 @@ _SENTENCES: Final = {
     Overdue.IDLE: "closed: it was not used for %g s",
 }
 REQUESTS_OF_A_TURN: Final = 16
-"""Requests of one connection processed in a turn, known reads not counted: 16 pipelined requests are answered at
-once, and 16 of the most expensive kind take a millisecond or two."""
+"""Most requests of one connection processed in a turn, known reads not counted: 16 pipelined requests are answered at
+once, and 16 of the most expensive kind take a millisecond or two.
+"""
 _COUNTED_AS: Final = {one: f"{one.value}s" for one in _SENTENCES}
 
 
@@ -49,7 +50,7 @@ class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
     """Interface of a server connection that a listener's connection management admits and closes.
 
     Attributes:
-        charged: requests that its host's rate was charged with.
+        charged: how many of its requests have been counted against its host's rate.
     """
 
     charged: int
@@ -58,7 +59,7 @@ class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
         """Stop reading from the client until `go_on` is called."""
 
     def go_on(self) -> None:
-        """Read from the client again after `hold`, unless there is another reason for a pause."""
+        """Read from the client again after a pause, unless there is another reason for a pause."""
 
     def abort(self) -> None:
         """Close the connection at once; unsent replies are lost."""
@@ -77,7 +78,10 @@ class HandshakeAcceptor(Protocol):
         """Return the listener's TLS status: its certificate and counts of handshakes."""
 
     def reload(self) -> None:
-        """Read the listener's certificate, key and authorities again. Raises `ConfigError`; the old ones stay then."""
+        """Read the listener's certificate, key and authorities again.
+
+        Raises `ConfigError`; then the old ones stay in use.
+        """
 
     def close(self) -> None:
         """Abort all TLS handshakes that are not complete."""
@@ -90,7 +94,7 @@ class ConnectionManagement:
         listener_context: access list, limits and counters of the listener.
         pools: connection slots, its own or shared with other listeners.
         sockets: parameters of the sockets of new connections.
-        turns: queue of connections that have more to do than one turn allows; None for an unshared one.
+        turns: queue of connections with more requests than one turn allows; None creates one for this listener alone.
 
     Attributes:
         handshake_acceptor: runs the TLS handshake of new connections before they are admitted; None without TLS.
@@ -157,9 +161,9 @@ class ConnectionManagement:
     # Coming and going.
 
     def accept(self, transport: asyncio.BaseTransport) -> bool:
-        """Check a new connection before a byte of it is read; returns whether it may stay. Sets its socket options.
+        """Check whether the host of a new connection may connect, before a byte is read, and set the socket options.
 
-        A refusal is counted and logged; closing is the caller's.
+        Returns whether it may. A refusal is counted and logged; the caller closes the connection.
         """
         address = transport.get_extra_info("peername")
         host = host_of(address)
@@ -197,7 +201,7 @@ class ConnectionManagement:
         return listener_context.session_for(connection, share=REQUESTS_OF_A_TURN)
 
     def evict(self, connection: ManagedConnection) -> None:
-        """Close a connection, because a new connection gets its place among the limited connections."""
+        """Close a connection at once, because a new connection gets its slot."""
         self.counters.evicted += 1
         self.listener_context.say(
             logging.WARNING,
@@ -238,7 +242,7 @@ class ConnectionManagement:
     # Limits while they last.
 
     def watch_frame(self, connection: ManagedConnection, *, begun_now: bool) -> None:
-        """Start the timeout of an incomplete frame on a connection; ``begun_now``: the frame is a new one."""
+        """Start the timeout of an incomplete frame on a connection. ``begun_now``: False if the frame began earlier."""
         if connection.is_priority:
             return
         now = time.monotonic()
@@ -256,7 +260,9 @@ class ConnectionManagement:
         self._deadlines.taken(connection)
 
     def charge(self, connection: ManagedConnection, session: Session) -> None:
-        """Count the requests of a connection against its host's rate; pause the connection above it."""
+        """Count the new requests of a connection against its host's rate; above the rate, pause reading from the
+        connection.
+        """
         assert self.rates is not None  # or this is not called
         now = time.monotonic()
         requests, connection.charged = session.requests - connection.charged, session.requests
@@ -332,7 +338,7 @@ class ConnectionManagement:
         return self.listener_context.status(pools.count, security=security)
 
     def add_living(self, counters: ServerCounters) -> None:
-        """Add the counters of open connections to totals, which contain those of closed ones already."""
+        """Add the counters of open connections to ``counters``, which has those of closed connections already."""
         for one in self._connections:
             if one.session is not None:
                 add_living(counters, one, one.session)

@@ -2,18 +2,19 @@
 
 Pure: knows who is connected and since when unused; closes nothing, logs nothing, looks at no clock.
 
-1. There are two pools. A connection of a priority host takes a place of the priority pool, from where nothing ever
-   moves it. Each device has a limit there, so that one does not take all.
-2. A priority connection is always accepted: beyond its limit it takes a place of the other pool, and moves up when one
-   of the priority pool becomes free.
-3. In the other pool a new connection pushes out one that has never said anything, if its other end has closed or it had
-   `SECONDS_TO_SPEAK`; else the connection unused longest, or the oldest where all are busy. One of a host
-   without priority never pushes out one of a priority host: where only such are left, it is refused itself. So clients
-   that connect and close, or send nothing, take no slot of one that works; nor does a new connection that has ended.
-4. Only a priority connection that finds nothing but priority connections takes the place of one: of its own device's
-   oldest, if there is one. Nothing else keeps both the bound and rule 2.
-5. A host without priority may have a limit of its own; its next connection replaces its oldest. With a limit of 1
-   a client that has started anew replaces what is left of it (§4.2.2).
+1. There are two pools. A connection of a priority host takes a slot of the priority pool, and keeps it until it ends.
+   Each host has a limit there, so that one host does not take all.
+2. A connection of a priority host is always accepted: beyond the limit it takes a slot of the other pool, and moves up
+   when a slot of the priority pool becomes free.
+3. If the other pool is full, a new connection replaces another one: first one that has never sent a byte, if its client
+   has closed it or it is older than `SECONDS_TO_SPEAK`; else the connection unused longest, or the oldest where all are
+   busy. A connection of a host without priority never replaces one of a priority host: where only those are left, the
+   new connection is refused. So clients that connect and close, or send nothing, take no slot of a connection that
+   works; nor does a new connection that its client has closed already.
+4. Only a priority host's connection that finds nothing but connections of priority hosts replaces one of them: the
+   oldest of its own host, if there is one, else the oldest. Nothing else keeps both the bound and rule 2.
+5. A host without priority may have a limit of its own; then its next connection replaces its oldest. With a limit of 1
+   a client that has restarted replaces the connection it left behind (§4.2.2).
 """
 
 from collections import Counter, deque
@@ -25,9 +26,9 @@ from typing import Final, Generic, Protocol, TypeVar
 from ..options.server import ListenerParameters
 
 SECONDS_TO_SPEAK: Final = 1.0
-"""Seconds until a connection that has sent nothing is closed for a new one before those that have."""
+"""Age in seconds from which a connection that has sent nothing is the first to be closed for a new connection."""
 _LOOKS: Final = 64
-"""Silent connections whose other ends are looked at for one new connection at most."""
+"""Most silent connections that are checked, for one new connection, for whether their clients have closed them."""
 
 
 class Pool(Enum):
@@ -38,14 +39,15 @@ class Pool(Enum):
 
 
 class PoolMember(Protocol):
-    """Interface of a connection that counts towards a listener's limit of connections (occupies a slot).
+    """Interface of a connection that occupies a connection slot of a listener.
 
     Attributes:
         host: host of the client.
-        is_priority: whether it is a priority host.
+        is_priority: whether the client is a priority host.
         pool: the pool of its slot, set when it gets one.
-        last_used: seconds; never decreases. The time of its connect until it has sent something.
-        received: bytes so far.
+        last_used: when it was last used, in seconds; never decreases. The time of its connect until it has sent
+            something.
+        received: bytes received from the client so far.
     """
 
     host: str
@@ -74,7 +76,7 @@ class PoolLimits:
         priority: slots of the priority pool.
         other: slots of the other pool.
         priority_per_device: priority slots that one host may use.
-        per_device: limit of the other slots for one host without priority; None for all of them.
+        per_device: slots of the other pool that one host without priority may use; None for no limit per host.
     """
 
     priority: int
@@ -98,8 +100,8 @@ class Admission(Generic[One]):
     """The decision about a new connection: whether it gets a slot, and which connection is closed for it.
 
     Attributes:
-        accepted: whether it got a slot.
-        evicted: the connection that has lost its slot for it; the caller closes it.
+        accepted: whether the new connection got a slot.
+        evicted: the connection that has lost its slot to the new one; the caller closes it. None if there is none.
     """
 
     accepted: bool
@@ -124,11 +126,14 @@ class Pools(Generic[One]):
         return len(self._priority) + len(self._other)
 
     def count(self, pool: Pool) -> int:
-        """Return how many connections there are in a pool: of priority hosts, or of others."""
+        """Return how many connections have a slot of a pool.
+
+        Those of priority hosts can be in the other pool too (rule 2).
+        """
         return len(self._priority if pool is Pool.PRIORITY else self._other)
 
     def admit(self, candidate: One) -> Admission[One]:
-        """Give a new connection a slot, if necessary that of another connection, which is returned to be closed."""
+        """Give a new connection a slot, if necessary that of another connection, which is ``evicted`` in the result."""
         if candidate.is_priority and self._has_priority_place(candidate.host):
             self._prefer(candidate)
             return Admission(True)
@@ -145,7 +150,7 @@ class Pools(Generic[One]):
         return Admission(True, evicted)
 
     def leave(self, member: One) -> None:
-        """Free the connection slot of a connection that has ended; no effect if it had lost its slot before."""
+        """Free the slot of a connection that has ended; no effect if it has lost its slot already."""
         if member in self._other:
             self._remove(member)
         elif member in self._priority:
@@ -158,7 +163,10 @@ class Pools(Generic[One]):
     # Who goes.
 
     def _of_same_device(self, candidate: One) -> One | None:
-        """Return the oldest connection of a host at its limit, to be closed for a new one; None for priority hosts."""
+        """Return the oldest connection of a host that is at its limit, to be closed for a new connection of the host.
+
+        None if the host is below its limit or is a priority host.
+        """
         limit = self.limits.per_device
         if limit is None or candidate.is_priority:
             return None
@@ -166,8 +174,9 @@ class Pools(Generic[One]):
         return next(iter(own)) if len(own) >= limit else None
 
     def _silent_one(self, candidate: One) -> One | None:
-        """Return a connection to close first: one that never sent a byte and has ended or outlived
-        `SECONDS_TO_SPEAK`.
+        """Return a connection that never sent a byte, to be closed first; None without one.
+
+        Its client must have closed it, or it must be older than `SECONDS_TO_SPEAK`.
         """
         for member in list(islice(self._silent, _LOOKS)):
             if member.received:
@@ -177,7 +186,10 @@ class Pools(Generic[One]):
         return None
 
     def _longest_unused(self) -> One | None:
-        """Return the connection without priority that was unused longest, or the oldest if all are busy."""
+        """Return the connection without priority that was unused longest, or the oldest if all are busy.
+
+        None if all connections in the pool are of priority hosts.
+        """
         found = self._first_idle()
         if found is None:
             # Sorted once for many new connections: what has not been used since then stands in its order still, and all
@@ -204,8 +216,9 @@ class Pools(Generic[One]):
         return found
 
     def _oldest_priority(self, candidate: One) -> One | None:
-        """Return the oldest priority connection in the other pool, if only such ones are there to be
-        closed (rule 4).
+        """Return the connection of a priority host to be replaced by a new one of a priority host (rule 4).
+
+        It is the oldest of the same host, else the oldest. None if the new connection is not of a priority host.
         """
         if not candidate.is_priority:
             return None
@@ -242,7 +255,9 @@ class Pools(Generic[One]):
                 del self._of_device[member.host]
 
     def _move_up(self) -> None:
-        """Move the oldest priority connection in a normal connection slot to a free priority slot."""
+        """Move the oldest connection of a priority host in the other pool to a free slot of the priority pool, if there
+        is one.
+        """
         for member in self._other:
             if member.is_priority and self._has_priority_place(member.host):
                 self._remove(member)

@@ -3,8 +3,8 @@
 Knows connections and how to send on them; knows no request. A simulated device that answers twice, in pieces or late
 uses it: its responder returns `SILENCE`, and sends its own bytes on the tapped connection.
 
-1. Answering a request looks up no tapped connection: the tap keeps those it is given, and finds them by listener and
-   peer, as a request's context names them. Without a tap none are made.
+1. To answer a request, the server looks up no tapped connection: the tap keeps those it was told of, and finds them by
+   listener and peer, as a request's context names them. Without a tap no tapped connections are made.
 """
 
 from collections.abc import Callable
@@ -17,12 +17,12 @@ class TappedConnection:
     """An open connection, UDP peer or serial port on which a connection tap can send bytes of its own.
 
     Attributes:
-        listener, peer: as in `RequestContext`.
+        listener, peer: URL of the listener and address of the client, as in `RequestContext`.
         framing: ``mbap``, ``rtu`` or ``ascii``.
         carrier: ``tcp``, ``tls``, ``udp`` or ``serial``.
-        gap: seconds of silence that a frame needs before it; 0 over a network.
+        gap: seconds of silence that the line needs before a frame; 0 over a network.
         send: sends bytes as they are, at the end of this turn of the event loop at the latest.
-        close: closes the connection after what was sent; does nothing over UDP and on a serial port.
+        close: closes the connection after the bytes sent so far; does nothing over UDP and on a serial port.
     """
 
     listener: str
@@ -45,4 +45,4 @@ class ConnectionTap(Protocol):
 
 
 def stay() -> None:
-    """Do nothing when asked to close a UDP peer or serial port, which cannot be closed (`TappedConnection.close`)."""
+    """Do nothing: this is `TappedConnection.close` of a UDP peer or a serial port, which cannot be closed."""

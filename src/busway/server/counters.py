@@ -6,7 +6,13 @@ from typing import Self
 
 @dataclass(slots=True)
 class ClassCounters:
-    """Counters of the connections of priority hosts, or of all other hosts; sizes are bytes."""
+    """Counters of the connections of priority hosts, or of all other hosts.
+
+    Attributes:
+        accepted, closed: connections, and peers over UDP.
+        requests: requests of ended connections; a status adds those of open ones.
+        received, sent: bytes, counted like ``requests``.
+    """
 
     accepted: int = 0
     closed: int = 0
@@ -21,22 +27,23 @@ class ServerCounters:
 
     Attributes:
         accepted, closed: connections, and peers over UDP.
-        unauthorized: new connections that were refused by their address.
+        unauthorized: new connections that were refused by the address of their host.
         no_longer_authorized: connections, and peers over UDP, that were ended because address lists have changed.
-        refused_full: new connections without a free slot: none could be closed for them, or they had closed already.
-        evicted: connections that made room.
-        broken_streams: connections that could not be followed any more.
+        refused_full: new connections that got no slot: no other connection could be closed for them, or their client
+            had closed them already.
+        evicted: connections that were closed because a new connection got their slot.
+        broken_streams: connections that were closed because their bytes were no valid sequence of frames.
         header_timeouts, frame_timeouts: requests that did not end in time, in their header or after it.
-        write_timeouts: clients that did not take their replies.
-        idle_timeouts: connections that were not used.
-        reading_paused: times that nothing more was read from a client that did not take its replies; over UDP, times
-            that the system took none, and they were lost.
-        rate_limited: times that a host was over its rate: held back, or over UDP its datagram dropped.
-        responder_failures: responders that raised.
-        requests: requests, by all ways.
-        discarded_frames: frames that got no answer, datagrams that were none.
+        write_timeouts: connections closed because the client did not read its replies in time.
+        idle_timeouts: connections closed because they were unused for too long.
+        reading_paused: times that reading from a client was paused because it did not read its replies; over UDP, times
+            that the system's send buffer was full, so that replies were lost.
+        rate_limited: times that a host was above its rate: its connection was paused, or over UDP its datagram dropped.
+        responder_failures: requests whose responder raised an exception other than a refusal.
+        requests: requests on all listeners.
+        discarded_frames: frames that got no answer, and datagrams that were no valid frame.
         refused_busy: requests answered 06 because all slots were taken.
-        priority, other: the same by class of device.
+        priority, other: some of these counters, for priority hosts and for all other hosts.
     """
 
     accepted: int = 0
@@ -64,7 +71,7 @@ class ServerCounters:
         return self.priority if is_priority else self.other
 
     def take_off(self, counted: "ServerCounters") -> None:
-        """Subtract the counts of an earlier moment, so that only later events remain."""
+        """Subtract earlier counts from these counters, so that only later events remain."""
         for mine, theirs in ((self, counted), (self.priority, counted.priority), (self.other, counted.other)):
             for one in fields(mine):
                 value = getattr(mine, one.name)
@@ -72,5 +79,5 @@ class ServerCounters:
                     setattr(mine, one.name, value - getattr(theirs, one.name))
 
     def copy(self) -> Self:
-        """Return a copy of the server's counters that does not change any more."""
+        """Return a copy of the server's counters; later events do not change it."""
         return replace(self, priority=replace(self.priority), other=replace(self.other))

@@ -1,12 +1,13 @@
 """Timeouts of a listener's connections: which connections are overdue, and when to check again.
 
-Pure: knows connections by name and times handed in; closes nothing and has no timer. One look serves all connections.
+Pure: knows connections and the times that it is given; closes nothing and has no timer. One check serves all
+connections.
 
-1. A frame that has begun has a time for its header and one for the whole; both run from its first byte.
-2. Replies that a client does not take have a time; taking some of them starts it anew.
-3. A connection that is held back has a time at which it is let go on.
-4. Idle connections are looked for 16 times in their time, so that the look costs nothing with thousands of them: they
-   are closed up to a sixteenth late.
+1. A frame that has begun has a timeout for its header and a timeout for the whole; both run from its first byte.
+2. Replies that a client does not read have a timeout; it starts anew when the client reads some of them.
+3. A connection that is paused has a time at which reading is resumed.
+4. Idle connections are looked for 16 times per idle timeout, so that the check costs little with thousands of them: a
+   connection is closed late by at most a sixteenth of the timeout.
 """
 
 from collections.abc import Iterable
@@ -43,7 +44,7 @@ One = TypeVar("One", bound=Timed)
 
 
 class Overdue(Enum):
-    """What is over for a connection: its frame, write or idle timeout, or its pause."""
+    """What is over for a connection: its header, frame, write or idle timeout, or its pause (HELD)."""
 
     HEADER = "header_timeout"
     FRAME = "frame_timeout"
@@ -71,12 +72,18 @@ class Deadlines(Generic[One]):
     # What happens.
 
     def frame_begun(self, one: One, now: float, *, anew: bool) -> float | None:
-        """Start the timeout of a partly received frame; returns its deadline. ``anew``: the frame is a new one."""
+        """Start or continue the timeout of a partly received frame. Returns its deadline; None without a timeout.
+
+        ``anew``: the frame began just now; else a timeout that runs already goes on.
+        """
         since = self._begun[one] = now if anew else self._begun.get(one, now)
         return self._frame_deadline(one, since)
 
     def stuck(self, one: One, now: float) -> float | None:
-        """Start the write timeout of a client that has stopped reading. Returns when to check again."""
+        """Start the write timeout of a client that has stopped reading.
+
+        Returns when to check; None without a timeout.
+        """
         timeout = self._parameters.write_timeout
         if timeout is None:
             return None
@@ -88,7 +95,7 @@ class Deadlines(Generic[One]):
         self._stuck.pop(one, None)
 
     def hold(self, one: One, until: float) -> float:
-        """Pause a connection until a time; returns that time."""
+        """Record that reading from a connection is paused until a time; returns that time."""
         self._held[one] = until
         return until
 
@@ -105,7 +112,10 @@ class Deadlines(Generic[One]):
     # What is due.
 
     def next_due(self, now: float, *, has_connections: bool) -> float | None:
-        """Return when to call `due` next; None while no timeout runs. ``has_connections``: whether any is open."""
+        """Return when to call `due` next; None while no timeout runs.
+
+        ``has_connections``: whether any connection is open.
+        """
         times = [self._frame_deadline(one, since) for one, since in self._begun.items()]
         times += [stuck.since + (self._parameters.write_timeout or 0.0) for stuck in self._stuck.values()]
         times += self._held.values()
@@ -116,7 +126,10 @@ class Deadlines(Generic[One]):
         return min((one for one in times if one is not None), default=None)
 
     def due(self, allow_all: Iterable[One], now: float) -> list[tuple[One, Overdue]]:
-        """Return each connection whose timeout or pause is over at ``now``, and which of them it is."""
+        """Return each connection whose timeout or pause is over at ``now``, with what is over.
+
+        ``allow_all`` are all open connections; they are searched for idle ones.
+        """
         found = [*self._frames(now), *self._writes(now)]
         for one, until in list(self._held.items()):
             if now >= until:

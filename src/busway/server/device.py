@@ -3,12 +3,12 @@
 Knows the accesses of requests (`DataModel`, `DirectModel`) and of its application; knows no connection, no unit number
 and no function beyond its code.
 
-1. An access by Modbus goes: exists and may be written (02), hooks before, the items, hooks after. What fails before the
-   items are touched has changed nothing.
-2. What changes items holds ``lock``; reading takes no lock, because a read is one slice (`busway.server.blocks`).
+1. An access by Modbus has four steps: check that the items exist and may be written (02), hooks before, the items,
+   hooks after. A failure before the items are touched changes nothing.
+2. Changes of items hold ``lock``; reading takes no lock, because a read is one slice (`busway.server.blocks`).
    The executor of a request holds ``lock`` around it, so that functions 22 and 23 are one step for every thread.
 3. Hooks are for Modbus. The application's own accesses call none.
-4. ``generation`` changes when an answer compiled earlier is no longer right.
+4. ``generation`` changes when a function compiled earlier to answer requests from bytes is no longer right.
 """
 
 import threading
@@ -48,12 +48,12 @@ class Device:
     """A Modbus device: tables, files, queues and identification. A server offers it under one or several units.
 
     Args:
-        holding_registers: the table: a number of items from address 0 on, a list of their values, a mapping of address
-            to value or values (then exactly these exist), or `Cells`. None or 0: there are none, and every access is
-            answered with exception 02.
-        input_registers: the table, likewise.
-        coils: the table, likewise.
-        discrete_inputs: the table, likewise.
+        holding_registers: the items of the table: their number from address 0 on, a list of their values, a mapping of
+            address to value or values (then exactly these exist), or `Cells`. None or 0: the table has no items, and
+            every access is answered with exception 02.
+        input_registers: declared like ``holding_registers``.
+        coils: declared like ``holding_registers``.
+        discrete_inputs: declared like ``holding_registers``.
         files: records by file number 1…65535, each declared like a table; records are 0…9999.
         fifos: queued registers by address 0…65535, oldest first.
         identification: identification objects by number 0…255, text (sent as UTF-8) or bytes, at most 244 bytes each.
@@ -62,17 +62,17 @@ class Device:
         exception_status: eight status bits 0…255, or a function that gives them each time they are asked.
         canopen: answers a CANopen general reference (43/13), bytes to bytes; None: exception 01.
         functions: function codes that the device offers, 1…127; the others are answered with exception 01. None: all.
-        block: one block of memory behind several tables; those it serves are not declared a second time.
+        block: one block of memory that several tables share; the tables it serves must not be declared as well.
 
     Raises:
-        ConfigError: something declared cannot be; names the argument.
+        ConfigError: a declaration is wrong; names the argument.
 
     Attributes:
         holding_registers, input_registers, coils, discrete_inputs: the tables for the application (`TableView`).
         files: files by number (`RecordFile`).
         fifos: queues by address (`RegisterQueue`).
-        lock: held while a request is executed and while items change. The application holds it, from any thread,
-            where a value depends on the one before it: ``with device.lock: device.holding_registers[0] += 1``. While
+        lock: held while a request is executed and while items change. The application holds it, from any thread, to
+            change a value that depends on its old value: ``with device.lock: device.holding_registers[0] += 1``. While
             it is held, requests that are not plain reads wait, and the event loop with them: keep it short.
     """
 
@@ -131,10 +131,10 @@ class Device:
         """Context manager for changes that clients see all at once: ``with device.update(): …``.
 
         No Modbus client and no other thread sees some of the group's changes to tables and files without the others,
-        not even by several requests one after the other. The group takes effect when the block ends; when it ends with
-        an exception, nothing of it does. Inside, the thread or task sees its own changes. Modbus is served meanwhile
-        and nothing it writes is lost; on an item that both wrote, the group's value remains. A group inside a group is
-        part of it. Queues change at once, in a group or not.
+        not even by several requests one after the other. The changes take effect when the block ends; if it ends with
+        an exception, none of them does. Inside the block, the thread or task sees its own changes. Modbus requests are
+        served meanwhile, and nothing that they write is lost; on an item that both wrote, the group's value remains. A
+        group inside a group is part of it. Queues change at once, inside a group as well.
         """
         return self._groups.update()
 
@@ -160,14 +160,15 @@ class Device:
                 register as ``4x101.3``.
             type: a type of `busway.values`; None for the items themselves (``int`` for registers, ``bool`` for bits).
             order: byte and register order.
-            count: number of values, 1 or more; None for one that is given alone, not in a list.
+            count: number of values, 1 or more; None for one value, returned alone and not in a list.
 
         Returns:
             The value; a list of them if ``count`` is given.
 
         Raises:
-            InvalidRequest: an item does not exist, or there is no such address, type, order or count.
-            BadReply: the registers mean nothing in this type: a BCD digit above 9, bytes outside a string's encoding.
+            InvalidRequest: an item does not exist, or address, type, order or count is not valid.
+            BadReply: the registers are no valid value of this type: a BCD digit above 9, or bytes outside a string's
+                encoding.
         """
         if arguments and isinstance(arguments[0], Table):
             return self._read_by_modbus(*arguments, **options)
@@ -193,8 +194,8 @@ class Device:
             order: byte and register order.
 
         Raises:
-            InvalidRequest: an item does not exist, a value does not fit, or there is no such address, type or order.
-                Nothing has changed.
+            InvalidRequest: an item does not exist, a value does not fit, or address, type or order is not valid.
+                Then nothing has changed.
         """
         if arguments and isinstance(arguments[0], Table):
             self._write_by_modbus(*arguments, **options)
@@ -229,15 +230,16 @@ class Device:
     ) -> AnyReadFunction | Callable[[AnyReadFunction], AnyReadFunction]:
         """Call a function at every read by Modbus: ``@device.on_read("input_registers")``, or with the function second.
 
-        ``before`` the read, it may set the items that will be read, or raise `Refusal`; ``after``, it learns what was
-        read. Any other exception is answered with 04. The read inside function 22 calls it too. Function 23 calls
-        it twice: ahead of its write, so that a refusal leaves everything as it was, and at the read itself.
+        Called ``before`` the read, the function may set the items that will be read, or raise `Refusal`; called
+        ``after``, it gets the values that were read. Any other exception is answered with 04. The read inside function
+        22 calls it too. Function 23 calls it twice: ahead of its write, so that a refusal leaves everything as it was,
+        and at the read itself.
 
         Args:
             table: the table that is read, ``holding_registers`` or `Table.HOLDING_REGISTERS`.
             function: takes an `Access`; called in the thread that executes the request, under ``lock``.
             when: ``before`` or ``after``.
-            address: only reads that touch items from here on; None for all.
+            address: first item of the range: only reads that touch the range call the function; None for all reads.
             count: number of items from ``address`` on; None for one, or for all without an address.
 
         Returns:
@@ -278,17 +280,18 @@ class Device:
         address: int | None = None,
         count: int | None = None,
     ) -> AnyWriteFunction | Callable[[AnyWriteFunction], AnyWriteFunction]:
-        """Call a function at every write by Modbus: ``@device.on_write("holding_registers")``, or with it second.
+        """Call a function at every write by Modbus: ``@device.on_write("holding_registers")``, or with the function
+        second.
 
-        ``before`` the write, it may raise `Refusal` with an exception code (04 without one), and nothing changes; it
-        cannot replace the value. ``after``, the items have changed, and stay changed whatever it raises. Any other
-        exception is answered with 04.
+        Called ``before`` the write, the function may raise `Refusal` with an exception code (04 without one), and
+        nothing changes; it cannot replace the value. Called ``after``, the items have changed, and stay changed
+        whatever the function raises. Any other exception is answered with 04.
 
         Args:
             table: the table that is written, ``coils`` or ``holding_registers``.
             function: takes a `Change`; called in the thread that executes the request, under ``lock``.
             when: ``before`` or ``after``.
-            address: only writes that touch items from here on; None for all.
+            address: first item of the range: only writes that touch the range call the function; None for all writes.
             count: number of items from ``address`` on; None for one, or for all without an address.
 
         Returns:
@@ -358,13 +361,13 @@ class Device:
 
     @property
     def generation(self) -> int:
-        """A number that changes when memory given by ``plain_block``, or the set of enabled functions,
-        is out of date.
+        """A number that changes when memory returned by ``plain_block``, or the set of enabled functions, is out of
+        date.
         """
         return self._generation
 
     def watch(self, changed: Callable[[], object]) -> None:
-        """Call a bound method whenever ``generation`` changes, for as long as the method's object lives."""
+        """Call a bound method whenever ``generation`` changes; the method's object is held weakly."""
         self._watchers.append(WeakMethod(changed))
 
     def _offers_changed(self) -> None:
@@ -377,7 +380,11 @@ class Device:
                 changed()
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """Return a table's memory for direct access; None if it is in several pieces, hooked, or partly read-only."""
+        """Return a table's memory for direct access, without hooks and checks of read-only ranges.
+
+        None if requests must not use it: the items are not in one piece, there are hooks, or for ``writes`` some items
+        are read-only.
+        """
         store = self._stores[table]
         if len(store.runs) != 1 or (self._write_hooks if writes else self._read_hooks)[table]:
             return None
@@ -389,7 +396,8 @@ class Device:
     def find_run(self, table: Table, address: int, count: int) -> Run | None:
         """Return the memory that holds a range of items, for applications that change many items as bytes.
 
-        It does so as `busway.server.blocks` says: under ``lock``, and by `replace_all`. None unless all items exist.
+        None unless all items exist. The rules of `busway.server.blocks` hold: change it under ``lock``, several runs
+        only by `replace_all`.
         """
         return self._stores[table].find(address, count)
 
@@ -408,8 +416,10 @@ class Device:
         return None if run is None else run.get(record - run.first, count)
 
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
-        """Check that a range of a table can be read or written; raises `Refusal` with the exception code
-        (`DataModel.check`).
+        """Check that a range of a table can be read or written (`DataModel.check`); raises `Refusal` with the exception
+        code.
+
+        For a read with a ``context``, the hooks before a read are called too.
         """
         store = self._stores[table]
         if store.find(address, count) is None:
@@ -465,13 +475,14 @@ class Device:
             call(hooks, When.AFTER, change)
 
     def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
-        """Read records of a file for function 20; raises `Refusal` where they do not exist."""
+        """Read records of a file for function 20; raises `Refusal` if they do not exist."""
         run = self._file(file).accessed(record, count, writes=False)
         return run.get(record - run.first, count)
 
     def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
-        """Write records of a file for function 21, or only check with ``dry``; raises `Refusal` where they do not
-        exist.
+        """Write records of a file for function 21; raises `Refusal` if records do not exist or are read-only.
+
+        With ``dry`` the records are only checked, and nothing is written.
         """
         count = len(data) // 2
         run = self._file(file).accessed(record, count, writes=True)
@@ -504,7 +515,7 @@ class Device:
         return self._identification
 
     def canopen(self, data: bytes) -> bytes:
-        """Answer a CANopen request (function 43/13); raises `Refusal` if no CANopen device was attached."""
+        """Answer a CANopen request (function 43/13); raises `Refusal` if the device was made without ``canopen``."""
         if self._canopen is None:
             raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "no CANopen behind this device")
         return self._canopen(data)

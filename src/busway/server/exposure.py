@@ -3,7 +3,7 @@
 Knows bound URLs and whether requests are authorized; changes nothing.
 
 1. A listener on every address of the host (``0.0.0.0``, ``::``) is opened, and logged (Messaging V1.0b §4.3.3).
-2. A server that takes writes from every host that reaches it logs so once, and how to change that.
+2. A server that accepts writes from every host that can reach it logs that once, with how to change it.
 """
 
 import logging

@@ -2,13 +2,13 @@
 
 Knows runs and the lock; knows no table, no hook and no request.
 
-1. A group never holds the lock while the application works in it: it keeps a journal, and applies it when it ends, to
-   fresh copies of what the runs hold then. So a Modbus write that came meanwhile is not lost, and no request waits
-   for longer than the copying takes.
-2. Where the group and a Modbus write met on the same item, the group's value remains: it is as if the Modbus write had
-   come just before. A value that depends on the one before it (a counter) is changed under ``Device.lock``.
+1. A group never holds the lock while the application works in it: it keeps a journal of its changes. When the group
+   ends, the journal is applied to fresh copies of the runs' bytes. So a Modbus write that came meanwhile is not lost,
+   and no request waits for longer than the copying takes.
+2. Where the group and a Modbus write have changed the same item, the group's value remains, as if the Modbus write had
+   come just before. A value that depends on its own old value (a counter) is changed under ``Device.lock``.
 3. Inside the group, its own thread or task sees what the runs held when the group first touched them, with the group's
-   changes. No other thread or request sees anything of it before it ends.
+   changes. No other thread or request sees a change of the group before the group ends.
 4. A group that ends with an exception changes nothing.
 """
 
@@ -32,7 +32,7 @@ class _Entry:
 
 
 class _Group:
-    """The changes of one open group, and copies of the memory that show their effect to the application."""
+    """The changes of one open group, and copies of the changed memory that the application reads inside the group."""
 
     __slots__ = ("copies", "is_open", "journal", "owner")
 
@@ -51,7 +51,7 @@ class _Group:
 
 
 _open_groups: ContextVar[tuple[_Group, ...]] = ContextVar("busway_open_groups", default=())
-"""The groups that this thread or task has open, of whatever device, the innermost last."""
+"""The groups that this thread or task has open, of any device, the innermost last."""
 
 
 class Groups:
@@ -67,7 +67,7 @@ class Groups:
         self._lock = lock
 
     def get(self, run: Run, position: int, count: int) -> bytes:
-        """Return the current items of a range, including the changes of an open group."""
+        """Return the current items of a range; inside an open group, with the changes of that group."""
         group = self._current()
         if group is None:
             return run.get(position, count)
@@ -86,7 +86,9 @@ class Groups:
 
     @contextmanager
     def update(self) -> Iterator[None]:
-        """Open a group of changes that become visible together; one opened inside another joins it."""
+        """Context manager that opens a group of changes which become visible together; a group inside a group joins
+        it.
+        """
         if self._current() is not None:
             yield
             return

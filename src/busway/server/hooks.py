@@ -24,7 +24,7 @@ class When(Enum):
 
 
 Moment: TypeAlias = Literal["before", "after"]
-"""The texts that stand for `When`, for type checkers."""
+"""The accepted texts for a `When`, for type checkers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,10 @@ class Hook:
 
 
 class Hooks:
-    """The read hooks or the write hooks of one table, as a tuple that is replaced whole, so readers need no lock."""
+    """The read hooks or the write hooks of one table.
+
+    A change replaces the whole tuple of hooks, so readers need no lock.
+    """
 
     __slots__ = ("_all",)
 
@@ -123,7 +126,10 @@ class Hooks:
 
 
 def call(hooks: tuple[Hook, ...], when: When, access: Access | Change) -> None:
-    """Call the hooks for an access in order, those before or those after it; the first exception is raised."""
+    """Call the hooks for an access that are registered for this moment, in order.
+
+    An exception ends this, and is raised.
+    """
     for hook in hooks:
         if hook.when is when:
             hook.function(access)

@@ -16,15 +16,18 @@ SERVER_ID_LIMIT: Final = 251
 """Bytes of the data of function 17: what fits one reply (Application Protocol V1.1b3 §6.13)."""
 
 MANDATORY_OBJECTS: Final[Mapping[int, bytes]] = {0: b"busway", 1: b"device", 2: __version__.encode("ascii")}
-"""Vendor name, product code and revision, which every device has (§6.21); a declaration replaces them."""
+"""Default vendor name, product code and revision: every device must have these objects (§6.21)."""
 DEFAULT_SERVER_ID: Final = b"busway\xff"
-"""Server id and run indicator: on (§6.13)."""
+"""Default data of function 17: the server id, and the run indicator FF (on) (§6.13)."""
 
 ExceptionStatus = int | Callable[[], int]
 
 
 def identification_objects(declared: Mapping[int, str | bytes] | None) -> dict[int, bytes]:
-    """Return declared identification objects by number, the mandatory ones always; `ConfigError` for a wrong one."""
+    """Return the declared identification objects by number, with defaults for the mandatory ones.
+
+    Raises `ConfigError` for an invalid object.
+    """
     objects = dict(MANDATORY_OBJECTS)
     for number, value in (declared or {}).items():
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= 255:
@@ -39,14 +42,17 @@ def identification_objects(declared: Mapping[int, str | bytes] | None) -> dict[i
 
 
 def server_id_data(declared: bytes) -> bytes:
-    """Check and return the data of a reply to function 17; `ConfigError` if they are no bytes or too long."""
+    """Check and return the data of a reply to function 17. Raises `ConfigError` if they are not bytes, or too long."""
     if not isinstance(declared, bytes | bytearray) or len(declared) > SERVER_ID_LIMIT:
         raise ConfigError(f"a server id is at most {SERVER_ID_LIMIT} bytes, not {shown(declared)}", key="server_id")
     return bytes(declared)
 
 
 def status_source(declared: ExceptionStatus) -> Callable[[], int]:
-    """Return a function that returns the status bits of function 07; `ConfigError` for a number outside 0…255."""
+    """Return a function that returns the status bits of function 07.
+
+    Raises `ConfigError` for a number outside 0…255.
+    """
     if callable(declared):
         return declared
     if isinstance(declared, bool) or not isinstance(declared, int) or not 0 <= declared <= 255:

@@ -16,7 +16,7 @@ def unpacked(data: bytes, count: int, *, bits: bool) -> list[int]:
 
 
 def packed(values: Sequence[int], *, bits: bool) -> bytes:
-    """Return values of registers or bits in wire order; `InvalidRequest` for a value that does not fit."""
+    """Return values of registers or bits in wire order. Raises `InvalidRequest` for a value that does not fit."""
     if not bits:
         return pack_registers(values)
     return pack_bits(as_states(values))

@@ -1,10 +1,10 @@
 """A serial port as a listener: the asyncio driver between a port and the session of its line.
 
-Knows when bytes come and go; knows nothing of what they say.
+Knows when bytes come and go; knows nothing of what they mean.
 
-1. A port that is not there, or vanishes, is waited for and opened again; the listener stays.
+1. A port that is absent, or vanishes, is waited for and opened again; the listener stays.
 2. An answer leaves when the line has been silent for t3.5, to the microsecond with ``precise_timing``. If another
-   station speaks before, it does not leave any more: the line is not ours.
+   station sends before that, the answer is not sent any more.
 3. Times are those of ``time.monotonic``, as the port tells them.
 """
 
@@ -39,9 +39,9 @@ from .status_indicators import Diagnosis
 _log = logging.getLogger("busway.server")
 
 SPIN: Final = 0.0003
-"""Seconds before an answer that ``precise_timing`` waits for in a loop: a sleeping processor is woken so late."""
+"""Seconds of busy waiting before an answer with ``precise_timing``: a sleeping processor wakes up late by this much."""
 COARSE_SPIN: Final = 0.0015
-"""The same where only the timers of the event loop are there, which are up to one millisecond late."""
+"""Seconds of busy waiting where there are only the timers of the event loop, which are up to one millisecond late."""
 
 _NOT_THERE: Final = frozenset({errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO})
 
@@ -52,7 +52,7 @@ class SerialListener:
     Attributes:
         name: URL of the endpoint.
         diagnostics: counters and modes of the units of the line.
-        diagnosis: for the status indicators.
+        diagnosis: when the line last had traffic and faults; its status indicators follow from that.
     """
 
     def __init__(
@@ -105,8 +105,8 @@ class SerialListener:
         """Open the serial port; if it is absent, wait for it in the background.
 
         Raises:
-            LinkDown: it is taken (the message names the holder), or not for this user.
-            ConfigError: it is no serial port, cannot be set so, or is in use in this process.
+            LinkDown: the port is in use (the message names the holder), or this user may not open it.
+            ConfigError: it is no serial port, does not support the settings, or is in use in this process.
         """
         self._claim = Claim(self._settings.endpoint.path, "busway.serve")
         self._emission_alarm = Alarm(self._emit)
@@ -129,7 +129,10 @@ class SerialListener:
         self._session.take_no_more()
 
     async def close(self) -> None:
-        """Close the port. A reply that waits for the line's silence is sent; requests in progress get none."""
+        """Close the port.
+
+        A reply that waits for the silence of the line is sent first; requests in progress get no reply.
+        """
         if self._pending is not None:
             await asyncio.sleep(max(self._pending.not_before - time.monotonic(), 0.0))
             if self._pending is not None:  # or the alarm was sooner, or another station has spoken
@@ -174,7 +177,7 @@ class SerialListener:
 
     @property
     def requests(self) -> int:
-        """Number of requests to units of this server that the line has carried so far."""
+        """Number of requests to units of this server on the line so far, broadcasts included."""
         return self._session.requests
 
     # The port.

@@ -1,6 +1,6 @@
 """A listener as it is declared: an endpoint to listen on, with options that hold for it alone.
 
-Knows the names of the settings; each of them knows its meaning.
+Knows the names of the settings; their meaning is defined with their classes.
 """
 
 from collections.abc import Sequence
@@ -22,9 +22,10 @@ class Listener:
 
     Attributes:
         endpoint: URL.
-        access: asked with the host of each new connection, beside the server's own question; both must say yes.
-        tls: certificate, key and authorities of a ``tls://`` listener; None takes the server's.
-        limits: limits of its connections; None takes the server's.
+        access: called with the host of each new connection; a host may connect only if this and the server's own
+            ``authorize`` return True. None adds no check.
+        tls: certificate, key and authorities of a ``tls://`` listener; None for those of the server.
+        limits: limits of its connections; None for those of the server.
     """
 
     endpoint: str | Endpoint

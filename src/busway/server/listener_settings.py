@@ -1,7 +1,7 @@
 """Settings of a listener, read from its URL, whichever scheme it has.
 
-Knows which parts of a listener take which parameter classes; what an option means, and with which schemes, is declared
-in `busway.options`.
+Knows which parts of a listener take which parameter classes. What an option means, and which schemes have it, is
+declared in `busway.options`.
 """
 
 from collections.abc import Container
@@ -26,19 +26,19 @@ from .listener import Listener
 
 @dataclass(frozen=True, slots=True)
 class ListenerSettings:
-    """The checked settings of a listener: its endpoint and all options of it.
+    """The checked settings of a listener: its endpoint and all its options.
 
     Attributes:
-        endpoint: where.
-        framing: how frames are found, where the framing is RTU or ASCII.
+        endpoint: the endpoint to listen on.
+        framing: options of RTU or ASCII framing; without effect for MBAP.
         port: settings of the serial line; None over a network.
-        opening: how the port is opened.
+        opening: how the serial port is opened.
         limits: limits and timeouts of its connections.
-        access: which hosts may connect here; they must be allowed by the server too. None: those of the server.
-        tls: certificate, key and authorities; None where the carrier is not TLS.
-        is_optional: whether the others go on where it cannot be had.
+        access: which hosts may connect here; the server's own check must allow them too. None: only the server's check.
+        tls: certificate, key and authorities; None if the carrier is not TLS.
+        is_optional: whether the server starts without this listener if it cannot be opened.
         beside: URL of the configured listener that this one was opened for in addition (port 502): access rules that
-            name that URL hold here too.
+            name that URL hold here too. Empty for a configured listener.
     """
 
     endpoint: Endpoint
@@ -54,7 +54,12 @@ class ListenerSettings:
     def line_framing(
         self, units: Container[int], functions: FunctionTable, *, started: float | None = None
     ) -> LineFraming:
-        """Return the RTU or ASCII framing of one port or connection of a server. Raises `ConfigError`."""
+        """Return the RTU or ASCII framing of one port or connection of a server.
+
+        Raises `ConfigError` for wrong options.
+
+        ``started`` is when the port was opened, in the clock of its frames; None if the line is known to be idle.
+        """
         port = self.port
         timing = SerialTiming.of_network() if port is None else port.timing
         return line_framing(
@@ -76,7 +81,8 @@ def listener_settings(
     """Read the settings of a listener from its URL; ``limits`` and ``tls`` of the server are the defaults.
 
     Raises:
-        ConfigError: the URL cannot be listened on, with the options of its scheme.
+        ConfigError: the URL is no endpoint of a server, or has an option that its scheme does not take or that is
+            wrong.
     """
     endpoint = parse_endpoint(listener.endpoint)
     chosen = Offer.at(endpoint, "server", LISTENERS).chosen(endpoint.options, of=f"a listener on {endpoint.url}")
