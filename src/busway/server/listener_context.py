@@ -2,8 +2,8 @@
 
 Knows listeners and their limits; knows no transport and no request.
 
-1. Whether a host may come is asked before anything of it is read (Messaging on TCP/IP V1.0b §4.2.3).
-2. Who knocks again and again is counted each time, and logged once in a while.
+1. Whether a host may connect is checked before anything is read from it (Messaging on TCP/IP V1.0b §4.2.3).
+2. Each refused connection is counted; those of the same host are logged once a minute at most.
 """
 
 import asyncio
@@ -42,11 +42,11 @@ class ConnectedPeer(Protocol):
     """Interface of a connection, or of a UDP peer, as its listener uses it.
 
     Attributes:
-        peer: ``host:port``.
+        peer: ``host:port`` of the client.
         host: the host alone.
-        role, subject: of its certificate; None and empty without one.
-        is_priority: whether it is a device that the priority pool is for.
-        pool: where it has its place.
+        role, subject: of the client's certificate; None and empty without one.
+        is_priority: whether the client is a priority host.
+        pool: the pool of its connection slot.
         opened, last_used: monotonic seconds.
         received, sent: bytes so far.
     """
@@ -71,7 +71,7 @@ class ConnectedPeer(Protocol):
         """The state of the connection, for the server's status."""
 
     def deliver(self, adu: bytes) -> None:
-        """Send the late reply to a request of this client."""
+        """Send the late reply to a request of this client; empty bytes mean that the request ends without a reply."""
 
     def deliver_together(self, replies: list[bytes]) -> None:
         """Send late replies to several requests of this client at once."""
@@ -87,17 +87,17 @@ class ListenerContext:
     """What all connections of one network listener share: access list, sessions, counters, log.
 
     Attributes:
-        loop: the event loop it lives on.
-        listener: URL, as it is bound.
-        listener_names: further URLs that rules may use for it.
-        hosts: numeric addresses that it is bound to.
-        settings, parameters: of the listener.
-        counters: shared by all listeners of a server.
+        loop: the event loop that the listener runs on.
+        listener: URL of the listener with the address and port that are really bound.
+        listener_names: further URLs by which access rules may name the listener.
+        hosts: numeric addresses that the listener is bound to.
+        settings, parameters: all settings of the listener, and its limits and timeouts.
+        counters: counters shared by all listeners of a server.
         diagnostics: communication counters of the listener and its units (functions 08, 11, 12).
-        diagnosis: for the status indicators.
-        rates: of requests; None without a limit.
-        damaged: streams and datagrams that were no valid frames.
-        late_answers: tasks that await responders, also of ended connections, whose tasks are cancelled.
+        diagnosis: when the listener last had traffic and faults; its status indicators follow from that.
+        rates: limits of requests per second by host; None without a limit.
+        damaged: number of streams and datagrams that were no valid frames.
+        late_answers: tasks that await responders; also cancelled tasks of ended connections until they have finished.
     """
 
     def __init__(
@@ -139,7 +139,10 @@ class ListenerContext:
         self._tapped_connections: dict[ConnectedPeer, TappedConnection] = {}
 
     def bound_as(self, names: Sequence[str]) -> None:
-        """Store the URLs of the bound sockets: access rules may name the listener by them, or as configured."""
+        """Store the URLs of the bound sockets.
+
+        Access rules may name the listener by these URLs, or by the configured one.
+        """
         configured = (self.settings.endpoint.url, self.settings.beside)
         self.listener = names[0]
         self.listener_names = tuple(dict.fromkeys(name for name in (*configured, *names[1:]) if name))
@@ -150,7 +153,10 @@ class ListenerContext:
         return self.settings.endpoint.framing
 
     def welcomes(self, host: str, address: object) -> bool:
-        """Whether a client may connect from a socket address. A refusal is counted and logged."""
+        """Whether a client may connect. A refusal is counted and logged.
+
+        ``address`` is the socket address, for the log.
+        """
         if self._authorize(host):
             return True
         self.counters.unauthorized += 1
@@ -171,7 +177,10 @@ class ListenerContext:
         return host in self.parameters.priority
 
     def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> Session:
-        """Create the session of a new connection; ``share``: how many requests it processes in one go, on TCP."""
+        """Create the session of a new connection.
+
+        ``share``: most requests that one call processes (MBAP only); None: no limit.
+        """
         client = ClientIdentity(
             connected_peer.peer, self.listener, connected_peer.role, connected_peer.is_priority, self.listener_names
         )
@@ -220,7 +229,9 @@ class ListenerContext:
             self._tap.connection_opened(connection)
 
     def connection_closed(self, connected_peer: ConnectedPeer, session: Session) -> None:
-        """Count an ended connection, add its counters to the totals, and report it to the connection tap."""
+        """Count an ended connection, add the requests and bytes it has counted to the totals, and tell the connection
+        tap.
+        """
         counters = self.counters
         counters.closed += 1
         counters.of_class(is_priority=connected_peer.is_priority).closed += 1
@@ -241,7 +252,9 @@ class ListenerContext:
         report_failures(peer, failures)
 
     def say(self, level: int, about: str, message: str, *arguments: object) -> None:
-        """Log a message, at most once a minute for the same ``about``; the next line says how many were left out."""
+        """Log a message, at most once a minute for the same ``about`` and text; the next line says how many were left
+        out.
+        """
         repeated = self._repeats.again(f"{about} {message}", time.monotonic())
         if repeated is not None:
             _log.log(level, f"{message}%s", *arguments, so_often(repeated))
@@ -287,7 +300,7 @@ class ListenerContext:
 
 
 def add_living(counters: ServerCounters, connected_peer: ConnectedPeer, session: Session) -> None:
-    """Add the counters of one open connection to ``counters``."""
+    """Add the requests and bytes of one connection to ``counters``: at its end, or to a copy for a status."""
     counters.requests += session.requests
     counters.discarded_frames += session.discarded
     counters.refused_busy += session.refused_busy

@@ -2,12 +2,13 @@
 
 Knows devices and the rules of units on TCP; knows no connection.
 
-1. ``listed``: a unit that is not listed is answered 0B (or not at all), because a client must learn that no unit is
-   there. ``any``: the sole device answers whatever unit it is asked with, as much hardware does.
-2. 0 and 255 address the device of a server that has exactly one (Messaging on TCP/IP V1.0b §4.4.1.2). On a serial line
-   they do not: only the units listed are its own there, since others answer for themselves.
+1. Unit policy ``listed``: a request to a unit that is not listed is answered 0B (or not at all), because a client must
+   learn that there is no such unit. Unit policy ``any``: the only device answers requests to any unit, as much hardware
+   does.
+2. Units 0 and 255 mean the device of a server that has exactly one device (Messaging on TCP/IP V1.0b §4.4.1.2). On a
+   serial line they do not: there only listed units are answered, since other devices answer for theirs.
 3. Function not offered → 01, before its lengths are judged (Application Protocol V1.1b3 figure 9).
-4. A request is executed under the device's lock: 22 and 23 read and write in one step, for every thread.
+4. A request is executed under the device's lock: functions 22 and 23 read and write in one step, for every thread.
 5. A device that is listed as several units executes a broadcast of a serial line once.
 """
 
@@ -29,12 +30,12 @@ class DeviceResponder:
 
     Args:
         units: device by unit identifier, 0…255.
-        unit_policy: `UnitPolicy`; ``ANY`` needs exactly one device.
-        unlisted: how a request to a unit that does not exist is answered.
+        unit_policy: which units are answered, `UnitPolicy`; ``ANY`` needs exactly one device.
+        unlisted: how a request to a unit that does not exist is answered: with 0B, or not at all.
         functions: the table of functions, with the user's own if there are any.
 
     Attributes:
-        generation: changes when a device changes what it offers.
+        generation: a number that changes when a device changes what it offers.
     """
 
     def __init__(
@@ -81,7 +82,9 @@ class DeviceResponder:
         self.generation += 1
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return the configured unit number of the device that answers for ``unit``; None if no device does."""
+        """Return the device that answers for ``unit``, with the units it is configured as; None if no device
+        answers.
+        """
         return self._served.get(unit)
 
     def find(self, unit: int) -> Device | None:

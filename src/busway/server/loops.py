@@ -1,6 +1,6 @@
 """Runs the event loops that this library starts itself: uvloop's if it is installed, otherwise asyncio's.
 
-A program that runs its own loop chooses itself; nothing is switched behind its back.
+A program that runs its own event loop chooses the loop itself; this library does not change it.
 """
 
 import asyncio

@@ -4,7 +4,7 @@ import sys
 
 
 def raise_open_file_limit() -> None:
-    """Raise the process's soft limit of open files to the hard limit, on systems that have them."""
+    """Raise the process's soft limit of open files to its hard limit; no effect on systems without such limits."""
     if sys.platform == "win32":
         return
     import resource

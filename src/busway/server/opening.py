@@ -37,18 +37,18 @@ class Opening:
     """Opens all listeners of a server when it starts; holds what they share.
 
     Attributes:
-        loop: the event loop they live on.
+        loop: the event loop that the listeners run on.
         pipeline: answers the requests.
         parameters: options of the server's sessions.
         limits: limits and timeouts of connections, for listeners without their own.
         sockets: parameters of sockets.
         counters: the server's counters.
-        authorize: who may connect.
-        tap: is told of the ways in which bytes leave.
-        slots: transaction slots, if the whole server shares them.
-        shared_pools: connection slots that all listeners share, if they do.
-        epoll_set: where all TCP connections wait together; None where the event loop can have none.
-        turns: where they wait when they have more to do than one turn of the loop allows.
+        authorize: called with a client's host; returns whether it may connect.
+        tap: is told of opened and closed connections, and can send on them; None without one.
+        slots: limit of requests at once, for the whole server; used unless each connection has its own.
+        shared_pools: connection slots shared by the listeners that have no limits of their own.
+        epoll_set: epoll object that all TCP connections share; None if the event loop cannot use one.
+        turns: queue of connections with more requests than one turn of the loop allows.
     """
 
     loop: asyncio.AbstractEventLoop
@@ -71,8 +71,9 @@ class Opening:
         self.turns = Turns(self.loop)
 
     async def streams(self, settings: ListenerSettings) -> TcpListener | None:
-        """Open a TCP or TLS listener; returns None if that fails and the listener is optional. Raises `OSError`,
-        `ConfigError`.
+        """Open a TCP or TLS listener. Raises `OSError`, `ConfigError`.
+
+        None if its socket cannot be opened and the listener is optional (``is_optional``); that is logged.
         """
         limits = settings.limits
         shares = limits.shared_slots and limits is self.limits
@@ -129,7 +130,10 @@ class Opening:
 
 
 def serial_units(responder: Responder, endpoint: Endpoint) -> SerialUnits:
-    """The units that a responder answers for on a serial line. Raises `ConfigError` if there is none."""
+    """Return the units that a responder answers for on a serial line. Raises `ConfigError` if there are none.
+
+    ``endpoint`` is the listener's, for the error.
+    """
     units = SerialUnits(responder)
     if not any(unit in units for unit in range(1, LAST_SERIAL_UNIT + 1)):
         raise ConfigError(f"{endpoint.url}: at least one unit 1…{LAST_SERIAL_UNIT} is needed on a line", key="units")

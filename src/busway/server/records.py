@@ -1,6 +1,7 @@
 """Files of records and queues of registers (Application Protocol V1.1b3 §6.14, §6.15, §6.18).
 
-Knows what they hold; knows no request. A record is one register; a file has records 0…9999 and a number 1…65535.
+Knows their records and registers; knows no request. A record is one register; a file has records 0…9999 and a number
+1…65535.
 """
 
 import threading
@@ -23,8 +24,8 @@ class RecordFile(TableView):
     """One file of a device: its records by number, ``file[3]`` or ``file[0:5]``, as in `TableView`.
 
     Attributes:
-        is_consistent: False while the file area is known to be damaged; every Modbus access to it is then
-            refused with exception 08, and the application's own still work.
+        is_consistent: False while the file area is known to be damaged: then every Modbus access to the file is refused
+            with exception 08. The application's own accesses still work.
     """
 
     __slots__ = ("is_consistent",)
@@ -34,10 +35,11 @@ class RecordFile(TableView):
         self.is_consistent: bool = True
 
     def accessed(self, record: int, count: int, *, writes: bool) -> Run:
-        """Return the memory that holds these records; raises `Refusal` if one is absent or read-only.
+        """Return the memory that holds the records that a request asks for.
 
         Raises:
-            Refusal: 03 if ``count`` is 0, 02 if a record is missing or read-only, 08 if the file is inconsistent.
+            Refusal: 03 if ``count`` is 0, 02 if a record is missing (or read-only, for ``writes``), 08 if the file is
+                not consistent.
         """
         if count == 0:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_VALUE, "no records are asked for")
@@ -52,11 +54,11 @@ class RecordFile(TableView):
 class RegisterQueue:
     """A queue of registers, each 0…65535, that Modbus reads with function 24 and only the application changes.
 
-    Function 24 gives up to 31 registers and leaves them in the queue; while there are more it is answered with
+    Function 24 returns up to 31 registers and leaves them in the queue; a queue with more is answered with
     exception 03. Each method is one step for every thread.
 
     Args:
-        values: what is queued at first, oldest first.
+        values: the registers in the queue at first, oldest first.
         lock: taken for every access.
     """
 
@@ -74,7 +76,7 @@ class RegisterQueue:
             self._values.extend(values)
 
     def pop(self) -> int:
-        """Remove and return the oldest register of the queue. Raises `IndexError` if it is empty."""
+        """Remove and return the oldest register of the queue. Raises `IndexError` if the queue is empty."""
         with self._lock:
             return self._values.popleft()
 
@@ -95,7 +97,10 @@ class RegisterQueue:
 def build_files(
     declared: Mapping[int, TableLike] | None, lock: threading.RLock, groups: Groups
 ) -> dict[int, RecordFile]:
-    """Create the files of a device from their declaration (see `lay_out`); `ConfigError` for a wrong one."""
+    """Create the files of a device, by number, from their declaration (see `lay_out`).
+
+    Raises `ConfigError` for a wrong one.
+    """
     files = {}
     for number, cells in (declared or {}).items():
         key = f"files[{shown(number)}]"
@@ -107,7 +112,7 @@ def build_files(
 
 
 def build_queues(declared: Mapping[int, Sequence[int]] | None, lock: threading.RLock) -> dict[int, RegisterQueue]:
-    """Create the register queues of a device, by address; `ConfigError` for a wrong declaration."""
+    """Create the register queues of a device, by address. Raises `ConfigError` for a wrong declaration."""
     queues = {}
     for address, values in (declared or {}).items():
         if not isinstance(address, int) or not 0 <= address < TABLE_SIZE:

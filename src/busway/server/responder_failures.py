@@ -1,4 +1,5 @@
-"""Handles responders that need time or raise an exception: awaits them, logs, and answers for them.
+"""Handles responders that need time or raise an exception: awaits them, logs exceptions, and answers the client
+instead.
 
 Knows contexts and their replies; knows no transport.
 """
@@ -32,7 +33,10 @@ def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
 def begin_late_answers(
     deferred: Iterable[Deferred], loop: asyncio.AbstractEventLoop, *holders: set[asyncio.Task[None]]
 ) -> None:
-    """Start a task for each reply that a responder gives later; ``holders`` keeps the tasks until they end."""
+    """Start a task for each reply that a responder gives later.
+
+    Each of ``holders`` gets every task, until the task ends.
+    """
     for one in deferred:
         task = loop.create_task(answer_later(one))
         for holder in holders:
@@ -41,7 +45,10 @@ def begin_late_answers(
 
 
 async def answer_later(deferred: Deferred) -> None:
-    """Await a responder's late reply and pass it to the connection."""
+    """Await a responder's late reply and give it to the client; an exception is logged and answered with 04.
+
+    A `Refusal` is answered with its own code. A cancelled request that has no reply yet is answered with 04 too.
+    """
     context = deferred.context
     try:
         reply: Message = await deferred.awaitable

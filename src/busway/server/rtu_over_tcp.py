@@ -3,9 +3,9 @@
 Knows a session and a clock; knows no connection: `ServerConnection` drives it like `TcpServerSession`.
 
 1. Answers leave at once: the converter keeps the silences on its wire.
-2. Where silence decides about a frame (Serial Line V1.02 §2.5.1.1), a timer of its own does it.
-3. One call works through so many bytes; what came behind them waits (``rest``), and counts as come when it came: the
-   time that it waits is no silence.
+2. Where silence ends a frame (Serial Line V1.02 §2.5.1.1), the session has a timer of its own for it.
+3. One call processes at most `SHARE_OF_BYTES`. The bytes after them wait in ``rest``; they keep the time at which they
+   arrived, so the time that they wait is not taken for silence.
 """
 
 import asyncio
@@ -21,16 +21,16 @@ from ..session.serial_server import FrameToSend, SerialServerSession
 from ..session.server import Deferred, TcpServerSession
 
 SHARE_OF_BYTES: Final = 513
-"""What one call works through: the longest frame in ASCII, or 64 reads in RTU."""
+"""Most bytes that one call processes: the longest frame in ASCII, or 64 reads in RTU."""
 
 
 class FramedSession:
     """The server session of one connection that carries RTU or ASCII frames.
 
     Attributes:
-        broken: always empty: a line has no end, the next frame may be good.
+        broken: always empty: after a damaged frame the next one may be good.
         refused_busy: always 0: a line has one transaction at a time.
-        rest, spent: as of `TcpServerSession`; bytes are counted as if a request had sixteen.
+        rest, spent: as in `TcpServerSession`; ``spent`` counts one request for every sixteen bytes.
     """
 
     __slots__ = (
@@ -58,7 +58,11 @@ class FramedSession:
         attend: Callable[[], None],
         client: ClientIdentity,
     ) -> None:
-        """Create the session; it calls ``attend`` when `deferred` or `failures` may have a new entry."""
+        """Create the session.
+
+        It calls ``attend`` when, without new bytes, ``deferred`` or ``failures`` may have a new entry; ``deliver``
+        sends a late reply. Other arguments: see `SerialServerSession`.
+        """
         self._loop = loop
         self._deliver = deliver
         self._attend = attend
@@ -87,8 +91,8 @@ class FramedSession:
 
     @property
     def unfinished(self) -> int:
-        """Number of bytes of an incomplete frame; always 0, because the receiver of RTU or ASCII
-        discards them itself.
+        """Number of bytes of an incomplete frame; always 0, because the receiver of RTU or ASCII discards such bytes
+        itself.
         """
         return 0
 
@@ -121,7 +125,10 @@ class FramedSession:
         self._session.failures = value
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
-        """Process the first ``size`` bytes of ``buffer``; returns the replies to send, in order."""
+        """Process the first ``size`` bytes of ``buffer``; returns the replies to send, in order.
+
+        Bytes beyond the share wait.
+        """
         if self.rest or size > SHARE_OF_BYTES:
             self.put_off(buffer, size)
             return self.go_on()
@@ -136,13 +143,13 @@ class FramedSession:
         return [one.frame for one in emissions]
 
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
-        """Queue the first ``size`` bytes of ``buffer`` unprocessed, until `go_on`."""
+        """Keep the first ``size`` bytes of ``buffer`` unprocessed, in ``rest``, until `go_on` is called."""
         self._stop_timer()  # they came before the silence was over
         self._came = time.monotonic()
         self.rest += bytes(memoryview(buffer)[:size])
 
     def go_on(self) -> list[bytes]:
-        """Process queued bytes for the connection's share of time; returns the replies to send, in order."""
+        """Process the first `SHARE_OF_BYTES` of ``rest``; returns the replies to send, in order."""
         now, self.rest = self.rest[:SHARE_OF_BYTES], self.rest[SHARE_OF_BYTES:]
         self.spent = len(now) // 16
         emissions = self._session.receive(now, self._came)
@@ -181,4 +188,4 @@ class FramedSession:
 
 
 Session = TcpServerSession | FramedSession
-"""A conversation as a driver of connections knows it."""
+"""The server session of a network connection, MBAP or RTU and ASCII; both have what drivers of connections use."""

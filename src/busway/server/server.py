@@ -2,7 +2,7 @@
 
 Knows listeners and their life cycle; knows no request.
 
-1. It answers only between start and stop. Stopping ends within a second, whatever the clients do.
+1. A server answers only between start and stop. To stop takes at most a second or so, whatever the clients do.
 2. Start, stop and reset succeed or raise. If one listener cannot be opened, those opened before are closed.
 """
 
@@ -50,27 +50,27 @@ class Server:
     """A Modbus server: listeners that share one responder. An asynchronous context manager that starts and stops.
 
     Args:
-        endpoints: URLs to listen on (``tcp://127.0.0.1:5020``), or `Listener` where one has settings of its own; port 0
-            takes a free one, an empty host every interface, IPv4 and IPv6.
+        endpoints: URLs to listen on (``tcp://127.0.0.1:5020``), or a `Listener` for an endpoint with settings of its
+            own. Port 0 means any free port, an empty host every interface, IPv4 and IPv6.
         responder: answers the requests.
         parameters: options of sessions, `ServerParameters`.
         listener: limits of connections, `ListenerParameters`.
         sockets: options of sockets, `SocketParameters`.
-        authorize: called with a client's host before anything of it is read; False closes the connection.
+        authorize: called with a client's host before anything is read from it; False closes the connection.
         tls: certificate, key and authorities of the ``tls://`` listeners that have none of their own.
         policy: which requests are permitted; None permits all requests of hosts that may connect.
         audit: the audit log of writes and denied requests.
-        authorizer: instead of a policy, what permits requests.
+        authorizer: an object that permits or refuses requests, used instead of ``policy``.
         standard_port: whether to listen on port 502 too, beside each other port of ``tcp://`` (Messaging on TCP/IP
-            V1.0b §3.1.3). True requires it. None does so if the network can reach the host and the port was given
-            explicitly; if port 502 is not available, that is logged.
+            V1.0b §3.1.3). True: yes, and the start fails if port 502 cannot be opened. False: no. None: yes if other
+            hosts can reach the listener and its port is not 0; if port 502 cannot be opened, that is only logged.
         local_connections: returns, for a status, how many connections this program has open towards other devices.
             None counts those of the links of this process.
         tap: observes opened and closed connections and may send on them; for simulated devices that misbehave.
 
     Attributes:
         authorize: as given; a change takes effect at the next start.
-        counters: totals, without the share of open connections; see `status`.
+        counters: totals; requests and bytes of open connections are not in them yet. `status` has all.
 
     Raises:
         ConfigError: an endpoint that cannot be listened on.
@@ -127,7 +127,7 @@ class Server:
 
     @property
     def is_running(self) -> bool:
-        """Whether the server was started and not stopped."""
+        """Whether the server has listeners open: it was started, and not stopped since."""
         return bool(self._streams or self._datagrams or self._lines)
 
     @property
@@ -136,7 +136,9 @@ class Server:
         return self._responder.functions
 
     def wrap_responder(self, wrap: Callable[[Responder], Responder]) -> None:
-        """Put a responder around the server's own, which may change or replace replies. Only while stopped.
+        """Replace the responder by ``wrap(responder)``, which may change or replace replies.
+
+        Only while the server is stopped.
 
         Raises:
             ConfigError: the server is running, and its sessions use the responder already.
@@ -166,10 +168,10 @@ class Server:
         self._tap = tap
 
     def replace_policy(self, policy: "Policy") -> None:
-        """Use another access policy from the next request on.
+        """Use another access policy from the next request on; connections stay open.
 
         Raises:
-            ConfigError: the server was made without one.
+            ConfigError: the server was created without a policy and without an audit log.
         """
         if self._policy_authorizer is None:
             raise ConfigError("the server was made without a policy", key="policy")
@@ -181,7 +183,8 @@ class Server:
         Listeners also notice changed files themselves, at the next connection.
 
         Raises:
-            ConfigError: a file cannot be used, with its name; its listener keeps the old one, the others are updated.
+            ConfigError: a file cannot be used; names the file. Its listener keeps the old files, the others are
+                updated.
         """
         handshake_acceptors = [each.management.handshake_acceptor for each in self._streams]
         failures: list[ConfigError] = []
@@ -195,18 +198,20 @@ class Server:
             raise failures[0]
 
     def end_unauthorized(self) -> int:
-        """Check each connected host with ``authorize`` again, and abort the connections of those it refuses.
+        """Check each connected host with ``authorize`` again, and abort the connections of the hosts that it refuses.
 
-        For address lists that have changed. Replies that were not sent yet are lost; executed writes stay executed.
-        Peers over UDP lose their slot, and their next datagram is refused.
+        Call it after address lists have changed. Replies that were not sent yet are lost; executed writes stay
+        executed. Peers over UDP lose their slot, and their next datagram is refused.
 
         Returns:
-            How many connections, handshakes and peers were ended.
+            How many connections, TLS handshakes and peers were ended.
         """
         return sum(listener.end_unauthorized() for listener in self._with_peers())
 
     async def start(self) -> None:
-        """Open all listeners. A serial port that is not there is waited for in the background.
+        """Open all listeners; no effect on a running server.
+
+        A serial port that is absent is waited for in the background.
 
         Raises:
             LinkDown, ConfigError: a listener cannot be opened; then none is open.
@@ -259,7 +264,10 @@ class Server:
                 self._bound += streams.names
 
     async def take_no_more(self) -> None:
-        """Stop accepting connections and reading requests; pending replies are still sent. Call `stop` afterwards."""
+        """Stop accepting connections and reading requests; replies in progress are still sent.
+
+        Call `stop` afterwards.
+        """
         for datagrams in self._datagrams:
             datagrams.take_no_more()
         for line in self._lines:
@@ -310,7 +318,9 @@ class Server:
         await self.start()
 
     def reset_counters(self) -> None:
-        """Set the counters to zero, those of open connections too; connections and listeners stay open."""
+        """Set the server's counters to zero, with what open connections have counted so far; connections and listeners
+        stay open.
+        """
         # An open connection adds its counters when it ends; what it has counted until now is subtracted here.
         self.counters.take_off(self._counters_now())
 

@@ -1,6 +1,6 @@
 """Applies the preset of a server, such as ``strict``, to its options and listeners.
 
-Knows the listeners of a server and where each of them takes options; knows not what these mean.
+Knows the listeners of a server and where each of them takes options; does not know what the options mean.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -
 
     Args:
         places: where the server listens.
-        options: its options by name, ``preset`` among them or not.
+        options: options of the server by name; ``preset`` may be among them.
 
     Raises:
         ConfigError: there is no such preset or option, or an option contradicts the preset.
@@ -31,7 +31,10 @@ def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -
 
 
 def _strict(place: Place) -> Place:
-    """Apply the preset ``strict`` to one listener: in its URL (serial, TLS), or as a limit of frames per segment."""
+    """Apply the preset ``strict`` to one listener.
+
+    It is added to a URL of TLS or RTU and ASCII framing; a listener's own limits get ``single_adu_segments``.
+    """
     listener = place if isinstance(place, Listener) else Listener(place)
     endpoint = parse_endpoint(listener.endpoint)
     if (endpoint.framing != "mbap" or endpoint.carrier == "tls") and OPTION not in endpoint.options:

@@ -58,26 +58,26 @@ def serve(
     …``.
 
     Args:
-        endpoints: URLs to listen on, 127.0.0.1:5020 without any; port 0 takes a free one. Serial ports
-            (``rtu:///dev/ttyUSB0?baud=9600``) and listeners of every kind go together; what a port is set to is in
-            its URL. A `Listener` has access rules, certificates or limits of its own.
-        units: devices by unit identifier 0…255; or one device that answers whatever unit it is asked with. On a serial
-            line, and where its framing travels over a network, 1…247 of those listed are answered (a sole device: 1).
-        responder: instead of ``units``, anything that answers requests (`busway.session.responder.Responder`).
+        endpoints: URLs to listen on; ``tcp://127.0.0.1:5020`` if there are none. Port 0 means any free port. Serial
+            ports (``rtu:///dev/ttyUSB0?baud=9600``) and listeners of every kind can be combined; the settings of a
+            port are in its URL. A `Listener` has access rules, certificates or limits of its own.
+        units: devices by unit identifier 0…255; or one device, which answers requests to any unit. On a serial line,
+            and with RTU or ASCII framing over a network, only the listed units 1…247 are answered (a single device: 1).
+        responder: instead of ``units``, an object that answers requests (`busway.session.responder.Responder`).
         functions: the table of functions; ``busway.STANDARD.with_functions(Mine)`` adds one.
-        authorize: asked with the host of each new connection (``"10.0.0.7"``), before a byte of it is parsed; where it
-            gives False the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
+        authorize: called with the host of each new connection (``"10.0.0.7"``), before a byte is parsed; if it
+            returns False, the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
         tls: certificate, key and authorities of ``tls://`` listeners.
-        policy: who may ask what; ``Policy.read_only()`` refuses all writes. Without one a server that the network can
-            reach takes writes from every host, and says so in the log.
-        audit: where denied requests and writes are recorded.
-        local_connections: asked for a status: how many connections this program has itself towards other devices. None
-            counts those of the links of this process.
+        policy: which clients may make which requests; ``Policy.read_only()`` refuses all writes. Without a policy, a
+            server that other hosts can reach accepts writes from all of them, and logs a warning.
+        audit: the audit log, which records denied requests and writes.
+        local_connections: called for a status; returns how many connections this program has open towards other
+            devices. None counts those of the links of this process.
         options: fields of `UnitParameters`, `ServerParameters`, `ListenerParameters` and `SocketParameters`
-            (`busway.options`), by name; ``preset="strict"`` sets those that a document requires.
+            (`busway.options`), by name; ``preset="strict"`` sets those that the specifications require.
 
     Raises:
-        ConfigError: an endpoint, unit or option that cannot be, or that contradicts the preset.
+        ConfigError: an endpoint, unit or option is not valid, or contradicts the preset.
     """
     places, chosen = with_server_preset(endpoints or (DEFAULT_ENDPOINT,), options)
     parameters = chosen.build(UnitParameters)
@@ -128,7 +128,7 @@ def serve_forever(
 
 
 class ServerThread:
-    """A running server in a thread of its own, as `serve_in_thread` gives it."""
+    """A running server in a thread of its own; `serve_in_thread` creates it."""
 
     def __init__(self, server: Server, loop: asyncio.AbstractEventLoop) -> None:
         self._server = server
@@ -160,7 +160,10 @@ class ServerThread:
         asyncio.run_coroutine_threadsafe(reload(), self._loop).result()
 
     def end_unauthorized(self) -> int:
-        """Abort connections of hosts that may no longer connect, from any thread; returns their number."""
+        """Abort connections of hosts that may no longer connect, from any thread (`Server.end_unauthorized`).
+
+        Returns how many connections, TLS handshakes and peers were ended.
+        """
 
         async def end() -> int:
             return self._server.end_unauthorized()

@@ -4,7 +4,7 @@ Application Protocol V1.1b3 §4.3, figure 7. Knows the mapping; knows no request
 
 1. Register ``n`` is register ``n`` of every word table that the block serves.
 2. Bit ``n`` of a bit table is bit ``n % 16`` of register ``first + n // 16``; bit 0 is the least significant.
-3. What is read-only as a register is so as a coil.
+3. The bits of a read-only register are read-only too.
 """
 
 import threading
@@ -27,10 +27,10 @@ class SingleBlock:
     """A declaration of one block of registers that several tables of a device share.
 
     Args:
-        registers: the registers, in one run: a number of them from 0 on, their values, or `Cells`.
+        registers: the registers, without gaps: a number of them from address 0 on, their values, or `Cells`.
         coils_at: the register with coils 0…15, and the number of coils; None for all bits of the block.
         discrete_inputs_at: the register with discrete inputs 0…15, and their number; None for all bits of the block.
-        tables: the tables that the block serves, by name or as `Table`; the others can be declared beside it.
+        tables: the tables that the block serves, by name or as `Table`; the other tables can be declared beside it.
     """
 
     registers: TableLike
@@ -40,7 +40,7 @@ class SingleBlock:
 
 
 def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, ItemStore]:
-    """Return the memory of each table that shares the block; `ConfigError` if the block is declared wrongly."""
+    """Return the memory of each table that shares the block. Raises `ConfigError` if the block is declared wrongly."""
     words = register_store(lay_out(block.registers, key="block.registers"), lock)
     if len(words.runs) != 1:
         raise ConfigError(f"a block is one run of registers, not {len(words.runs)}", key="block.registers")
@@ -57,7 +57,7 @@ def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, It
 
 
 def as_table(table: Table | str) -> Table:
-    """Return the table with a name such as ``holding_registers``; `ConfigError` if there is none."""
+    """Return the table with a name such as ``holding_registers``. Raises `ConfigError` for an unknown name."""
     try:
         return Table(table)
     except ValueError as error:

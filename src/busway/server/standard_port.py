@@ -2,11 +2,12 @@
 
 Pure: knows the settings of listeners; opens none.
 
-1. Asked for by name (True), it is added beside each ``tcp://`` listener, and must be had.
-2. Left to us (None), it is added beside those that the network can reach, and where it cannot be had the server only
-   says so: below 1024 a port belongs to privileged programs. A loopback address has no clients elsewhere that could
-   look there, and a port that the system chose (0) is for clients that are told of it.
-3. Where a listener has it already, there is none beside it.
+1. Option ``standard_port`` True: port 502 is added beside each ``tcp://`` listener; the start fails if it cannot be
+   opened.
+2. None: port 502 is added beside the listeners that other hosts can reach; if it cannot be opened, the server only logs
+   that, because ports below 1024 belong to privileged programs. It is not added for a loopback address, which no other
+   host can reach, nor for a port that the system chose (0), whose clients are told of the port.
+3. It is not added for a host where a listener has port 502 already.
 """
 
 import ipaddress
@@ -20,12 +21,12 @@ _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
 def with_standard_port(wanted: Sequence[ListenerSettings], choice: bool | None) -> list[ListenerSettings]:
-    """Return the listeners, and those on port 502 that the option ``standard_port`` adds.
+    """Return the listeners, followed by those on port 502 that the option ``standard_port`` adds.
 
     Args:
-        wanted: the listeners as they were asked for.
-        choice: True adds port 502, and it must be had; False does not; None adds it where the network can reach the
-            listener, and does without it where it cannot be had.
+        wanted: the listeners as they were configured.
+        choice: the option. True adds port 502, and the start fails if it cannot be opened. False does not add it. None
+            adds it if other hosts can reach the listener and its port is not 0; it is then optional.
     """
     found = list(wanted)
     if choice is False:

@@ -12,14 +12,14 @@ from .status_indicators import StatusIndicators
 
 
 class ServedConnectionState(Enum):
-    """States of a connection in the status of a server, such as closing or held back.
+    """States of a connection in the status of a server.
 
     Attributes:
         IDLE: no request is in progress.
         RECEIVING: a request is received in part.
         BUSY: a request is in progress, or a reply is unsent.
-        HELD: reading is paused: its host is above its rate, or it does not read its replies.
-        CLOSING: it is closed as soon as the written replies are sent.
+        HELD: reading is paused: the host is above its rate, or does not read its replies, or the server stops.
+        CLOSING: the connection is closed as soon as the written replies are sent.
     """
 
     IDLE = "idle"
@@ -34,16 +34,16 @@ class ConnectionStatus:
     """The status of one connection, or of one peer over UDP.
 
     Attributes:
-        peer: ``host:port``.
+        peer: ``host:port`` of the client.
         listener: URL of the listener.
         state: the state of the connection.
-        pool: where it has its place.
+        pool: the pool of its connection slot.
         role, subject: of the client's certificate; None and empty without one.
-        age: since it was accepted.
-        idle: since it was used last.
+        age: seconds since the connection was accepted.
+        idle: seconds since it was last used.
         received, sent: bytes.
-        requests: transactions so far.
-        waiting: transactions in work.
+        requests: requests so far.
+        waiting: requests in progress, without a reply yet.
     """
 
     peer: str
@@ -66,12 +66,12 @@ class SecurityStatus:
 
     Attributes:
         subject: the subject of the listener's own certificate.
-        not_after: when it expires, seconds since 1970.
-        days_left: days until then; negative after it.
+        not_after: when that certificate expires, in seconds since 1970.
+        days_left: days until it expires; negative afterwards.
         reloads: how often the files were read again since the start.
-        handshakes: number of pending handshakes.
+        handshakes: number of handshakes in progress.
         established: number of completed handshakes.
-        resumed: how many of these resumed a session.
+        resumed: how many of the completed handshakes resumed a session.
         refused: number of refusals by reason, such as "expired" or "no certificate".
         without_role: number of completed handshakes with a certificate without a role.
     """
@@ -92,22 +92,23 @@ class ListenerStatus:
     """The status of one listener: its URL, indicators, connections and counters.
 
     Attributes:
-        endpoint: its URL, as it is bound.
-        is_open: whether it can be reached: False while a port is waited for.
+        endpoint: URL of the listener, with the port that is really bound.
+        is_open: whether the listener can be reached: False while its serial port is waited for.
         indicators: the states of its status indicators.
         counters: the diagnostic counters of function 08 (Serial Line V1.02 appendix A). Bus messages, communication
-            errors and overruns are those of the line since the start, whatever a unit has cleared. The others are sums
-            over its units, since the last restart or clear of each; a broadcast counts once for each unit.
-        event_count: successful messages (function 11), the sum over its units.
-        listen_only: whether a unit answers nothing until it is restarted.
-        listen_only_units: the units of which that is so, in ascending order.
+            errors and overruns are those of the line since the start, even if a unit has cleared its own. The others
+            are sums over its units, since the last restart or clear of each; a broadcast counts once for each unit.
+        event_count: number of successful messages (function 11), the sum over its units.
+        listen_only: whether a unit is in listen-only mode: it answers nothing until it is restarted.
+        listen_only_units: the units in listen-only mode, in ascending order.
         requests: requests for own units since the start.
-        foreign: frames of others that passed by; 0 on TCP.
-        damaged: disturbances; on UDP, datagrams that were no whole frame; on TCP, streams that could not be followed.
-        abandoned: answers that did not leave because another station had spoken.
-        priority_connections, other_connections: places of both pools that are taken.
-        interfaces: what the system says of the addresses it is bound to, as far as it is known here.
-        security: certificate and handshakes of a ``tls://`` listener; None for others.
+        foreign: frames on a serial line that were not for own units; 0 on TCP.
+        damaged: on a serial line, damaged frames; on UDP, datagrams that were no whole frame; on TCP, connections whose
+            bytes were no valid sequence of frames, or with a frame that did not end in time.
+        abandoned: answers on a serial line that were not sent because another frame came first.
+        priority_connections, other_connections: used connection slots of the two pools.
+        interfaces: network interfaces with the addresses that it is bound to, as far as known.
+        security: certificate and handshakes of a ``tls://`` listener; None for other listeners.
     """
 
     endpoint: str
@@ -132,16 +133,16 @@ class ServerStatus:
     """The status of a server: its listeners, connections and counters.
 
     Attributes:
-        running: whether it answers.
+        running: whether the server is started.
         uptime: seconds since the start; 0 while stopped.
-        endpoints: URLs of the listeners as they are bound.
-        connections: the connections, the oldest first.
-        supported_connections: how many there may be, all listeners and both pools together.
-        remote_connections: how many there are.
-        local_connections: how many this program has itself towards others.
-        counters: what happened since the server was made or reset.
+        endpoints: URLs of the listeners with the ports that are really bound.
+        connections: open connections and UDP peers, by listener, the oldest of each first.
+        supported_connections: limit of TCP and TLS connections, all listeners and both pools together.
+        remote_connections: number of ``connections``.
+        local_connections: number of connections that this program has open towards other devices.
+        counters: counts since the server was created or reset.
         listeners: the listeners, with their status indicators and diagnostic counters.
-        refusals: requests that the policy has refused, by the name of the rule.
+        refusals: number of requests that the policy has refused, by the name of the rule.
     """
 
     running: bool

@@ -5,8 +5,8 @@ Knows when something happened; knows no bytes and no clock.
 
 1. Communication: on while frames come or go.
 2. Error: steady for an internal fault (a responder failed, no new connection can be accepted), flashing for a fault of
-   communication or configuration (a damaged frame, a port that is not there). The steady one goes before.
-3. Device status: on when it answers, flashing in listen-only mode, off otherwise.
+   communication or configuration (a damaged frame, an absent port). With both, it is steady.
+3. Device status: on when the listener is open, flashing in listen-only mode, off otherwise.
 """
 
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ from enum import Enum
 from typing import Final
 
 ACTIVITY_SHOWN: Final = 0.5
-"""Seconds for which a frame shows as activity: long enough to be seen."""
+"""Seconds for which the communication indicator is on after a frame: long enough to be seen."""
 FAULT_SHOWN: Final = 10.0
-"""Seconds for which a fault that did not happen again shows."""
+"""Seconds for which the error indicator shows a fault, if it does not happen again."""
 _NEVER: Final = float("-inf")
 
 
@@ -41,8 +41,8 @@ class Diagnosis:
     """When a listener last had traffic and faults, from which the states of its status indicators follow.
 
     Attributes:
-        is_open: whether it can be reached.
-        traffic: time of the last received or sent frame, in seconds of the clock of ``now``.
+        is_open: whether the listener can be reached.
+        traffic: time of the last received or sent frame, in the clock of ``now``.
         communication_fault: time of the last damaged frame.
         internal_fault: when a responder last failed, or the system had no resources for a new connection.
     """

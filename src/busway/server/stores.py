@@ -3,7 +3,7 @@
 Knows runs and addresses; knows no hook, no group of changes and no request.
 
 1. Adjacent runs are one run, so a range exists only where one run holds all of it.
-2. Runs and read-only ranges never change once the table exists; only what the runs hold does.
+2. Runs and read-only ranges never change once the table exists; only the items in the runs change.
 """
 
 import threading
@@ -32,7 +32,9 @@ class ItemStore:
         self._firsts = [run.first for run in runs]
 
     def find(self, address: int, count: int) -> Run | None:
-        """Return the memory itself that has all ``count`` (1 or more) items from ``address`` on; None if none has."""
+        """Return the run that holds all ``count`` items (1 or more) from ``address`` on, for reading and writing; else
+        None.
+        """
         index = bisect_right(self._firsts, address) - 1
         if index < 0:
             return None
@@ -40,7 +42,7 @@ class ItemStore:
         return run if 0 < count <= run.first + run.count - address else None
 
     def is_read_only(self, address: int, count: int) -> bool:
-        """Whether one of the items in a range is read-only for Modbus."""
+        """Whether at least one item of a range is read-only for Modbus."""
         return any(first < address + count and address < end for first, end in self.read_only)
 
 

@@ -1,6 +1,6 @@
 """A TCP or TLS listener: its listening sockets and the connections they accept.
 
-Knows sockets and when they stop to accept; knows no request.
+Knows sockets and when they stop accepting connections; knows no request.
 """
 
 import asyncio
@@ -20,7 +20,7 @@ from .connection_management import ConnectionManagement
 from .listener_settings import ListenerSettings
 
 TURNS_TO_SETTLE: Final = 4
-"""Turns of the loop until a connection that is being accepted is open, and until one that was closed has gone."""
+"""Turns of the event loop after which a connection being accepted is open, and a closed one has been removed."""
 
 
 class TcpListener:
@@ -28,13 +28,13 @@ class TcpListener:
 
     Args:
         management: the management of its connections.
-        settings: where it listens, and how.
+        settings: the settings of the listener, with its endpoint.
         sockets: parameters of its sockets.
-        epoll_set: where its sockets and connections wait; None leaves them to the event loop.
+        epoll_set: epoll object that its sockets and connections use; None leaves them to the event loop.
 
     Attributes:
         management: the management of its connections.
-        names: URLs as they are bound.
+        names: URLs with the addresses and ports that are really bound.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class TcpListener:
         listener_context.say(logging.ERROR, "", sentence, listener_context.listener, network_reason(error))
 
     def accept_no_more(self) -> None:
-        """Accept no new connections. Those in the system's queue still arrive, within `settle`."""
+        """Accept no new connections. Those in the system's queue are still accepted, until `settle` has ended."""
         for acceptor in self._acceptors:
             acceptor.accept_no_more()
 

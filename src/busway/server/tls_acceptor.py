@@ -69,7 +69,10 @@ class TlsHandshakeAcceptor:
         return _PendingHandshake(self)
 
     def reload(self) -> None:
-        """Read the listener's certificate, key and authorities again. Raises `ConfigError`; the old ones stay then."""
+        """Read the listener's certificate, key and authorities again.
+
+        Raises `ConfigError`; then the old ones stay in use.
+        """
         self._context.name = self._management.listener
         self._context.reload()
         self._look_at_own()
@@ -173,7 +176,10 @@ class TlsHandshakeAcceptor:
         layer.connection_made(transport)
 
     def _agreed(self, layer: TlsLayer) -> asyncio.BufferedProtocol | None:
-        """Check the client's certificate after a complete handshake, and admit the client."""
+        """Check the client's certificate after a complete handshake, and admit the client.
+
+        Returns the protocol of the admitted connection; None if the client is refused.
+        """
         tls = layer.get_extra_info("ssl_object")
         certificate = tls.getpeercert(binary_form=True)
         try:
@@ -221,7 +227,7 @@ class TlsHandshakeAcceptor:
             self._leaving[layer] = None
 
     def _refuse(self, peer: str, failure: TlsFailure) -> None:
-        """Count and log a client that was refused after or during its handshake."""
+        """Count and log a client that was refused before, during or after its handshake."""
         self._refused[failure.kind.value] += 1
         about = f"{_host_of(peer)} {failure.kind.value}"
         self._say(about, "%s: refused at %s: %s", peer, self._management.listener, failure)

@@ -1,13 +1,15 @@
-"""Turns: connections that share an event loop get it in turn, so that a busy one does not hold up the others.
+"""Turns: connections that share an event loop are served in turn, so that a busy connection does not delay the others.
 
 Knows who waits, in which order, and the clock; knows no connection and no request.
 
-1. A connection does one share of work in a turn of the loop, and waits here with the rest. So a client that asks
-   without end costs the others one share a turn, whatever it asks and however much of it has come.
-2. Priority hosts go first: what comes from them never waits here, and the rest of what they asked has every turn.
-3. Then those who asked little and found no time left in the turn in which they came, then those who have more to ask
-   than one share. Each kind has its own row, first come first served, and a part of every turn.
-4. While no client asks for more than a few requests at once, none waits, and nothing is timed.
+1. A connection does one share of work in a turn of the loop, and waits here if it has more to do. So a client that
+   sends requests without end delays the others by one share in each turn, however many of its requests have arrived.
+2. Priority hosts go first: new requests of theirs never wait here, and the rest of their requests is served in every
+   turn.
+3. Then come connections with few requests that found no time left in the turn in which they arrived, then those with
+   more requests than one share. Each of these two kinds has its own queue, first come first served, and a part of every
+   turn.
+4. While no client sends more than a few requests at once, none waits, and nothing is timed.
 """
 
 import asyncio
@@ -16,28 +18,28 @@ from time import perf_counter as seconds  # by a name that tests can move
 from typing import Final, Protocol
 
 TURN_SECONDS: Final = 0.001
-"""For the requests of all but priority hosts in one turn of the loop: a share more may be added to it."""
+"""Seconds in one turn of the loop for the requests of all but priority hosts; one more share may be added."""
 _QUEUE_SECONDS: Final = 0.0005
-"""Of these, for those who waited. The others are for what comes anew."""
+"""Part of `TURN_SECONDS` for connections that have waited. The rest is for requests that arrive in this turn."""
 
 
 class Waiting(Protocol):
     """Interface of a connection with unprocessed requests that waits for its next turn on the event loop.
 
     Attributes:
-        is_priority: whether it is a priority host's.
-        is_greedy: whether it has asked for more than one share.
+        is_priority: whether the client is a priority host.
+        is_greedy: whether the client has sent more requests than one share.
     """
 
     is_priority: bool
     is_greedy: bool
 
     def take_turn(self) -> bool:
-        """Process requests for one share of a turn; returns whether some are left. Raises nothing."""
+        """Process requests for one share of a turn; returns whether some are left. Must not raise an exception."""
 
 
 class Turns:
-    """The queue of connections that take turns on one event loop, so that none holds up the others.
+    """The queue of connections that take turns on one event loop, so that none delays the others for long.
 
     Attributes:
         is_crowded: whether other connections wait, or the time of this turn is used up.
@@ -60,14 +62,14 @@ class Turns:
         return seconds() < self._until
 
     def worked(self) -> None:
-        """Record that a connection has worked for a considerable time; updates `is_crowded`."""
+        """Record that a connection has processed many requests or bytes in this turn; updates `is_crowded`."""
         if not self._is_due:
             self._begin()
         elif not self.has_time:
             self.is_crowded = True
 
     def wait(self, one: Waiting) -> None:
-        """Put a connection into the queue for its next turn, unless it is queued."""
+        """Put a connection into the queue for its next turn. It must not be in the queue already."""
         self._row(one).append(one)
         self.is_crowded = True
         if not self._is_due:
@@ -98,8 +100,10 @@ class Turns:
             self._until = began + TURN_SECONDS
 
     def _work(self, row: deque[Waiting], until: float | None) -> None:
-        """Let each connection of a queue process requests once, in order, until the time ``until``; the first always
-        does.
+        """Let each connection of a queue process requests once, in order, until the time ``until``; None: no time
+        limit.
+
+        The first connection is served in any case. Connections with requests left are queued again.
         """
         for _ in range(len(row)):
             one = row.popleft()

@@ -37,7 +37,9 @@ class TypedAccess:
         order: str = "ABCD",
         count: int | None = None,
     ) -> Any:  # Any: what the type says
-        """Read the value at an address of the device, or a list of ``count`` values."""
+        """Read the value at an address of the device, or a list of ``count`` values; arguments and errors as in
+        `Device.read`.
+        """
         where, view = self._located(address)
         items = _item_type(where, type, order)
         number = 1 if count is None else count
@@ -57,7 +59,9 @@ class TypedAccess:
     def write(
         self, address: str | Address, value: object, type: str | ValueType[Any] | None = None, *, order: str = "ABCD"
     ) -> None:
-        """Write a value, or a list of values, to an address of the device in one step."""
+        """Write a value, or a list of values, to an address of the device in one step; arguments and errors as in
+        `Device.write`.
+        """
         where, view = self._located(address)
         items = _item_type(where, type, order)
         values: list[Any] = value if isinstance(value, list) else [value]  # Any: the type judges them
@@ -85,7 +89,10 @@ class TypedAccess:
 
 
 def _item_type(where: Address, type: str | ValueType[Any] | None, order: str) -> ValueType[Any] | None:
-    """Return the type of the values at an address; None if they are plain registers or bits."""
+    """Return the type of the values at an address; None if no type was given: then they are plain registers or bits.
+
+    Raises `InvalidRequest` if there is no such type, or bits are asked for with a type.
+    """
     if type is None:
         return None
     if where.table is not None and where.table.holds_bits:

@@ -1,16 +1,16 @@
 """A UDP listener: one frame per datagram; each reply goes to the sender of its request.
 
-Knows datagrams and peers; knows nothing of what they say.
+Knows datagrams and peers; knows nothing of what the frames mean.
 
 1. A datagram that is not one whole frame is dropped and counted; nothing of it is executed.
-2. Each peer has a conversation of its own, so that a slow answer of one is not given up because of another. There are
-   as many as connections may be, by the same rules; they are places of this listener alone, because any host can invent
-   senders, and shall push no client off TCP.
-3. For a datagram at most one leaves: the reply of its request. Nothing is sent to a sender that is refused, over its
-   rate, or without a place.
-4. No event says when a sender has gone. So where all other places are priority hosts', one of them makes room for a
-   stranger if nothing of it is in work: it loses nothing, because its next datagram has a place again. Without this a
-   priority host that asks from a new port each time would keep all others out for ever.
+2. Each peer has a session of its own, so that a slow answer to one peer is not given up because of another peer. Peers
+   take slots by the same limits and rules as connections. The slots belong to this listener alone, because any host can
+   forge sender addresses, and must not displace TCP clients by that.
+3. For a datagram at most one is sent: the reply to its request. Nothing is sent to a sender that is refused, above its
+   rate, or without a slot.
+4. No event says when a sender has gone. So if priority hosts have all slots of the other pool, a peer of theirs without
+   a request in progress is forgotten for a new sender. It loses nothing, because its next datagram gets a slot again.
+   Without this, a priority host that uses a new port for each request would keep all others out for ever.
 """
 
 import asyncio
@@ -37,7 +37,9 @@ from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 _MOST_AT_ONCE: Final = 16
 """Most datagrams that are answered before the loop looks at other connections."""
 _LONGEST: Final = 1024
-"""Bytes that are read of a datagram: more than any frame has, so one that is cut is not whole either."""
+"""Bytes that are read of a datagram: more than any frame has, so a datagram that is cut off is no whole frame
+either.
+"""
 
 
 class UdpListener:
@@ -45,7 +47,7 @@ class UdpListener:
 
     Attributes:
         listener_context: what all peers of the listener share.
-        names: the URLs that are bound.
+        names: URLs with the addresses and ports that are really bound.
     """
 
     def __init__(self, listener_context: ListenerContext, sockets: SocketParameters) -> None:
@@ -93,7 +95,10 @@ class UdpListener:
             await one.closed
 
     def end_unauthorized(self) -> int:
-        """Forget peers whose hosts may no longer send; returns their number. Their pending requests get no answer."""
+        """Forget the peers whose hosts may no longer send; returns their number.
+
+        Their pending requests get no answer.
+        """
         ended = [peer for peer in self._peers.values() if not self.listener_context.may_stay(peer)]
         for peer in ended:
             self.leave(peer)
@@ -116,7 +121,10 @@ class UdpListener:
     # What its sockets tell.
 
     def peer_of(self, socket: "_Socket", data: bytes, address: Any, now: float) -> "_Peer | None":
-        """Return the peer that sent a datagram; None if the datagram is dropped."""
+        """Return the peer that sent a datagram, created at its first datagram; None if the datagram is dropped.
+
+        It is dropped if its host may not send or is above its rate, if it is no whole frame, or if no slot is free.
+        """
         if not self._takes_more:
             return None
         listener_context = self.listener_context
@@ -146,7 +154,7 @@ class UdpListener:
             self.leave(peer)
 
     def leave(self, peer: "_Peer") -> None:
-        """Remove a UDP peer, because a new peer got its place among the limited peers."""
+        """Remove a UDP peer: its host may no longer send, its slot is needed, or its socket was closed."""
         del self._peers[peer.socket, peer.address]
         self._pools.leave(peer)
         peer.close()
@@ -168,8 +176,9 @@ class UdpListener:
         return peer
 
     def _forget_unused(self) -> bool:
-        """Forget an idle priority peer that occupies a normal slot; returns whether there was one (rule 4 of this
-        file).
+        """Forget the longest unused peer in the other pool, to free its slot; returns whether there was one (rule 4).
+
+        Called only if priority hosts have all slots of that pool.
         """
         unused = [one for one in self._peers.values() if one.pool is Pool.OTHER and not one.is_busy]
         if not unused:
@@ -183,7 +192,7 @@ class _Socket(asyncio.DatagramProtocol):
     """The asyncio protocol of one bound UDP socket of a listener.
 
     Attributes:
-        closed: done when it is.
+        closed: a future that is done when the socket is closed.
     """
 
     def __init__(self, listener: UdpListener, bound: socket.socket) -> None:
@@ -203,7 +212,9 @@ class _Socket(asyncio.DatagramProtocol):
         self._listener.listener_context.diagnosis.is_open = True
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
-        """Answer a datagram, and those that wait behind it: the loop would wake up for each of them."""
+        """Answer a datagram and those that wait behind it, up to 16: else the event loop would wake up for each of
+        them.
+        """
         for left in range(_MOST_AT_ONCE - 1, -1, -1):
             now = time.monotonic()
             peer = self._listener.peer_of(self, data, addr, now)
@@ -324,12 +335,12 @@ class _Peer:
 
     @property
     def has_ended(self) -> bool:
-        """Return False always: UDP does not tell when a sender has gone."""
+        """Always False: UDP does not tell when a sender has gone."""
         return False
 
     @property
     def state(self) -> ServedConnectionState:
-        """Return for the status whether a request of this peer is in progress."""
+        """The state of this UDP peer for the status: busy while a request is in progress, else idle."""
         return ServedConnectionState.BUSY if self.is_busy else ServedConnectionState.IDLE
 
     def _traced(self) -> ConnectionTrace:

@@ -1,6 +1,6 @@
 """The application's view of a table or file: items by address, usable from any thread.
 
-Knows stores and groups; knows no hook and no request: the application's own accesses pass none.
+Knows stores and groups; knows no hook and no request: the application's own accesses call no hook.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,8 +18,8 @@ class TableView:
     """The items of a table by address, 0-based as on the wire: ``view[5]``, ``view[5:9]``, read or assigned.
 
     Registers are ``int`` 0…65535, bits ``bool``. A slice reads and writes its items in one step: no other thread and no
-    Modbus client sees half of it. Without a start it begins at the first item there is, without an end it goes to the
-    last; all of its addresses must exist. Read-only ranges are read-only for Modbus, not here.
+    Modbus client sees half of it. A slice without a start begins at the first item of the table, one without an end
+    includes the last; all of its addresses must exist. Read-only ranges are read-only for Modbus, not here.
 
     Raises:
         IndexError: an item does not exist, or the slice has a step.
@@ -36,7 +36,7 @@ class TableView:
 
     @property
     def ranges(self) -> tuple[tuple[int, int], ...]:
-        """First address and count of each run of items in the table, ascending."""
+        """First address and count of each group of consecutive items in the table, ascending."""
         return tuple((run.first, run.count) for run in self._store.runs)
 
     def __len__(self) -> int:
@@ -76,22 +76,28 @@ class TableView:
             self.write(key, [value])  # type: ignore[list-item]  # whatever else it is, packing judges it
 
     def read(self, address: int, count: int) -> list[int]:
-        """Read ``count`` items from ``address`` on, in one step."""
+        """Read ``count`` items from ``address`` on, in one step. Raises `IndexError` if one does not exist."""
         return unpacked(self.read_wire(address, count), count, bits=self._bits)
 
     def write(self, address: int, values: Sequence[int]) -> None:
-        """Replace the items of the table from ``address`` on, in one step."""
+        """Replace the items of the table from ``address`` on, in one step. Raises `IndexError` or `InvalidRequest`."""
         self.write_wire(address, len(values), packed(values, bits=self._bits))
 
     def read_wire(self, address: int, count: int) -> bytes:
-        """Read items in wire order: registers big-endian, bits packed from the lowest bit."""
+        """Read items as bytes in wire order: registers big-endian, bits packed from the lowest bit.
+
+        Raises `IndexError`.
+        """
         if not count:
             return b""
         run = self._run(address, count)
         return self._groups.get(run, address - run.first, count)
 
     def write_wire(self, address: int, count: int, data: bytes) -> None:
-        """Replace items by bytes in wire order: registers big-endian, bits packed from the lowest bit."""
+        """Replace items by bytes in wire order: registers big-endian, bits packed from the lowest bit.
+
+        Raises `IndexError`.
+        """
         if count:
             run = self._run(address, count)
             self._groups.put(run, address - run.first, count, data)
