@@ -1,9 +1,10 @@
 """Address lists: which hosts may connect; allow and deny lists, and secure mode (Messaging on TCP/IP V1.0b §4.2.3).
 
-Knows hosts; knows no request. It is asked before a byte of a client is parsed.
+Knows hosts; knows no request. A host is checked before a byte of it is parsed.
 
-1. Deny goes before allow, however specific either is, so that the two lists can be read one by one.
-2. In secure mode every host that is not listed is refused. An allow list switches secure mode on, unless
+1. The deny list goes before the allow list, however specific their entries are, so that the two lists can be read one
+   by one.
+2. In secure mode every host that is not in the allow list is refused. An allow list switches secure mode on, unless
    ``secure=False`` is given too.
 """
 
@@ -12,16 +13,21 @@ from collections.abc import Callable, Iterable
 from ..options.networks import Networks
 
 HostAuthorizer = Callable[[str], bool]
-"""Takes the numeric address of a client, ``10.0.0.7`` or ``fe80::1``, and returns whether it may connect."""
+"""Function that takes the numeric address of a client, ``10.0.0.7`` or ``fe80::1``, and returns whether it may
+connect.
+"""
 
 
 def allow_all(host: str) -> bool:
-    """Host check that permits every host to connect; used when a server has no address list."""
+    """Return True for every host: the host check of a server without an address list."""
     return True
 
 
 def both(server: HostAuthorizer, listener: HostAuthorizer | None) -> HostAuthorizer:
-    """Return a host check that permits a host only if the server's check and one listener's check both permit it."""
+    """Return a host check that permits a host only if the server's check and the listener's check both permit it.
+
+    ``listener`` None adds no check.
+    """
     if listener is None:
         return server
     if server is allow_all:
@@ -30,17 +36,19 @@ def both(server: HostAuthorizer, listener: HostAuthorizer | None) -> HostAuthori
 
 
 class AddressList:
-    """The hosts and networks that may or may not connect to a server; called with a host, it says whether it may.
+    """The hosts and networks that may or may not connect to a server.
 
-    ``access("10.0.0.7")`` is True or False; a server takes it as its ``authorize``.
+    Called with a host, returns whether it may connect.
+
+    ``access("10.0.0.7")`` is True or False; a server accepts the list as its ``authorize``.
 
     Args:
         allow: addresses and networks that may connect, as `Networks` takes them.
-        deny: those that may not, whatever ``allow`` says.
-        secure: whether a host that is in neither is refused; None: if there is an ``allow``.
+        deny: addresses and networks that may not connect, even if ``allow`` has them.
+        secure: whether a host that is in neither list is refused; None: only if there is an ``allow``.
 
     Raises:
-        ConfigError: an entry that is no address or network; names it.
+        ConfigError: an entry is no address or network; names the entry.
     """
 
     __slots__ = ("allow", "deny", "secure")
@@ -59,7 +67,7 @@ class AddressList:
         return host not in self.deny and (not self.secure or host in self.allow)
 
     def why(self, host: str) -> str:
-        """Return in words for a log why a host may or may not connect, such as ``denied by 10.0.0.0/8``."""
+        """Return in words, for a log, why a host may or may not connect, such as ``denied by 10.0.0.0/8``."""
         denied = self.deny.find(host)
         if denied is not None:
             return f"denied by {denied}"

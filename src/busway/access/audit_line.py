@@ -7,25 +7,25 @@ and items is prepared.
 ===============  =====================================================================================
 key              value
 ===============  =====================================================================================
-``time``         when it was decided or answered, UTC: ``2026-03-01T12:00:00.250Z``
-``peer``         ``host:port``, or the name of a line
-``role``         role of the certificate; null without one
+``time``         when the request was denied or answered, UTC: ``2026-03-01T12:00:00.250Z``
+``peer``         ``host:port`` of the client, or the name of a serial line
+``role``         role of the client's certificate; null without one
 ``listener``     URL of the listener
 ``unit``         0…255
 ``function``     function code; ``sub_function`` beside it for 08 and 43
-``address``      first item, 0-based; null where it touches no table
+``address``      first item, 0-based; null if the request touches no table
 ``count``        number of items
-``old``          items before, of a write that was executed; null where that is not known
-``new``          items that were, or would have been, written; null where that is not known
+``old``          items before a write that was executed; null if they are not known
+``new``          items that were, or would have been, written; null if they are not known
 ``outcome``      ``done``, ``exception`` (the device refused), ``denied`` (by a rule), ``no answer``
-``code``         exception code; null where there is none
-``rule``         name of the rule that decided; ``default`` where none did
-``repeated``     of denials: how many there were since the line before of the same host, role and rule; this line shows
-                 the last of them. Not there where a line is about one denial alone
+``code``         exception code; null without one
+``rule``         name of the rule that decided; ``default`` if no rule applied
+``repeated``     number of equal denials (same host, role and rule) since their last line; this line shows the latest of
+                 them. Absent if the line is about one denial alone
 ===============  =====================================================================================
 
-Beside these: ``masks`` of function 22, ``records`` (``[file, record, count]``) of 20 and 21, ``data`` (hexadecimal) of
-what is not understood.
+Some functions have further keys: ``masks`` of function 22, ``records`` (``[file, record, count]``) of 20 and 21,
+``data`` (hexadecimal) of requests without known items.
 """
 
 from collections.abc import Callable, Sequence
@@ -55,7 +55,10 @@ _NULL: Final = "null"
 
 
 def who_text(client: Requester) -> str:
-    """Return the JSON text that all audit lines of one client have in common: its address, role and listener."""
+    """Return the JSON text that all audit lines of one client have in common: its address, role and listener.
+
+    Keeps it in ``client.audit_text``.
+    """
     role = _NULL if client.role is None else quoted(client.role)
     client.audit_text = f'"peer":{quoted(client.peer)},"role":{role},"listener":{quoted(client.listener)}'
     return client.audit_text
@@ -64,7 +67,16 @@ def who_text(client: Requester) -> str:
 def audit_line(
     context: RequestContext, request: AnyRequest, when: str, outcome: str, code: int | None, repeated: int = 0
 ) -> str:
-    """Return the audit line of one request as JSON. ``repeated``: how many equal denials it counts, else 0."""
+    """Return the audit line of one request, as JSON with a line feed.
+
+    Args:
+        context: the request's circumstances; ``context.judged`` must be set.
+        request: the decoded request.
+        when: the time as text.
+        outcome: ``done``, ``exception``, ``denied`` or ``no answer``.
+        code: exception code of the reply; None without one.
+        repeated: how many equal denials the line stands for; 0 for this request alone.
+    """
     judged = context.judged
     assert judged is not None  # or there would be no line
     what, old, new = _facts(request, None if outcome == DENIED else judged.replaced)
@@ -77,9 +89,10 @@ def audit_line(
 
 
 def done_line(unit: int, function: int, rule: str) -> tuple[str, str]:
-    """Return the fixed parts of an executed write's audit line: the text between time and values, and the text after.
+    """Return the fixed parts of an executed write's audit line: the text between client and address, and the end.
 
-    Between the two comes the text from `DONE` for the function. The line then equals that of `audit_line`, to the byte.
+    Between the two comes the text that the function's entry in `DONE` returns. The line then equals that of
+    `audit_line`, to the byte.
     """
     return (
         f',"unit":{unit},"function":{function:d},"address":',
@@ -110,11 +123,16 @@ DONE: Final[dict[type[Request], Done]] = {
     WriteMultipleCoils: _done_bits,
     WriteMultipleRegisters: _done_registers,
 }
-"""Formatters for functions that write one range and do nothing else: address, count, old and new values as JSON."""
+"""By request class, for functions that write one range and do nothing else: a formatter that takes address, count, old
+and new items in wire order, and returns them as JSON text.
+"""
 
 
 def outcome_of(reply: Message | Deferral | None) -> tuple[str, int | None]:
-    """Return outcome (``done``, ``exception`` or ``no answer``) and exception code of a request for its audit line."""
+    """Return outcome (``done``, ``exception`` or ``no answer``) and exception code of a request for its audit line.
+
+    The code is None unless the outcome is ``exception``.
+    """
     if isinstance(reply, ExceptionResponse):
         return "exception", int(reply.exception)
     return ("done", None) if isinstance(reply, Message) else (NO_ANSWER, None)

@@ -1,15 +1,15 @@
 """The audit log: an append-only file with one JSON object per line.
 
-Knows a file and lines; knows nothing of what they say (`busway.access.audit_line`).
+Knows a file and lines; does not know their content (`busway.access.audit_line`).
 
 1. Lines are buffered for at most ``interval`` seconds and then written together. Buffered lines are lost when the
    process is killed; ``interval=0`` writes each line before the request is answered.
-2. A file that cannot be written (disk full) is retried. Meanwhile lines are buffered up to a bound; those beyond it
-   are counted, and the file says how many when it can be written again. ``on_failure="refuse"`` refuses writes
-   instead of losing their lines.
-3. A line is never left incomplete: a line that a failure has cut is completed before the next one.
+2. Writing to a file that cannot be written (disk full) is retried. Meanwhile lines are buffered up to a bound; lines
+   beyond it are lost and counted, and a line with their number is written when the file can be written again.
+   ``on_failure="refuse"`` refuses write requests instead of losing their lines.
+3. No line stays incomplete: a line of which only the beginning was written is completed before the next one.
 4. Denials that a client repeats are counted, and get one line every ``repeat_interval`` (`RepeatedDenials`).
-5. Writes take precedence over denials: where the file system has less than `RESERVED` left, or a quarter of the buffer
+5. Writes take precedence over denials: if the file system has less than `RESERVED` left, or a quarter of the buffer
    for a failing file is used, denials are only counted. Writes are still recorded.
 """
 
@@ -36,19 +36,19 @@ _USUAL: Final = declared(AuditParameters)
 _CHUNK: Final = 64 * 1024
 """Characters of lines that are written without waiting for the interval: one write of this size takes 50 µs."""
 _KEPT: Final = 4 * 1024 * 1024
-"""Bytes that are kept for a file that cannot be written: some 15 000 lines."""
+"""Most bytes of lines that are buffered for a file that cannot be written: some 15 000 lines."""
 _KEPT_OF_DENIALS: Final = 0.25
-"""The part of it beyond which denials are not kept."""
+"""Used part of that buffer from which on lines of denials are no longer added."""
 RESERVED: Final = 0.05
-"""The part of a file system that is left to writes, but at most `MOST_RESERVED`."""
+"""Part of a file system that is kept free for lines of writes, but at most `MOST_RESERVED` bytes."""
 MOST_RESERVED: Final = 256 * 1024 * 1024
-"""Bytes: some 900 000 lines."""
+"""Most bytes of a file system that are kept free for lines of writes: some 900 000 lines."""
 _RETRY: Final = 1.0
-"""Seconds between two attempts at a file that cannot be written."""
+"""Seconds between two attempts to write to a file that cannot be written."""
 _LOOK_PAUSE: Final = 1.0
-"""Seconds between two looks at the room of the file system."""
+"""Seconds between two checks of the free space of the file system."""
 _LATE: Final = 1.0
-"""Seconds that a timer may be late before it is taken for one whose event loop has gone."""
+"""Seconds by which a timer may be late; beyond that, its event loop is taken to have ended."""
 
 
 class FlushSchedule(Protocol):
@@ -96,11 +96,11 @@ class WallClock:
 
 
 Room = Callable[[int], tuple[int, int]]
-"""Bytes that are free on the file system of an open file, and all that it has."""
+"""Function that takes an open file's descriptor, and returns the free and the total bytes of its file system."""
 
 
 def room_of_file(file: int) -> tuple[int, int]:
-    """Return free and total bytes of an open file's file system; all count as free if the system cannot say."""
+    """Return free and total bytes of an open file's file system; enough of both if the system cannot tell."""
     if not hasattr(os, "fstatvfs"):
         return MOST_RESERVED, MOST_RESERVED
     facts = os.fstatvfs(file)
@@ -108,30 +108,31 @@ def room_of_file(file: int) -> tuple[int, int]:
 
 
 class AuditLog:
-    """An append-only file of JSON lines about writes and denied requests; any number of threads and servers use it.
+    """An append-only file of JSON lines about writes and denied requests; any number of threads and servers can share
+    it.
 
     Args:
-        path: the file; made with rights for its owner alone (0600) if it is not there, never truncated.
-        interval: seconds after which a line is in the file at the latest, 0…10; 0: at once.
-        on_failure: ``serve`` goes on, counts and logs while the file cannot be written; ``refuse`` answers writes
-            with exception 04 then.
-        repeat_interval: seconds after which denials that were repeated leave a line with their number, 0…3600; 0: each
-            leaves its own.
+        path: the file; created with rights for its owner alone (0600) if it does not exist, never truncated.
+        interval: most seconds, 0…10, until a line is in the file; 0: at once.
+        on_failure: what happens to write requests while the file cannot be written. ``serve``: they are executed, and
+            lost lines are counted and logged. ``refuse``: they are answered with exception 04.
+        repeat_interval: seconds, 0…3600, after which repeated denials get a line with their number; 0: each denial gets
+            a line of its own.
         schedule: calls a function later; the running event loop by default.
         clock: seconds, monotonic.
-        now: seconds since 1970, for the time of lines.
-        room: how much room the file system has.
+        now: seconds since 1970, for the time in the lines.
+        room: returns free and total bytes of the file system.
 
     Raises:
-        ConfigError: the file cannot be opened or is no regular file, or an argument cannot be.
+        ConfigError: the file cannot be opened or is no regular file, or an argument is not valid.
 
     Attributes:
-        timestamp: gives the time of a line as text.
-        written: lines in the file.
-        lost: lines that could be neither written nor kept.
-        failures: attempts to write that failed.
+        timestamp: called without arguments, returns the current time as the text for a line.
+        written: number of lines written to the file.
+        lost: number of lines that could be neither written nor buffered.
+        failures: number of attempts to write that failed.
         is_failing: whether the last attempt failed.
-        denials_left_out: denials that left no line, to leave room for writes.
+        denials_left_out: number of denials without a line, because the space is kept for writes.
     """
 
     def __init__(
@@ -176,11 +177,16 @@ class AuditLog:
 
     @property
     def takes_writes(self) -> bool:
-        """Whether a write request may be executed now: False if the log must record it but cannot be written to."""
+        """Whether a write request may be executed now: False if ``on_failure`` is ``refuse`` and the log cannot be
+        written.
+        """
         return not (self._refuses and (self.is_failing or self._file is None))
 
     def append(self, line: str) -> None:
-        """Append one audit line, ASCII text that ends with a line feed."""
+        """Append one audit line: ASCII text that ends with a line feed.
+
+        If it can be neither written nor buffered, it is counted.
+        """
         with self._lock:
             if self._file is None or self._size >= _KEPT:
                 self._lose(1)
@@ -199,11 +205,11 @@ class AuditLog:
                 self.flush()
 
     def append_denied(self, about: About, line: DenialLine) -> None:
-        """Append the audit line of a denied request now, or count it as a repetition that one later line reports.
+        """Append the audit line of a denied request now, or count the request, to be reported by a later line.
 
         Args:
-            about: host, role and rule; those of the same are counted together.
-            line: makes its line.
+            about: host, role and rule; denials that have all three in common are counted together.
+            line: creates the line.
         """
         with self._lock:
             if self._repeated_due is not None and self._clock() > self._repeated_due + _LATE:
@@ -227,7 +233,7 @@ class AuditLog:
         """Close the audit file and open the same path again, after log rotation has renamed the file.
 
         Raises:
-            ConfigError: it cannot be opened; the old one is kept.
+            ConfigError: the file cannot be opened; then the old file stays in use.
         """
         with self._lock:
             self._tell_left_out()
@@ -270,8 +276,9 @@ class AuditLog:
     # ---- denials
 
     def _append_denied(self, line: DenialLine, repeated: int) -> None:
-        """Append the line of a denied request if the file has room; ``repeated``: how many denials it
-        counts, else 0.
+        """Append the line of denied requests if there is room for it, else count them as left out.
+
+        ``repeated``: how many denials the line stands for; 0 for one.
         """
         if self._has_room_for_denials():
             self._tell_left_out()
@@ -281,7 +288,9 @@ class AuditLog:
             self._left_out += repeated or 1
 
     def _tell_repeated(self) -> None:
-        """Append an audit line for each client whose denials were only counted, and schedule the next call of this."""
+        """Append the lines of denials that were only counted, one for each client and rule, and schedule the next call
+        of this.
+        """
         with self._lock:
             self._repeated_due = None
             for line, count in self._repeated.take():
@@ -294,7 +303,9 @@ class AuditLog:
                 self._schedule(self._repeat_interval, self._tell_repeated)
 
     def _tell_left_out(self) -> None:
-        """Append an audit line with the number of denials that found no room in the file; none if there were none."""
+        """Append an audit line with the number of denials that were left out since the last such line; none if there
+        were none.
+        """
         if self._left_out:
             left_out, self._left_out = self._left_out, 0
             self.append(f'{{"time":"{self.timestamp()}","outcome":"denials left out","lines":{left_out}}}\n')
@@ -338,7 +349,10 @@ class AuditLog:
             self._recovered()
 
     def _keep(self, data: bytes, at: int) -> None:
-        """Count the buffered audit lines that were written (the first ``at`` bytes), and keep the others buffered."""
+        """Count the buffered audit lines that were written, and keep the others buffered.
+
+        ``data`` is the text of all of them, of which the first ``at`` bytes were written.
+        """
         if at == len(data):
             self.written += len(self._lines) + bool(self._begun)
             self._lines, self._size, self._begun = [], 0, b""

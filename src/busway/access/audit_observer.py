@@ -1,7 +1,7 @@
 """The observer of a server's requests that records writes and denied requests in the audit log.
 
-Knows the outcome of requests; decides nothing. Writes on the fast path record themselves
-(`busway.access.fast_path_rights`).
+Knows the outcome of requests; decides nothing. Writes on the fast path do not come here: the fast path appends their
+lines itself (`busway.access.fast_path_rights`).
 """
 
 from collections.abc import Sequence
@@ -18,15 +18,15 @@ from .audit_log import AuditLog
 class AuditObserver:
     """Observer of a server's requests that appends an audit line for each write and each denied request.
 
-    Repeated denials of a client are recorded as one line with their count.
+    Repeated denials of a client are recorded as one line with their number.
     """
 
     def __init__(self, log: AuditLog) -> None:
         self._log = log
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Do nothing for requests answered from bytes: reads are not recorded, and writes were recorded
-        when executed.
+        """Do nothing for requests of the fast path: reads are not recorded, and writes were recorded when they were
+        executed.
         """
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:

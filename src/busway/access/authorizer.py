@@ -1,16 +1,16 @@
 """The authorizer of a server: permits or denies every request by the rules of a policy (M6, T15).
 
-Knows requests, clients and the policy; answers nothing; the responder does.
+Knows requests, clients and the policy; executes nothing: the responder does that.
 
-1. A denied request never reaches the responder. It is answered with the exception code of the rule: 01, or 02 where a
-   rule about items chooses it. A permitted request above the rate of its rule is answered 06, because the client may
+1. A denied request never reaches the responder. It is answered with the exception code of the rule: 01, or 02 if a
+   rule about items says so. A permitted request above the rate of its rule is answered 06, because the client may
    try again.
 2. The rules that apply to a client are compiled once for all clients with equal rights
    (`busway.access.rule_evaluation`). They decide on the generic path, and what they permit is bound to the fast path
    (`busway.access.fast_path_rights`).
-3. A policy can be replaced at any time: ``generation`` changes, and sessions ask again before their next request.
-   No connection is dropped, and a rule that has the same name and rate goes on counting: to read files again lifts no
-   limit.
+3. A policy can be replaced at any time: ``generation`` changes, and sessions ask for the rights again before their next
+   request. No connection is dropped. A rule that has the same name and rate as before goes on counting, so that
+   reloading a file lifts no rate limit.
 4. While the audit log refuses writes (``on_failure="refuse"``), a write is answered 04 and not executed.
 """
 
@@ -42,13 +42,13 @@ from .rules import Policy, Rule
 _log = logging.getLogger("busway.policy")
 
 _MOST_CLIENTS: Final = 4096
-"""Most clients whose rights are kept; beyond that, all are looked up anew."""
+"""Most clients whose rights are kept; beyond that, all are dropped and determined anew."""
 _MOST_RIGHTS: Final = 256
 """Most sets of rights that are kept; beyond that, the oldest is dropped."""
 
 
 class PolicyRights:
-    """The rights that a policy gives to clients, used to compile functions that answer their requests from bytes.
+    """The rights that a policy gives to clients; the fast path is built from them.
 
     Attributes:
         rights: the compiled rules.
@@ -61,13 +61,16 @@ class PolicyRights:
         self._audit = audit
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """Return a function that answers requests with one function code from bytes; None if each needs a policy
-        decision.
+        """Return a function that answers requests with one function code from bytes.
+
+        ``kind`` is the request class of that code. None if each request needs a decision of the policy.
         """
         return bind(self.rights, unit, served, kind, self._audit)
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read request is always permitted, without a rate limit, so that it may be forwarded unchecked."""
+        """Whether a read request is always permitted, without a rate limit, so that the same read needs no check
+        later.
+        """
         question = Question.of(request, unit=unit, listed=_NO_UNITS if served is None else served.units, asker=_ANYBODY)
         decision = self.rights.decide(question)
         return decision.allowed and not decision.rates and not question.writes
@@ -75,11 +78,11 @@ class PolicyRights:
 
 _NO_UNITS: Final[frozenset[int]] = frozenset()
 _ANYBODY: Final = Asker()
-"""Rights are about the clients that have them: a question to them needs no client."""
+"""An unnamed client: rights hold for the clients that have them, so a question to them needs no client."""
 
 
 class _InForce:
-    """The policy in use, with the rights compiled from it for each kind of client; replaced as a whole."""
+    """The policy in use, with caches of the rights compiled from it; replaced as a whole with the policy."""
 
     __slots__ = ("of_askers", "of_clients", "of_rules", "policy")
 
@@ -95,12 +98,12 @@ class PolicyAuthorizer:
 
     Args:
         policy: the rules.
-        audit: the log in which writes are recorded: those of the fast path record themselves.
-        rates: token buckets by rule name, for several authorizers that count together.
+        audit: the audit log, for writes on the fast path; an `AuditObserver` records the others. None records no write.
+        rates: token buckets by rule name, for several authorizers that count together; None: this one counts alone.
         clock: monotonic seconds, for rates.
 
     Attributes:
-        refusals: number of refused requests by name of the rule (``default`` where none decided).
+        refusals: number of refused requests by name of the rule (``default`` if no rule applied).
         generation: changes when the policy is replaced.
     """
 
@@ -137,7 +140,7 @@ class PolicyAuthorizer:
             self.generation += 1
 
     def rights_of(self, client: ClientIdentity) -> PolicyRights:
-        """Return what the policy permits to a client, compiled for fast decisions."""
+        """Return what the policy permits to a client; the same object for clients to whom the same rules apply."""
         return self._known(client)[1]
 
     def authorize(
@@ -145,8 +148,8 @@ class PolicyAuthorizer:
     ) -> ExceptionResponse | None:
         """Return None if the policy permits a request, otherwise the exception reply that refuses it.
 
-        Function 22 under limits is permitted for now where the device will show the value that it changes
-        (`RequestContext.replacing`), and decided then.
+        A mask write (function 22) under value limits may depend on the register's old value. It is permitted for now if
+        the device is in this process, and decided when the responder reports that value (`RequestContext.replacing`).
         """
         asker, known = self._known(context.client)
         rights = known.rights
@@ -188,14 +191,14 @@ class PolicyAuthorizer:
     def refusal_of(self, context: RequestContext, request: AnyRequest, units: Iterable[int], charged: set[int]) -> int:
         """Return the exception code that refuses a request to several units; 0 if it is permitted for all of them.
 
-        For requests that reach several units at once. A rule with a rate counts it as one request, however many of the
-        units it is about. A refusal is counted, logged and recorded as that of a request to one unit is.
+        For requests that reach several units at once. A rule with a rate counts such a request once, whatever the
+        number of units. A refusal is counted, logged and recorded like that of a request to one unit.
 
         Args:
             context: the context of the request as received.
             request: the request.
-            units: the units that it reaches.
-            charged: ids of the rules that have counted it already; rules that count it now are added.
+            units: the units that the request reaches.
+            charged: ids of the rules that have counted the request already; rules that count it now are added.
         """
         asker, known = self._known(context.client)
         rights = known.rights
@@ -239,9 +242,12 @@ class PolicyAuthorizer:
         return ExceptionResponse(context.function, decision.code)
 
     def _too_fast(self, decision: Decision, asker: Asker, charged: set[int] | None) -> Decision | None:
-        """Return the refusal of a permitted request above the rate (requests per second) of its rule; None if below.
+        """Count a permitted request against the rates of its rules.
 
-        ``charged`` holds the ids of rules that have counted the request already, so that a broadcast counts once.
+        Returns its refusal if it is above one of them, else None.
+
+        ``charged`` holds the ids of rules that have counted the request already, so that a broadcast counts once; None:
+        none has.
         """
         for rule in decision.rates:
             if charged is not None and id(rule) in charged:
@@ -257,7 +263,7 @@ class PolicyAuthorizer:
         return None
 
     def _known(self, client: ClientIdentity) -> tuple[Asker, PolicyRights]:
-        """Return, from a cache, who sent a request (host, role, listener) and the rights of this client."""
+        """Return, from a cache, the client as access rules see it (host, role, listener), and its rights."""
         in_force = self._in_force
         found = in_force.of_clients.get(client)
         if found is None:
@@ -269,9 +275,10 @@ class PolicyAuthorizer:
 
 
 def _denied_to_all(rights: Rights, question: Question) -> Decision | None:
-    """Return the refusal of a broadcast if a rule for unit 0 denies it; else None.
+    """Return the refusal of a broadcast if a rule that names unit 0 denies it; else None.
 
-    A broadcast of a line is judged for each unit that hears it. A rule that permits unit 0 gives no right to these.
+    A broadcast on a line is decided for each unit that receives it; a rule that permits unit 0 permits it for none of
+    them.
     """
     decision = rights.decide(replace(question, unit=BROADCAST_UNIT, listed=_NO_UNITS))
     is_named = decision.rule is not None and decision.rule.units is not None
@@ -296,5 +303,5 @@ def _rights_of(asker: Asker, in_force: _InForce, audit: AuditLog | None) -> Poli
 
 
 def _busy(rule: Rule) -> Decision:
-    """Return the refusal (exception code 06) of a permitted request because its rule's rate is exceeded."""
+    """Return the refusal (exception code 06) of a permitted request that is above the rate of its rule."""
     return Decision(False, int(ExceptionCode.SERVER_DEVICE_BUSY), rule, f"more than {rule.rate:g} requests a second")

@@ -1,13 +1,16 @@
 """The server's fast path under a policy: checks addresses and values and audits writes, without a full decision.
 
-Knows zones of rights, declarations of functions and blocks of devices; knows no client, no session.
+Knows address ranges with their rules (zones), declarations of functions and memory blocks of devices; knows no client,
+no session.
 
-1. An answer that is permitted everywhere is bound unchanged; one that is permitted in some address ranges gets one
-   check before it. A write with value limits or with an audit line gets a block that checks what is written
-   (`Block.put`), so the request itself is validated where it always is, before the check.
-2. Functions under a rate, and requests that are not one plain range, are not bound: they take the generic path.
+1. An answering function that is permitted at all addresses is used unchanged. If it is permitted in some address
+   ranges, a check of the address comes before it. For a write with value limits or with an audit line, the function
+   gets a memory block that checks what is written (`Block.put`); so the request itself is validated as always, before
+   that check.
+2. Functions under a rate, and requests that are not one plain range, take the generic path.
 3. A request that fails a check changes nothing and takes the generic path, where it is decided, counted and recorded:
-   denied requests, writes across several zones, and all writes while the audit log cannot take lines.
+   denied requests, writes across several zones, and all writes while the audit log cannot be written
+   (``on_failure="refuse"``).
 4. An audited write reads the old values in the same step. Its line equals that of the generic path, to the byte (a
    property test compares them).
 """
@@ -36,18 +39,17 @@ _unpack_two = struct.Struct(">HH").unpack_from
 def bind(
     rights: Rights, unit: int, served: ServedUnit, kind: type[Request], audit: AuditLog | None = None
 ) -> Answer | None:
-    """Return a function that answers requests with one function code from bytes, within these rights; None if not
-    possible.
+    """Return a function that answers requests with one function code from their bytes, within the rights of clients.
 
     Args:
         rights: the rights of the clients.
         unit: the unit asked, 0…255.
         served: the unit, with its device.
-        kind: the function, of a device that offers it.
-        audit: where each write is recorded.
+        kind: the request class of a function that the device offers.
+        audit: the log where each write is recorded; None records none.
 
     Returns:
-        The answer; None where all requests take the generic path.
+        The answering function; None if all requests must take the generic path.
     """
     device = served.device
     if device is None:
@@ -72,7 +74,10 @@ def bind(
 def _within(
     kind: type[Request], answer: Answer, rights: Rights, access: Callable[[Table | None, bool], UnitAccess]
 ) -> Answer | None:
-    """Return a fast answering function that first checks whether the touched items are permitted."""
+    """Return an answering function that first checks whether the touched items are permitted.
+
+    It is ``answer`` itself if all items are; None if bytes do not suffice to check that.
+    """
     if kind.spans is not Request.spans:
         return None  # it says for itself what it touches: only a request can tell
     touches = [(touch, writes) for touch, writes in ((kind.writes, True), (kind.reads, False)) if touch is not None]
@@ -133,7 +138,7 @@ def _within_ranges(answer: Answer, permitted: Sequence[Range]) -> Answer:
 
 
 def _within_single(answer: Answer, permitted: Sequence[Range]) -> Answer:
-    """Return a fast answering function, for functions that touch one item, that first checks the address."""
+    """Return an answering function for requests that touch one item; it first checks the address."""
     firsts, ends = zip(*permitted, strict=True)
 
     def within(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -151,11 +156,11 @@ Put = Callable[[int, int, bytes], bool | None]
 
 
 class _CheckedDevice:
-    """A device whose memory blocks check what is written to them by a policy; for the fast path (from bytes to bytes).
+    """A device whose memory blocks check writes by a policy; only for answering functions of the fast path.
 
     Args:
         device: the device.
-        checked: makes the checking ``put`` of a block; None if the block cannot have one.
+        checked: returns the checking ``put`` for a block; None if the block cannot have one.
     """
 
     __slots__ = ("_checked", "_device")
@@ -165,14 +170,17 @@ class _CheckedDevice:
         self._checked = checked
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """Return the memory of a table with a check before each write; None if it has none or needs full decisions."""
+        """Return the memory of a table with a check before each write.
+
+        None if the device offers no direct access to the table, or its block cannot be checked.
+        """
         block = self._device.plain_block(table, writes=writes)
         put = None if block is None else self._checked(block)
         return None if block is None or put is None else _CheckedBlock(block, put)
 
 
 class _CheckedBlock:
-    """A device's memory block whose ``put`` checks each write against the policy; ``put`` is a closure, for speed."""
+    """A device's memory block whose ``put`` checks each write against the policy. ``put`` is a closure, for speed."""
 
     __slots__ = ("_block", "count", "first", "put")
 
@@ -189,12 +197,14 @@ class _CheckedBlock:
 
 
 def _zone_finder(first: int, zones: Sequence[Zone]) -> Callable[[int, int, bytes], int | None]:
-    """Build a function that finds the one permitted address range that holds a write; None if there is none or
-    several.
+    """Return a function that finds the zone in which a write is permitted, given position, count and items of the
+    write.
+
+    It returns the index in ``zones``; None if the write is not within one zone, or a value is outside its limits.
 
     Args:
         first: the address of the block's first item; positions count from there.
-        zones: the address ranges, each with the rule that decides there.
+        zones: the permitted address ranges, ascending, each with the rule that decides there.
     """
     firsts, ends = [zone.first for zone in zones], [zone.end for zone in zones]
     limits = [zone.limits for zone in zones]
@@ -211,7 +221,10 @@ def _zone_finder(first: int, zones: Sequence[Zone]) -> Callable[[int, int, bytes
 
 
 def _limited(block: Block, zones: Sequence[Zone]) -> Put:
-    """Build the ``put`` of a memory block that refuses writes outside the permitted addresses and value limits."""
+    """Return the ``put`` of a memory block that refuses writes outside the permitted addresses and value limits.
+
+    A refused write changes nothing, and ``put`` returns True; then the request takes the generic path.
+    """
     zone_of, plain_put = _zone_finder(block.first, zones), block.put
 
     def put(position: int, count: int, data: bytes) -> bool | None:
@@ -221,14 +234,17 @@ def _limited(block: Block, zones: Sequence[Zone]) -> Put:
 
 
 _Done = tuple[int, int, int, bytes, bytes]
-"""What a write has done: index of its zone, address, count, old and new items."""
+"""Facts of an executed write: index of its zone, address, count, old and new items in wire order."""
 _NOTHING_DONE: Final[_Done] = (0, 0, 0, b"", b"")
 
 
 def _audited(
     kind: type[Request], device: DirectModel, zones: Sequence[Zone], unit: int, audit: AuditLog
 ) -> Answer | None:
-    """Return the function that answers writes from bytes: it checks addresses and limits, and appends an audit line."""
+    """Return the function that answers writes from bytes: it checks addresses and limits, and appends an audit line.
+
+    None if the device's memory cannot be used directly.
+    """
     done = _NOTHING_DONE
 
     def recorded(block: Block) -> Put | None:

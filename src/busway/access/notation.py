@@ -24,13 +24,13 @@ from ..values import Address, parse_address
 from ..values.refusal import shown
 
 Range = tuple[int, int]
-"""The first number and the one after the last."""
+"""The first number, and the number after the last."""
 Function = tuple[int, int | None]
 """A function code, and a sub-function or None for all of them."""
 
 _RANGE_SIGN: Final = re.compile(r" ?(?:\.\.|…|-) ?")
 _LONGEST_PART: Final = 100
-"""Characters of one number or range, blanks in a row counted once: the longest that means something has 50."""
+"""Most characters of one number or range, several blanks counted once; the longest valid one has 50."""
 _NUMBER: Final = re.compile(r"[0-9]{1,6}|0[xX][0-9a-fA-F]{1,5}")
 
 FUNCTION_GROUPS: Final[Mapping[str, frozenset[int]]] = {
@@ -38,7 +38,7 @@ FUNCTION_GROUPS: Final[Mapping[str, frozenset[int]]] = {
     "write": frozenset({5, 6, 15, 16, 21, 22, 23}),
     "diagnostics": frozenset({7, 8, 11, 12, 17}),
 }
-"""Functions by what they are for. 23, which also reads, is a write."""
+"""Function codes by group name. 23, which also reads, is in the group of writes."""
 _SHORT_NAMES: Final[Mapping[str, FunctionCode]] = {
     "write_coil": FunctionCode.WRITE_SINGLE_COIL,
     "write_register": FunctionCode.WRITE_SINGLE_REGISTER,
@@ -54,7 +54,7 @@ _SUB_NAMES: Final[Mapping[str, Function]] = {
 
 
 def parse_units(value: str | int | Iterable[str | int]) -> frozenset[int]:
-    """Parse unit numbers such as ``1-10, 17``. Raises `ConfigError`."""
+    """Parse unit numbers such as ``1-10, 17`` into the set of units. Raises `ConfigError`."""
     return frozenset(unit for first, end in _ranges(value, 255, "unit") for unit in range(first, end))
 
 
@@ -64,7 +64,10 @@ def parse_files(value: str | int | Iterable[str | int]) -> tuple[Range, ...]:
 
 
 def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Function]:
-    """Parse function codes or names such as ``3, write single coil``, with sub-functions. Raises `ConfigError`."""
+    """Parse function codes or names such as ``3, write single coil``, with sub-functions. Raises `ConfigError`.
+
+    Returns pairs of code and sub-function, which is None for all sub-functions.
+    """
     found: set[Function] = set()
     for each in [value] if isinstance(value, str | int) else value:
         for part in each.split(",") if isinstance(each, str) else [each]:
@@ -73,7 +76,10 @@ def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Functio
 
 
 def parse_whole_functions(value: str | int | Iterable[str | int], what: str) -> frozenset[int]:
-    """Parse function codes or names; sub-functions are refused, with ``what`` in the error. Raises `ConfigError`."""
+    """Parse function codes or names into a set of codes. Raises `ConfigError`, also for a sub-function.
+
+    ``what`` is the subject of that error: what does not accept sub-functions.
+    """
     found = parse_functions(value)
     for code, sub_code in found:
         if sub_code is not None:
@@ -99,7 +105,7 @@ def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> 
 
     Args:
         value: the notation.
-        table: what offsets without a table are of; None if every range has to say.
+        table: the table of offsets that are given without one; None if every range must name its table.
     """
     found: dict[Table, list[Range]] = {}
     for each in [value] if isinstance(value, str | int) else value:
@@ -110,7 +116,7 @@ def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> 
 
 
 def merged(ranges: Iterable[Range]) -> tuple[Range, ...]:
-    """Sort address ranges and join those that touch."""
+    """Sort ranges, and join those that overlap or touch."""
     found: list[Range] = []
     for first, end in sorted(ranges):
         if found and first <= found[-1][1]:
@@ -121,7 +127,7 @@ def merged(ranges: Iterable[Range]) -> tuple[Range, ...]:
 
 
 def _ranges(value: str | int | Iterable[str | int], highest: int, what: str) -> list[Range]:
-    """Parse a text of numbers and ranges such as ``1-10, 17`` into pairs of first and last."""
+    """Parse numbers and ranges such as ``1-10, 17``; ``highest`` is the limit, ``what`` names them in errors."""
 
     def number(text: str) -> int:
         if not _NUMBER.fullmatch(text):
@@ -152,10 +158,9 @@ def _ends(part: str, number: Callable[[str], int]) -> Range:
 
 
 def _with_single_blanks(part: str) -> str:
-    """Return one part of a rule's text, trimmed and with single blanks inside. Raises `ConfigError` if it is too
-    long.
+    """Return one part of a rule's text, trimmed and with single blanks inside. Raises `ConfigError` if it is too long.
 
-    What comes after takes time with the square of the length, so the length is bounded here.
+    The length is bounded here, because later steps take time with the square of the length.
     """
     text = " ".join(part.split())
     if len(text) > _LONGEST_PART:

@@ -2,12 +2,12 @@
 
 Knows messages; knows no rule.
 
-1. A request touches *pieces*: ranges of items in a table, file numbers, or, if it touches neither, one piece without a
-   space. Each is read or written.
-2. An unknown effect counts as a write: a function that is not in the table, a user function that declares neither what
-   it reads nor that it writes, a truncated sub-function. So do the sub-functions of 08 that change communication
-   (01, 03, 04, 0A, 14), by their declarations.
-3. A malformed request touches the whole of its tables: a gateway forwards it, and its effect on a device is unknown.
+1. A request touches *pieces* (`TouchedRange`): ranges of items in a table, or of file numbers, or, if it touches
+   neither, one piece without table or file. Each piece is read or written.
+2. A request of unknown effect counts as a write: a function that is not in the table of functions, a user function that
+   declares neither what it reads nor that it writes, a truncated sub-function. So do the sub-functions of 08 that
+   change communication (01, 03, 04, 0A, 14), by their declarations.
+3. A malformed request touches its whole tables: a gateway forwards it, and its effect on a device is unknown.
 """
 
 from collections.abc import Callable
@@ -24,11 +24,11 @@ from ..pdu.read_items import unpack_registers
 from ..pdu.write_items import MaskWriteRegister, ReadWriteMultipleRegisters, WriteMultipleRegisters, WriteSingleRegister
 
 FILES: Final = "files"
-"""The space of file numbers, beside the four tables."""
+"""The `Space` of file numbers; the other spaces are the four tables."""
 Space = Table | str | None
-"""A table, `FILES`, or None: nowhere."""
+"""What a request touches: a table, the files (`FILES`), or None for neither."""
 END: Final = 1 << 32
-"""An address after all that a request can name. Items after 65 535 do not exist, but a request may name them."""
+"""An address after all that a request can name. Items after 65535 do not exist, but a request may name them."""
 
 _SUB_WIDTH: Final[dict[int, int]] = {FunctionCode.DIAGNOSTICS: 2, FunctionCode.ENCAPSULATED_INTERFACE: 1}
 _PUBLIC: Final = frozenset(int(code) for code in FunctionCode)
@@ -37,7 +37,13 @@ _OF_FILES: Final = (ReadFileRecord, WriteFileRecord)
 
 @dataclass(slots=True)
 class TouchedRange:
-    """The items of a table, or records of a file, that a request reads or writes: from ``first`` to before ``end``."""
+    """The items of a table, or the numbers of files, that a request reads or writes.
+
+    Attributes:
+        space: a table, `FILES`, or None if the request touches neither.
+        first, end: the range: from ``first`` to ``end - 1``.
+        writes: whether the range is written; else it is read.
+    """
 
     space: Space
     first: int
@@ -51,9 +57,9 @@ class Asker:
 
     Attributes:
         host: numeric address, ``10.0.0.7``; the name of a serial line.
-        role: role of the certificate; None without one.
+        role: role of the client's certificate; None without one.
         listener: URL of the listener.
-        listener_names: further URLs that a rule may use for it.
+        listener_names: further URLs by which a rule may name the listener.
     """
 
     host: str = ""
@@ -69,14 +75,15 @@ class Question:
     Attributes:
         asker: the client.
         unit: the unit asked, 0…255.
-        listed: the units under which its device is configured: a device may have several, and a sole one also answers
-            to units 0 and 255.
+        listed: the units under which its device is configured: a device may have several, and a sole device also
+            answers
+            to units 0 and 255. Empty: ``unit`` alone.
         function: the function code.
-        sub_function: of 08 and 43; None for the others, and where it is truncated.
-        pieces: the ranges that it touches.
-        written: the values of the registers that it would write, in the order of the written piece; None where it
-            writes none, or where they are unknown.
-        masks: the two masks of function 22, whose result depends on the current value.
+        sub_function: the sub-function of 08 and 43; None for other functions, and if it is truncated.
+        pieces: the ranges that the request touches.
+        written: the values of the registers that the request would write, in the order of the written range; None if it
+            writes no registers, or if the values are unknown.
+        masks: AND mask and OR mask of function 22, whose result depends on the current value; None for other functions.
     """
 
     asker: Asker
@@ -105,11 +112,11 @@ class Question:
         Args:
             request: the decoded request.
             unit: the unit asked, 0…255.
-            listed: the units under which its device is configured; empty for ``unit``.
-            peer: ``host:port`` or host of the client; with ``role`` and ``listener``, who asks.
-            role: role of its certificate; None without one.
+            listed: the units under which its device is configured; empty: ``unit`` alone.
+            peer: ``host:port`` or host of the client.
+            role: role of the client's certificate; None without one.
             listener: URL of the listener.
-            asker: the three, where they are there already.
+            asker: the client; if given, ``peer``, ``role`` and ``listener`` are ignored.
         """
         asker = asker or Asker(host_of_peer(peer), role, listener)
         if isinstance(request, MalformedRequest):
@@ -138,7 +145,10 @@ class Question:
         return any(piece.writes for piece in self.pieces)
 
     def with_current(self, current: int) -> "Question":
-        """Return a mask write (function 22) with the value it will write to a register that now holds ``current``."""
+        """Return this request with the value that it would write to a register that now holds ``current``.
+
+        Only a mask write (function 22) is changed; other requests are returned as they are.
+        """
         if self.masks is None:
             return self
         and_mask, or_mask = self.masks
@@ -151,7 +161,7 @@ def masked(current: int, and_mask: int, or_mask: int) -> int:
 
 
 def counts_as_write(kind: type[Request]) -> bool:
-    """Whether a function counts as a write, as it declares; a function whose effect is unknown does (rule 2)."""
+    """Whether a function counts as a write, by its declaration; a function of unknown effect counts as one (rule 2)."""
     if kind.is_write or kind.writes is not None:
         return True
     return kind.code not in _PUBLIC and kind.reads is None
@@ -179,7 +189,7 @@ def _pieces_of_malformed(request: MalformedRequest, sub_function: int | None) ->
 
 
 def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
-    """Return everything that requests of a function could read or write: whole tables, by kind of access."""
+    """Return everything that requests of a function could read or write: whole tables, or all files."""
     if issubclass(kind, _OF_FILES):
         return (TouchedRange(FILES, 0, END, issubclass(kind, WriteFileRecord)),)
     found = [
@@ -205,5 +215,5 @@ _WRITTEN: Final[dict[type, Callable[[Any], tuple[int, ...]]]] = {
     WriteMultipleRegisters: _registers,
     ReadWriteMultipleRegisters: _registers,
 }
-"""The holding registers that a request writes, as numbers, of the functions of which that is known."""
+"""By request class, a function that returns the values of the holding registers written; other writes are not here."""
 _UNKNOWN_WRITE: Final = (TouchedRange(None, 0, 1, True),)

@@ -1,17 +1,18 @@
 """Limits of requests per second by client host: a token bucket for each host, shared by all its connections.
 
-Pure: knows hosts, numbers and times handed in; pauses nothing itself.
+Pure: knows hosts, numbers and the times that it is given; pauses nothing itself.
 
-1. A bucket holds the requests of one second. Requests are charged after they were answered: a host may go into debt by
-   one receive call, and then waits until the debt is paid, so that the rate holds over any longer time.
-2. Only buckets used recently are kept; a full one is equal to none.
+1. A bucket holds the requests of one second. Requests are counted after they were answered: a host may exceed its
+   bucket by the requests of one receive call, and then waits until the bucket is no longer below zero, so that the rate
+   holds over any longer time.
+2. Only buckets used recently are kept: a full bucket has the same effect as none.
 """
 
 from collections import OrderedDict
 from typing import Final
 
 _HOSTS: Final = 4096
-"""Buckets at most; beyond, the one that was used longest ago is forgotten."""
+"""Most buckets that are kept; beyond that, the bucket unused longest is forgotten."""
 
 
 class Rates:
@@ -39,7 +40,7 @@ class Rates:
         return 0.0 if left >= 0 else -left / self.rate
 
     def allows(self, host: str, now: float) -> bool:
-        """Count one request of a host against its rate; return False if the request exceeds it and is to be refused."""
+        """Whether one more request of a host is within its rate; if so, the request is counted."""
         if self._left(host, now) < 1.0:
             return False
         self.charge(host, 1, now)

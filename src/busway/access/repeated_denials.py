@@ -1,9 +1,9 @@
-"""Counts repeated denials of one client by one rule: the audit log gets the first at once, later only numbers.
+"""Counts repeated denials of one client by one rule: the audit log gets the first at once, later only their number.
 
-Pure: knows names and how to make a line; looks at no clock and writes nothing. What a denial is, and with which code a
-request is refused, is decided by `authorizer`.
+Pure: knows names and how to create a line; has no clock and writes nothing. Which requests are denied, and with which
+exception code, is decided by `authorizer`.
 
-1. Every denial is in a line: the sum of the lines and their counts is the number of denials.
+1. No denial is missing in the log: each has a line of its own or is counted in a later line.
 2. At most `MOST_APART` combinations are counted separately, the others together, because senders of datagrams can be
    forged without limit.
 """
@@ -13,17 +13,21 @@ from dataclasses import dataclass
 from typing import Final
 
 DenialLine = Callable[[int], str]
-"""Makes the line of a denial; takes the number of denials that it counts, 0 for itself alone."""
+"""Function that creates the audit line of a denial.
+
+Its argument is the number of denials that the line stands for; 0 for
+this denial alone.
+"""
 About = tuple[str, str, str]
-"""Host, role and rule."""
+"""Host, role and rule of a denial; equal denials have all three in common. The role is empty without one."""
 
 MOST_APART: Final = 1024
-"""Combinations of host, role and rule that are counted apart."""
+"""Most combinations of host, role and rule that are counted separately."""
 
 
 @dataclass(slots=True)
 class _Repeated:
-    """How often one rule denied one client since the last audit line, and the audit line of the latest denial."""
+    """How often one rule denied one client since the last audit line about that, and how to create the next line."""
 
     count: int = 0
     line: DenialLine | None = None
@@ -33,7 +37,7 @@ class RepeatedDenials:
     """Counts of denied requests that the audit log does not show yet, by client and rule.
 
     Attributes:
-        others: number of those beyond `MOST_APART` combinations.
+        others: number of denials that are not counted by client and rule, because there are `MOST_APART` combinations.
     """
 
     def __init__(self) -> None:
@@ -44,7 +48,10 @@ class RepeatedDenials:
         return bool(self._repeated or self.others)
 
     def is_first(self, about: About, line: DenialLine) -> bool:
-        """Whether a denied request needs an audit line now; if not, it was counted as a repetition."""
+        """Whether a denied request needs an audit line of its own now. If not, it was counted as a repetition.
+
+        ``line`` is kept for repetitions, to show the latest denial later.
+        """
         repeated = self._repeated.get(about)
         if repeated is not None:
             repeated.count += 1
@@ -57,13 +64,16 @@ class RepeatedDenials:
         return True
 
     def take(self) -> list[tuple[DenialLine, int]]:
-        """Return the audit lines for counted denials, each with its number, and set the counts to 0."""
+        """Return the functions for the audit lines of counted denials, each with its number, and set the counts to 0.
+
+        Combinations without a repetition since the last call are forgotten: their next denial is a first one again.
+        """
         again = {about: each for about, each in self._repeated.items() if each.count}
         found = [(each.line, each.count) for each in again.values() if each.line is not None]
         self._repeated = {about: _Repeated() for about in again}
         return found
 
     def take_others(self) -> int:
-        """Return the number of denials beyond the limit of those counted by client and rule, and set it to 0."""
+        """Return the number of denials in ``others``, and set it to 0."""
         others, self.others = self.others, 0
         return others

@@ -1,6 +1,6 @@
 """Limiter for repeated log messages: the first is logged at once, then one a minute with the number left out.
 
-Pure: knows names and times handed in; logs nothing itself.
+Pure: knows names and the times that it is given; logs nothing itself.
 """
 
 from collections import OrderedDict
@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import Final
 
 PAUSE: Final = 60.0
-"""Seconds between two lines about the same name."""
+"""Seconds between two logged messages about the same name."""
 _NAMES: Final = 1024
-"""Most names that are remembered; beyond that, the oldest is forgotten, so that memory stays bounded."""
+"""Most names that are remembered; beyond that, the name logged longest ago is forgotten, so that memory stays
+bounded.
+"""
 
 
 @dataclass(slots=True)
@@ -20,14 +22,18 @@ class _Said:
 
 
 class Repeats:
-    """Decides whether a repeated log message is written now. ``pause``: seconds between two lines about one name."""
+    """Decides whether a repeated log message is written now.
+
+    ``pause``: seconds between two messages about the same name.
+    """
 
     def __init__(self, pause: float = PAUSE) -> None:
         self._pause = pause
         self._said: OrderedDict[str, _Said] = OrderedDict()
 
     def again(self, name: str, now: float) -> int | None:
-        """Return how many messages about ``name`` were suppressed if one may be logged now; None if it may not.
+        """Return whether a message about ``name`` may be logged now: None if not, else how many were suppressed before
+        it.
 
         Args:
             name: what the message is about, such as a host.

@@ -2,11 +2,11 @@
 
 Knows rules and the facts of one request (`busway.access.question`); knows no client, no connection and no store.
 
-1. For every kind of access to a unit (function, space, read or write) the rules are compiled into *zones*: ranges of
-   items that cover all addresses, each with the one rule that decides there. The generic path finds the zones of a
-   request, the fast path is made of the zones that permit (`busway.access.fast_path_rights`).
-2. For every item that a request touches, the first rule that fits decides; where none fits, the default does. The
-   request is permitted if all of its items are. A range that straddles rules is judged part by part: where 100…109
+1. For every kind of access to a unit (function, table or files, read or write) the rules are compiled into *zones*:
+   ranges of items that together cover all addresses, each with the one rule that decides there. The generic path finds
+   the zones of a request, the fast path is built from the zones that permit (`busway.access.fast_path_rights`).
+2. For every item that a request touches, the first rule that fits decides; if no rule fits, the default does. The
+   request is permitted if all of its items are. A range that lies in several zones is decided part by part: if 100…109
    are denied, a read of 95…104 is denied.
 """
 
@@ -28,13 +28,13 @@ class Decision:
     """What a policy decided about one request: permitted or not, the rule that decided, the exception code.
 
     Attributes:
-        allowed: whether it may be executed.
+        allowed: whether the request may be executed.
         code: exception code of the refusal; 0 if allowed.
-        rule: the rule that decided: the one that refused, or the first that permitted; None for the default.
-        reason: why, in words; empty if allowed.
-        rates: the rules with a rate through which it went.
-        needs_current: whether it was refused without knowing what function 22 would write; a caller that knows the
-            register asks again with `Question.with_current`.
+        rule: the rule that refused, or the first that permitted; None if the default decided.
+        reason: why it is refused, in words; empty if allowed.
+        rates: the rules with a rate by which it is permitted; the caller counts the request against them.
+        needs_current: whether it is refused only because the result of a mask write (function 22) is not known; a
+            caller that knows the register's value asks again with `Question.with_current`.
     """
 
     allowed: bool
@@ -55,12 +55,12 @@ class Zone:
     """An address range in which one access rule decides about one kind of request.
 
     Attributes:
-        first, end: the items, to before ``end``.
+        first, end: the range of items: from ``first`` to ``end - 1``.
         rule: the rule that decides there; None for the default.
-        order: place of the rule in the policy.
+        order: position of the rule in the policy.
         action: what the rule or the default does.
         permits: whether the access is permitted there, within limits and rate of the rule.
-        limits: what may be written to each register; None where all may, and for other accesses.
+        limits: the values that may be written to each register; None: all values, or no write of holding registers.
     """
 
     first: int
@@ -87,10 +87,10 @@ class UnitAccess(NamedTuple):
 
     Attributes:
         unit: the unit asked, 0…255.
-        listed: the units under which its device is configured; empty for ``unit``.
+        listed: the units under which its device is configured; empty: ``unit`` alone.
         function: the function code.
-        sub_function: of 08 and 43; None for the others, and where it is truncated.
-        space: a table, files, or None for requests that touch no items.
+        sub_function: the sub-function of 08 and 43; None for other functions, and if it is truncated.
+        space: a table, the files (`FILES`), or None for requests that touch neither.
         writes: whether it is a write.
     """
 
@@ -107,10 +107,10 @@ class Rights:
 
     Args:
         rules: in their order; all of them apply to the clients.
-        default: decides where no rule fits.
+        default: decides if no rule fits a request.
 
     Attributes:
-        permits_all: whether no rule limits anything.
+        permits_all: whether every request is permitted, because there are no rules and the default allows all.
     """
 
     def __init__(self, rules: tuple[Rule, ...], default: Action) -> None:
@@ -121,15 +121,18 @@ class Rights:
         self._zones: dict[UnitAccess, tuple[list[int], tuple[Zone, ...]]] = {}
 
     def zones(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """Return all addresses as ascending ranges, each with the rule that decides there, for one kind of access."""
+        """Return all addresses as ascending zones, each with the rule that decides there, for one kind of access."""
         return self._compiled(access)[1]
 
     def permitted(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """Return the address ranges where a kind of request is always permitted, whatever its values and rate."""
+        """Return the zones where a kind of request is permitted without a rate.
+
+        Values must still be within the zone's limits.
+        """
         return tuple(zone for zone in self.zones(access) if zone.permits and zone.rate is None)
 
     def decide(self, question: Question) -> Decision:
-        """Decide whether the rules permit a request to these clients."""
+        """Decide whether the rules permit a request to these clients. Nothing is counted against a rate here."""
         rates: list[Rule] = []
         first_rule: Rule | None = None
         is_first = True
@@ -153,7 +156,7 @@ class Rights:
         return Decision(True, rule=first_rule, rates=tuple(rates))
 
     def _touched(self, question: Question, piece: TouchedRange) -> list[Zone]:
-        """Return the address ranges that a request touches, each with its rule, in the order of the rules."""
+        """Return the zones in which the items of a piece lie, in the order of their rules."""
         access = UnitAccess(
             question.unit, question.listed, question.function, question.sub_function, piece.space, piece.writes
         )
@@ -175,7 +178,10 @@ class Rights:
         return found
 
     def _compile(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """Split the addresses of a table into ranges that belong to one rule each: the first one that applies."""
+        """Split all addresses into zones for one kind of access: in each, the first rule that applies decides.
+
+        Ascending.
+        """
         found: list[Zone] = []
         firsts, ends = [0], [END]  # what no rule has taken yet
         for order, rule in self._of_unit(access.unit, access.listed):
@@ -228,7 +234,7 @@ def decision_of(policy: Policy, question: Question) -> Decision:
 
 
 def ranges_of(zones: tuple[Zone, ...]) -> tuple[Range, ...]:
-    """Return address ranges without their rules, adjacent ones joined."""
+    """Return the address ranges of zones without their rules, adjacent ones joined."""
     return merged([(zone.first, zone.end) for zone in zones])
 
 
@@ -237,7 +243,11 @@ def _code(rule: Rule | None) -> int:
 
 
 def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
-    """Return a sentence that names the written registers outside the rule's value limits; empty if all are within."""
+    """Return why the written registers from ``start`` to ``end - 1`` are outside the value limits; empty if they are
+    within.
+
+    Both positions count from the first item of the written range.
+    """
     bounds = f"{limits.low}…{limits.high}"
     if question.masks is not None:
         return "" if limits.permit_masks(*question.masks) else f"the masks may give a value outside {bounds}"

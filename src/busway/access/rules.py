@@ -1,15 +1,15 @@
 """Rules of a policy in their order: which clients and requests each applies to, and what it does (clauses M6, T15).
 
-Knows what people write; knows no connection and no store. `busway.access.rule_evaluation` decides by them: the first
-that applies.
+Knows the texts of rules; knows no connection and no store. `busway.access.rule_evaluation` decides by the rules: the
+first that applies decides.
 
-1. What is denied is answered with exception 01; a rule about items that names no role may choose 02, as if they were
-   not there.
-2. ``read-only`` permits what reads and denies what writes. A rule that names tables, items or files never fits a
-   request that touches none.
+1. A denied request is answered with exception 01; a rule about items that names no role may choose 02, as if the items
+   did not exist.
+2. ``read-only`` permits reads and denies writes. A rule that names tables, items or files never fits a request that
+   touches neither items nor files.
 3. Limits apply to writes of holding registers. A write of unknown values is denied where limits apply; function 22 is
-   judged by the value it would write if that is known, else by all values that its masks permit.
-4. No role and no right is built in: what no rule covers is decided by the default.
+   decided by the value it would write if that is known, else by all values that its masks permit.
+4. No role and no right is built in: a request that no rule covers is decided by the default.
 """
 
 import struct
@@ -31,9 +31,9 @@ from .question import END, FILES, Asker, Space
 
 EVERYWHERE: Final[tuple[Range, ...]] = ((0, END),)
 RATES: Final = declaration.Range(0.001, 1_000_000)
-"""What the rate of a rule may be: requests per second and host."""
+"""Valid rates of a rule: requests per second and host."""
 DEFAULT_RULE: Final = "default"
-"""The name in logs of a decision that no rule made."""
+"""The name of the rule, in logs, for decisions that no rule made but the default."""
 _NOWHERE: Final[tuple[Range, ...]] = ()
 _EMPTY: Final = "is empty, so the rule would never fit; leave it out"
 Chosen = TypeVar("Chosen", bound=Enum)
@@ -68,11 +68,11 @@ class Limits:
     """The lowest and highest value that an access rule lets clients write to a register.
 
     Attributes:
-        low, high: the least and the greatest value, 0…65535, or -32768…32767 if ``signed``.
+        low, high: the lowest and highest value, 0…65535, or -32768…32767 if ``signed``.
         signed: whether registers are read as numbers with a sign.
 
     Raises:
-        ConfigError: a value that no register holds, or ``low`` above ``high``.
+        ConfigError: a value that no register can hold, or ``low`` above ``high``.
     """
 
     low: int
@@ -88,7 +88,9 @@ class Limits:
             raise ConfigError(f"nothing is between {self.low} and {self.high}", key="values")
 
     def permit(self, register: int) -> bool:
-        """Whether a rule lets clients write this register value, 0…65535."""
+        """Whether a register value, 0…65535, is within the limits; with ``signed`` it is first read as a number with a
+        sign.
+        """
         return self.low <= self._number(register) <= self.high
 
     def permit_all(self, registers: bytes) -> bool:
@@ -118,17 +120,18 @@ class Rule:
 
     Attributes:
         name: its name in logs; a policy numbers rules without a name.
-        action: what happens to these requests.
+        action: what happens to the requests that it applies to.
         peers: hosts of the clients.
-        roles: roles of their certificates; a client without one is in no role.
+        roles: roles of the clients' certificates; a client without a role has none of them.
         listeners: URLs of listeners, or schemes (``tls://``).
         units: the units asked.
-        functions: function codes, each with a sub-function or with None for all.
-        items: ranges (first, end) of items by table; an empty mapping for requests of any kind.
-        files: ranges (first, end) of file numbers.
+        functions: function codes, each with a sub-function or with None for all its sub-functions.
+        items: ranges (first, end) of items by table, ``end`` not included; empty: requests for any items or none.
+        files: ranges (first, end) of file numbers, ``end`` not included.
         access: reads, writes, or both.
-        limits: the values that may be written to holding registers.
-        rate: requests per second that a host may send through this rule; more are answered with exception 06.
+        limits: the values that may be written to holding registers; None for all values.
+        rate: requests per second that each host may send by this rule; more are answered with exception 06. None: no
+            limit.
         code: exception code of a refusal, 1 or 2.
 
     Raises:
@@ -192,19 +195,19 @@ class Rule:
         """Build an access rule from texts as people write them in files.
 
         Args:
-            name: its name in logs.
+            name: name of the rule in logs.
             action: ``allow``, ``deny`` or ``read-only``.
             peers: addresses and networks of the clients, ``["10.0.0.0/8"]``.
-            roles: roles of their certificates.
+            roles: roles of the clients' certificates.
             listeners: URLs of listeners, or schemes such as ``tls://``.
             units: ``"1-5,7"``, 0…255.
             functions: codes, names and groups, ``["read", 16, "8/1"]`` (`busway.access.notation`).
-            table: ``holding``, ``input``, ``coil``, ``discrete``, or several; without ``addresses`` the whole of it.
+            table: ``holding``, ``input``, ``coil``, ``discrete``, or several; without ``addresses`` the whole tables.
             addresses: items, ``"4x101-4x200"``; with one table also offsets, ``"100-199"``.
             files: numbers of files, ``"1-4"``.
             access: ``read``, ``write`` or ``any``.
-            values: the least and the greatest value that may be written to a holding register.
-            signed: whether these are numbers with a sign.
+            values: the lowest and highest value that may be written to a holding register; None for all values.
+            signed: whether ``values`` are numbers with a sign.
             rate: requests per second and host, 0.001…1000000.
             code: exception code of a refusal, 1 or 2.
 
@@ -247,7 +250,7 @@ class Rule:
         )
 
     def names(self, function: int, sub_function: int | None) -> bool:
-        """Whether the rule lists a function code and sub-function, or all."""
+        """Whether the rule applies to a function code and sub-function: it lists them, or names no functions."""
         if self.functions is None:
             return True
         return (function, None) in self.functions or (
@@ -255,7 +258,10 @@ class Rule:
         )
 
     def ranges(self, space: Space) -> tuple[Range, ...]:
-        """Return the addresses of a table, or the file numbers, that the rule applies to, as ascending ranges."""
+        """Return the items of a table, or the file numbers, that the rule applies to, as ascending ranges.
+
+        All addresses if the rule names neither items nor files; empty if it names only others.
+        """
         if not self.items and not self.files:
             return EVERYWHERE
         if isinstance(space, Table):
@@ -265,20 +271,22 @@ class Rule:
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """An access policy: ordered rules, of which the first that applies decides, and a default. Frozen and pure.
+    """An access policy: ordered rules, of which the first that applies decides, and a default. It cannot be changed.
 
     Args:
-        rules: the first that fits decides.
-        default: decides where no rule fits; nothing is permitted by default.
+        rules: the rules; the first that applies to a request decides.
+        default: what happens to requests that no rule applies to; if left out, they are denied.
 
     Raises:
-        ConfigError: two rules of one name.
+        ConfigError: two rules have the same name, or a rule has the reserved name ``default``.
     """
 
     rules: tuple[Rule, ...] = ()
     default: Action = Action.DENY
     _by_peer: tuple[tuple[int, ...], NetworkIndex] | None = field(init=False, default=None, repr=False, compare=False)
-    """Numbers of the rules without peers, and an index of those with; made by `prepare`."""
+    """Positions of the rules without ``peers``, and an index by host of the other rules; None until `prepare` was
+    called.
+    """
 
     def __post_init__(self) -> None:
         named = tuple(
@@ -293,8 +301,9 @@ class Policy:
 
     @classmethod
     def of(cls, *rules: Rule, default: str | Action = Action.DENY) -> "Policy":
-        """Build a policy of rules in their order; ``default``: ``allow``, ``deny``, ``read-only``. Raises
-        `ConfigError`.
+        """Create a policy of rules in their order. Raises `ConfigError`.
+
+        ``default``: ``allow``, ``deny`` or ``read-only``, for requests that no rule applies to.
         """
         return cls(rules, _one_of(Action, default, "default"))
 
@@ -309,7 +318,7 @@ class Policy:
         return cls(default=Action.ALLOW)
 
     def prepare(self) -> None:
-        """Build the index of rules by client now instead of at the first request: some 0.1 s for 100 000 rules."""
+        """Create the index of rules by client now, instead of at the first request: some 0.1 s for 100 000 rules."""
         if self._by_peer is None:
             everybodys = tuple(number for number, rule in enumerate(self.rules) if rule.peers is None)
             index = NetworkIndex(
@@ -318,7 +327,7 @@ class Policy:
             object.__setattr__(self, "_by_peer", (everybodys, index))
 
     def rules_for(self, asker: Asker) -> tuple[Rule, ...]:
-        """Return the rules that apply to one client, in their order."""
+        """Return the rules that apply to one client, by host, role and listener, in their order."""
         self.prepare()
         assert self._by_peer is not None  # that is what was prepared
         everybodys, index = self._by_peer
@@ -372,7 +381,10 @@ def _texts(values: Iterable[str], key: str) -> tuple[str, ...]:
 
 
 def listener_name(text: str) -> str:
-    """Normalize the name of a listener: a URL, or a scheme alone such as ``tls://``. Raises `ConfigError`."""
+    """Return the name of a listener in its normal form: a URL, or a scheme alone such as ``tls://``.
+
+    Raises `ConfigError`.
+    """
     scheme, separator, rest = text.partition("://")
     if separator and not rest and scheme.lower() in SCHEMES:
         return f"{scheme.lower()}://"
@@ -388,7 +400,9 @@ def _is_listener(wanted: str, asker: Asker) -> bool:
 
 @contextmanager
 def _about(key: str) -> Iterator[None]:
-    """Context manager that names the key of a file, ``key``, in every `ConfigError` raised inside it."""
+    """Context manager that gives every `ConfigError` raised inside it the key ``key``, which names the wrong
+    argument.
+    """
     try:
         yield
     except ConfigError as error:

@@ -2,7 +2,7 @@
 
 Knows listeners and their life cycle; knows no request.
 
-1. A server answers only between start and stop. To stop takes at most a second or so, whatever the clients do.
+1. A server answers only between start and stop. Stopping ends within a second, whatever the clients do.
 2. Start, stop and reset succeed or raise. If one listener cannot be opened, those opened before are closed.
 """
 
