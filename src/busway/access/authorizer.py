@@ -148,8 +148,9 @@ class PolicyAuthorizer:
     ) -> ExceptionResponse | None:
         """Return None if the policy permits a request, otherwise the exception reply that refuses it.
 
-        A mask write (function 22) under value limits may depend on the register's old value. It is permitted for now if
-        the device is in this process, and decided when the responder reports that value (`RequestContext.replacing`).
+        Function 22 (mask write) can depend on the register's old value if a rule bounds the values. Then it is
+        permitted for now if the device is in this process, and decided when the responder reports that value
+        (`RequestContext.replacing`).
         """
         asker, known = self._known(context.client)
         rights = known.rights

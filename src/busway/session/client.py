@@ -46,8 +46,7 @@ _PACE_FORGETS = 0.9
 off.
 """
 _LAUNCHES_APART = 32
-"""Requests or batches sent one by one after a batch had to be split, because replies came in another order or one was
-an
+"""Number of sends without batches after a batch had to be split, because replies came in another order or one was an
 exception: splitting a batch costs a fifth of what its requests cost.
 """
 _LATE_FACTOR = 2

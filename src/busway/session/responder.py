@@ -271,7 +271,7 @@ class Forwarding:
     Attributes:
         asks: as above.
         peer, is_priority: the client's address, and whether it is a priority host.
-        batches: the read batches with its requests, which add and remove themselves.
+        batches: the gateway's batches that contain its requests; they add and remove themselves.
     """
 
     __slots__ = ("_context", "_left", "_reply", "asks", "batches", "is_priority", "peer")

@@ -32,7 +32,7 @@ class ClientCounters:
         foreign_protocol: TCP frames with a protocol identifier other than 0.
         overruns: damaged frames with a character overrun.
         markers: marker requests sent (`busway.session.late_replies`).
-        suspended: requests that failed at once because the circuit breaker of their unit was open.
+        suspended: calls and queued requests that failed because the circuit breaker of their unit was open.
         cancelled: calls that were cancelled before they had all outcomes.
         overloaded: calls that were refused because the queue was full.
         recycled: connections that the link itself gave up, to open another.
