@@ -108,8 +108,9 @@ def room_of_file(file: int) -> tuple[int, int]:
 
 
 class AuditLog:
-    """An append-only file of JSON lines about writes and denied requests; any number of threads and servers can share
-    it.
+    """An append-only file of JSON lines about writes and denied requests.
+
+    Any number of threads and servers can share it.
 
     Args:
         path: the file; created with rights for its owner alone (0600) if it does not exist, never truncated.
@@ -288,8 +289,9 @@ class AuditLog:
             self._left_out += repeated or 1
 
     def _tell_repeated(self) -> None:
-        """Append the lines of denials that were only counted, one for each client and rule, and schedule the next call
-        of this.
+        """Append the lines of denials that were only counted, and schedule the next call.
+
+        There is one for each client and rule.
         """
         with self._lock:
             self._repeated_due = None
@@ -303,8 +305,9 @@ class AuditLog:
                 self._schedule(self._repeat_interval, self._tell_repeated)
 
     def _tell_left_out(self) -> None:
-        """Append an audit line with the number of denials that were left out since the last such line; none if there
-        were none.
+        """Append an audit line with the number of denials that were left out since the last such line.
+
+        None if there were none.
         """
         if self._left_out:
             left_out, self._left_out = self._left_out, 0

@@ -25,8 +25,8 @@ class AuditObserver:
         self._log = log
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Do nothing for requests of the fast path: reads are not recorded, and writes were recorded when they were
-        executed.
+        """Do nothing for requests of the fast path: reads are not recorded, and executed writes were recorded
+        already.
         """
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:

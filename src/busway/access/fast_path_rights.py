@@ -197,10 +197,10 @@ class _CheckedBlock:
 
 
 def _zone_finder(first: int, zones: Sequence[Zone]) -> Callable[[int, int, bytes], int | None]:
-    """Return a function that finds the zone in which a write is permitted, given position, count and items of the
-    write.
+    """Return a function that finds the zone in which a write is permitted.
 
-    It returns the index in ``zones``; None if the write is not within one zone, or a value is outside its limits.
+    It takes position, count and items of the write, and returns the index in ``zones``; None if the write is not within
+    one zone, or a value is outside its limits.
 
     Args:
         first: the address of the block's first item; positions count from there.

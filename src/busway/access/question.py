@@ -76,8 +76,7 @@ class Question:
         asker: the client.
         unit: the unit asked, 0…255.
         listed: the units under which its device is configured: a device may have several, and a sole device also
-            answers
-            to units 0 and 255. Empty: ``unit`` alone.
+            answers to units 0 and 255. Empty: ``unit`` alone.
         function: the function code.
         sub_function: the sub-function of 08 and 43; None for other functions, and if it is truncated.
         pieces: the ranges that the request touches.

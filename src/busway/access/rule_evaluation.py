@@ -243,8 +243,9 @@ def _code(rule: Rule | None) -> int:
 
 
 def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
-    """Return why the written registers from ``start`` to ``end - 1`` are outside the value limits; empty if they are
-    within.
+    """Return why the written registers from ``start`` to ``end - 1`` are outside the value limits.
+
+    Empty if they are within.
 
     Both positions count from the first item of the written range.
     """

@@ -88,8 +88,9 @@ class Limits:
             raise ConfigError(f"nothing is between {self.low} and {self.high}", key="values")
 
     def permit(self, register: int) -> bool:
-        """Whether a register value, 0…65535, is within the limits; with ``signed`` it is first read as a number with a
-        sign.
+        """Whether a register value, 0…65535, is within the limits.
+
+        With ``signed`` it is first read as a number with a sign.
         """
         return self.low <= self._number(register) <= self.high
 
@@ -284,8 +285,9 @@ class Policy:
     rules: tuple[Rule, ...] = ()
     default: Action = Action.DENY
     _by_peer: tuple[tuple[int, ...], NetworkIndex] | None = field(init=False, default=None, repr=False, compare=False)
-    """Positions of the rules without ``peers``, and an index by host of the other rules; None until `prepare` was
-    called.
+    """Positions of the rules without ``peers``, and an index by host of the other rules.
+
+    None until `prepare` was called.
     """
 
     def __post_init__(self) -> None:
@@ -400,9 +402,7 @@ def _is_listener(wanted: str, asker: Asker) -> bool:
 
 @contextmanager
 def _about(key: str) -> Iterator[None]:
-    """Context manager that gives every `ConfigError` raised inside it the key ``key``, which names the wrong
-    argument.
-    """
+    """Context manager that sets ``key`` in every `ConfigError` raised inside it; the key names the wrong argument."""
     try:
         yield
     except ConfigError as error:

@@ -30,9 +30,7 @@ _pack_register, _unpack_register = _REGISTER.pack_into, _REGISTER.unpack_from
 
 
 class Run(Protocol):
-    """Interface of registers or bits at consecutive addresses of a device, in memory that Modbus and the application
-    share.
-    """
+    """Interface of registers or bits at consecutive addresses, in memory that Modbus and the application share."""
 
     @property
     def first(self) -> int:

@@ -289,9 +289,7 @@ class ServerConnection(asyncio.BufferedProtocol):
                 self._transport.close()
 
     def attend(self) -> None:
-        """Start awaiting late replies and report failures, after the session has processed something without new
-        bytes.
-        """
+        """Start awaiting late replies and report failures that came up without new bytes; the session calls it."""
         session = self.session
         if session is not None and session.deferred:
             self._start_waiting(session)
@@ -303,8 +301,9 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._transport.pause_reading()
 
     def go_on(self) -> None:
-        """Read from the client again after a pause, unless there is another reason for a pause; queued requests come
-        first.
+        """Read from the client again after a pause, unless there is another reason for a pause.
+
+        Queued requests come first.
         """
         if self._is_stuck or self._is_queued or self._transport.is_closing():
             return

@@ -260,8 +260,9 @@ class ConnectionManagement:
         self._deadlines.taken(connection)
 
     def charge(self, connection: ManagedConnection, session: Session) -> None:
-        """Count the new requests of a connection against its host's rate; above the rate, pause reading from the
-        connection.
+        """Count the new requests of a connection against its host's rate.
+
+        Above the rate, pause reading from the connection.
         """
         assert self.rates is not None  # or this is not called
         now = time.monotonic()

@@ -255,9 +255,7 @@ class Pools(Generic[One]):
                 del self._of_device[member.host]
 
     def _move_up(self) -> None:
-        """Move the oldest connection of a priority host in the other pool to a free slot of the priority pool, if there
-        is one.
-        """
+        """Move the oldest connection of a priority host in the other pool to a priority slot, if one is free for it."""
         for member in self._other:
             if member.is_priority and self._has_priority_place(member.host):
                 self._remove(member)

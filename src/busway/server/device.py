@@ -331,8 +331,9 @@ class Device:
         return self._functions is None or code in self._functions
 
     def set_identification(self, objects: Mapping[int, str | bytes]) -> None:
-        """Replace the identification objects (function 43/14); see the constructor's ``identification``. Raises
-        `ConfigError`.
+        """Replace the identification objects (function 43/14).
+
+        See the constructor's ``identification``. Raises `ConfigError`.
         """
         self._identification = MappingProxyType(identification_objects(objects))
 
@@ -361,9 +362,7 @@ class Device:
 
     @property
     def generation(self) -> int:
-        """A number that changes when memory returned by ``plain_block``, or the set of enabled functions, is out of
-        date.
-        """
+        """A number that changes when results of ``plain_block``, or the set of enabled functions, are out of date."""
         return self._generation
 
     def watch(self, changed: Callable[[], object]) -> None:
@@ -416,8 +415,9 @@ class Device:
         return None if run is None else run.get(record - run.first, count)
 
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
-        """Check that a range of a table can be read or written (`DataModel.check`); raises `Refusal` with the exception
-        code.
+        """Check that a range of a table can be read or written (`DataModel.check`).
+
+        Raises `Refusal` with the exception code.
 
         For a read with a ``context``, the hooks before a read are called too.
         """

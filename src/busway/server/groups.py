@@ -86,8 +86,9 @@ class Groups:
 
     @contextmanager
     def update(self) -> Iterator[None]:
-        """Context manager that opens a group of changes which become visible together; a group inside a group joins
-        it.
+        """Context manager that opens a group of changes which become visible together.
+
+        A group inside a group joins it.
         """
         if self._current() is not None:
             yield

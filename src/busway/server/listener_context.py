@@ -229,9 +229,7 @@ class ListenerContext:
             self._tap.connection_opened(connection)
 
     def connection_closed(self, connected_peer: ConnectedPeer, session: Session) -> None:
-        """Count an ended connection, add the requests and bytes it has counted to the totals, and tell the connection
-        tap.
-        """
+        """Count an ended connection, add its requests and bytes to the totals, and tell the connection tap."""
         counters = self.counters
         counters.closed += 1
         counters.of_class(is_priority=connected_peer.is_priority).closed += 1
@@ -252,8 +250,9 @@ class ListenerContext:
         report_failures(peer, failures)
 
     def say(self, level: int, about: str, message: str, *arguments: object) -> None:
-        """Log a message, at most once a minute for the same ``about`` and text; the next line says how many were left
-        out.
+        """Log a message, at most once a minute for the same ``about`` and text.
+
+        The next line says how many were left out.
         """
         repeated = self._repeats.again(f"{about} {message}", time.monotonic())
         if repeated is not None:

@@ -82,8 +82,9 @@ class DeviceResponder:
         self.generation += 1
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return the device that answers for ``unit``, with the units it is configured as; None if no device
-        answers.
+        """Return the device that answers for ``unit``, with the units it is configured as.
+
+        None if no device answers.
         """
         return self._served.get(unit)
 

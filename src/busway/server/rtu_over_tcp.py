@@ -91,9 +91,7 @@ class FramedSession:
 
     @property
     def unfinished(self) -> int:
-        """Number of bytes of an incomplete frame; always 0, because the receiver of RTU or ASCII discards such bytes
-        itself.
-        """
+        """Number of bytes of an incomplete frame; always 0, because the RTU or ASCII receiver discards them itself."""
         return 0
 
     @property

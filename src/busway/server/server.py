@@ -318,8 +318,9 @@ class Server:
         await self.start()
 
     def reset_counters(self) -> None:
-        """Set the server's counters to zero, with what open connections have counted so far; connections and listeners
-        stay open.
+        """Set the server's counters to zero, with what open connections have counted so far.
+
+        Connections and listeners stay open.
         """
         # An open connection adds its counters when it ends; what it has counted until now is subtracted here.
         self.counters.take_off(self._counters_now())

@@ -32,8 +32,9 @@ class ItemStore:
         self._firsts = [run.first for run in runs]
 
     def find(self, address: int, count: int) -> Run | None:
-        """Return the run that holds all ``count`` items (1 or more) from ``address`` on, for reading and writing; else
-        None.
+        """Return the run that holds all ``count`` items (1 or more) from ``address`` on, for reading and writing.
+
+        None if no run holds all of them.
         """
         index = bisect_right(self._firsts, address) - 1
         if index < 0:

@@ -79,8 +79,9 @@ class TcpListener:
         listener_context.diagnosis.is_open = True
 
     def _protocols(self) -> Callable[[], asyncio.BaseProtocol]:
-        """Return the function that creates the asyncio protocol of each new connection; over TLS, that of the
-        handshake.
+        """Return the function that creates the asyncio protocol of each new connection.
+
+        Over TLS, that of the handshake.
         """
         management = self.management
         if self._settings.tls is None:

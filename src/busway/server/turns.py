@@ -100,8 +100,9 @@ class Turns:
             self._until = began + TURN_SECONDS
 
     def _work(self, row: deque[Waiting], until: float | None) -> None:
-        """Let each connection of a queue process requests once, in order, until the time ``until``; None: no time
-        limit.
+        """Let each connection of a queue process requests once, in order, until the time ``until``.
+
+        With None there is no time limit.
 
         The first connection is served in any case. Connections with requests left are queued again.
         """

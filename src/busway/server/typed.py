@@ -37,8 +37,9 @@ class TypedAccess:
         order: str = "ABCD",
         count: int | None = None,
     ) -> Any:  # Any: what the type says
-        """Read the value at an address of the device, or a list of ``count`` values; arguments and errors as in
-        `Device.read`.
+        """Read the value at an address of the device, or a list of ``count`` values.
+
+        Arguments and errors as in `Device.read`.
         """
         where, view = self._located(address)
         items = _item_type(where, type, order)
@@ -59,8 +60,9 @@ class TypedAccess:
     def write(
         self, address: str | Address, value: object, type: str | ValueType[Any] | None = None, *, order: str = "ABCD"
     ) -> None:
-        """Write a value, or a list of values, to an address of the device in one step; arguments and errors as in
-        `Device.write`.
+        """Write a value, or a list of values, to an address of the device in one step.
+
+        Arguments and errors as in `Device.write`.
         """
         where, view = self._located(address)
         items = _item_type(where, type, order)

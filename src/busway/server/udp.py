@@ -212,9 +212,7 @@ class _Socket(asyncio.DatagramProtocol):
         self._listener.listener_context.diagnosis.is_open = True
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
-        """Answer a datagram and those that wait behind it, up to 16: else the event loop would wake up for each of
-        them.
-        """
+        """Answer a datagram and those that wait behind it, up to 16, so that the loop need not wake up for each."""
         for left in range(_MOST_AT_ONCE - 1, -1, -1):
             now = time.monotonic()
             peer = self._listener.peer_of(self, data, addr, now)

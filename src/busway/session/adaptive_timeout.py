@@ -22,8 +22,9 @@ frames.
 
 
 def floor_for(character: float) -> float:
-    """Return the floor of the timeout, in seconds, on a line whose characters take ``character`` seconds; 0 for a
-    network.
+    """Return the floor of the timeout, in seconds, on a line whose characters take ``character`` seconds.
+
+    For a network ``character`` is 0.
     """
     return ROOM + CHARACTERS * character
 
@@ -41,8 +42,9 @@ class AdaptiveTimeout:
     __slots__ = ("floor", "learns", "longest", "slowest", "was_late")
 
     def __init__(self, longest: float, floor: float, *, learns: bool = True) -> None:
-        """Start with ``longest`` seconds (above 0); the timeout never goes below the smaller of ``floor`` and
-        ``longest``.
+        """Start with ``longest`` seconds (above 0).
+
+        The timeout never goes below the smaller of ``floor`` and ``longest``.
         """
         self.longest: float = longest
         self.floor: float = min(floor, longest)

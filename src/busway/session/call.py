@@ -254,8 +254,9 @@ def encoded_request(request: Request, unit: int) -> EncodedRequest:
 
 
 def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
-    """Return the bytes of a request that was sent to another unit before; ``known`` has a table of its bytes by
-    unit.
+    """Return the bytes of a request that was sent to another unit before.
+
+    ``known`` has a table of its bytes by unit.
     """
     if known.others is None:
         known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references
@@ -290,8 +291,9 @@ FreeSlots = list[RequestInFlight]
 
 
 def free_slots(count: int) -> FreeSlots:
-    """Create ``count`` reusable objects for requests in flight; the caller gives them to one session, or to all of a
-    client.
+    """Create ``count`` reusable objects for requests in flight.
+
+    The caller gives them to one session, or to all of a client.
     """
     return [RequestInFlight() for _ in range(count)]
 
@@ -357,8 +359,9 @@ class BatchPlan:
 
 @lru_cache(maxsize=256)
 def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.Struct, struct.Struct]:
-    """Return the `struct` layouts of a batch's requests and of its replies; ``tails`` and ``replies`` are sizes in
-    bytes.
+    """Return the `struct` layouts of a batch's requests and of its replies.
+
+    ``tails`` and ``replies`` are sizes in bytes.
     """
     out = "".join(f"H{size}s" for size in tails)
     back = "".join(f"H7s{size - HEAD_SIZE}s" for size in replies)
@@ -412,8 +415,8 @@ class PipelinedBatch:
         self.expires: float = sent + call.timeout
 
     def expects(self, buffer: bytes, at: int) -> bool:
-        """Whether the frame in ``buffer`` that begins at ``at`` is the next expected reply of the batch, by its first
-        nine bytes.
+        """Whether the frame in ``buffer`` at offset ``at`` is the next expected reply, judged by its first nine
+        bytes.
         """
         following = self.answered
         return (

@@ -160,8 +160,9 @@ class TcpClientSession:
         return bool(requests_in_flight)
 
     def serve_units_in_turn(self) -> None:
-        """Serve the units that each caller asks in turn, not its requests in their order; for a gateway's upstream
-        links.
+        """Serve the units that each caller asks in turn, not its requests in their order.
+
+        For a gateway's upstream links.
         """
         self._queue.units_in_turn = True
         self._queue.burst = BURST
@@ -308,8 +309,9 @@ class TcpClientSession:
         return self.breakers is None or self.breakers.suspended_for(call.unit, now) is None
 
     def _next_batch(self, call: Call, at_most: int, now: float) -> list[bytes]:
-        """Return up to ``at_most`` requests of a call as one pipelined batch, joined; an empty list if they cannot be
-        batched.
+        """Return up to ``at_most`` requests of a call as one pipelined batch, joined.
+
+        An empty list if they cannot be batched.
         """
         requests = len(call.requests)
         if requests == 1 or call.again or call.is_write or self.parameters.single_adu_segments:
@@ -365,8 +367,9 @@ class TcpClientSession:
         return transaction.to_bytes(2, "big") + encoded.tail
 
     def _adaptive_timeout(self, call: Call, now: float) -> float:
-        """Return the seconds to wait for a reply of a unit that timed out before: a probe of a suspended unit waits
-        less.
+        """Return the seconds to wait for a reply of a unit that timed out before.
+
+        A probe of a suspended unit waits less.
         """
         assert self.breakers is not None
         usual = self._usual(call.unit)
@@ -714,8 +717,9 @@ class TcpClientSession:
         return True
 
     def _unit_fits(self, awaited: RequestInFlight, unit: int, *, alone: bool) -> bool:
-        """Whether a reply of ``unit`` is accepted for a request; another unit only if the option ``mismatch`` allows
-        it.
+        """Whether a reply of ``unit`` is accepted for a request.
+
+        A reply of another unit is accepted only if the option ``mismatch`` allows it.
 
         ``alone``: no other request is in flight.
         """

@@ -20,9 +20,8 @@ from .reconnect import ConnectionEvent, ConnectionState, Reconnect
 from .serial_client import SerialClientSession
 
 Moved = Callable[[ConnectionEvent, str, str], None]
-"""Called as ``moved(event, reason, news)`` with each event, its reason in words, and a message for the operator, which
-is
-empty if there is nothing to tell.
+"""Called as ``moved(event, reason, news)`` with each event, its reason in words, and a message for the operator. The
+message is empty if there is nothing to tell.
 """
 
 
@@ -66,9 +65,7 @@ class ConnectionLife:
     # How a connection begins.
 
     def may_dial(self, now: float) -> bool:
-        """Whether an attempt to connect may be made now: there is no connection, no attempt in progress and no
-        pause.
-        """
+        """Whether an attempt to connect may be made now: no connection, no attempt in progress, no pause."""
         return self.reconnect.may_dial(now)
 
     def dialled(self, now: float) -> None:
@@ -98,8 +95,9 @@ class ConnectionLife:
     # While it is open.
 
     def replied(self, now: float) -> None:
-        """Record that the session has processed received bytes; once it has had a valid reply, the connection is
-        "up".
+        """Record that the session has processed received bytes.
+
+        Once it has had a valid reply, the connection is "up".
         """
         if self._conversation.valid_reply:
             self._move(ConnectionEvent.VALID_REPLY, now)

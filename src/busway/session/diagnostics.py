@@ -219,10 +219,10 @@ class LineDiagnostics:
             state.log_received(event)
 
     def fold(self) -> None:
-        """Count the numbers in `exchanged`, `arrived` and `departed` in the counters and logs of their units, and empty
-        the three.
+        """Move the numbers in `exchanged`, `arrived` and `departed` to the counters and logs of their units.
 
-        To be called before a counter or a log is read; the properties here that return counters do so.
+        The three are empty afterwards. To be called before a counter or a log is read; the properties here that return
+        counters do so.
         """
         if not (self.exchanged or self.arrived or self.departed):
             return
@@ -349,9 +349,7 @@ class CommunicationState:
         return 0xFFFF if self.program_command_running else 0, self.event_count
 
     def event_log(self) -> tuple[int, int, int, bytes]:
-        """Return what function 12 replies: status word, event count, message count, and up to 64 event bytes, newest
-        first.
-        """
+        """Return status word, event count, message count, and up to 64 event bytes, newest first, for function 12."""
         status, events = self.event_counter()
         return status, events, self.message_count, bytes(self._log)
 
@@ -431,9 +429,9 @@ class CommunicationState:
         self._finish(_SENT | SendEvent.WRITE_TIMEOUT if write_failed else _SENT)
 
     def take_many(self, exchanged: int, arrived: int, departed: int) -> None:
-        """Count and log many messages of this unit at once: the unit's numbers of `LineDiagnostics.exchanged`,
-        `arrived` and
-        `departed`.
+        """Count and log many messages of this unit at once.
+
+        The arguments are the unit's numbers of `LineDiagnostics.exchanged`, `arrived` and `departed`.
         """
         self.own.server_message_count += exchanged + arrived
         self._event_count += exchanged + departed
@@ -449,9 +447,7 @@ class CommunicationState:
             self.restart(clear_log=self._restart_clears_log)
 
     def _clear(self) -> None:
-        """Clear the diagnostic counters of the unit, including the event and message counts of functions 11 and 12
-        (§6.9, §6.10).
-        """
+        """Clear the unit's diagnostic counters, and the counts of functions 11 and 12 (§6.9, §6.10)."""
         self.line.fold()
         self._heard_before = replace(self.line.heard)
         self.own = Counters()

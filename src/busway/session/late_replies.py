@@ -169,8 +169,9 @@ class UnitDoubt:
             del self.older[function]
 
     def candidates(self, pdu: bytes) -> list[OwedReply]:
-        """Return the requests in ``owed`` that a received PDU could answer late; the reply belongs to the first (rule
-        2).
+        """Return the requests in ``owed`` that a received PDU could answer late.
+
+        The reply belongs to the first (rule 2).
         """
         return [owed for owed in self.owed if owed.may_be(pdu)]
 
@@ -272,8 +273,7 @@ class UnitDoubt:
         return None if taken else request
 
     def _read_of_other_length(self) -> Request | None:
-        """Return a marker request: a read of fewer items than the unit answered before, so that no late reply looks
-        like its own.
+        """Return a marker request: a read shorter than one answered before, whose reply looks like no late reply.
 
         None if there is no such read.
         """
@@ -307,9 +307,7 @@ class UnitDoubt:
     # Replies in time.
 
     def heard(self, request: Request, *, is_exception: bool) -> None:
-        """Record a request that was answered in time, and count how many such replies in a row had the same shape (rule
-        7).
-        """
+        """Record a request that was answered in time, and count such replies in a row with the same shape (rule 7)."""
         last, self.last = self.last, request
         if request is last or (
             last is not None and self._is_alike(request, last, is_exception=is_exception)
@@ -325,8 +323,9 @@ class UnitDoubt:
 
 
 def may_answer(request: Request, pdu: bytes) -> bool:
-    """Whether a received PDU could be the normal reply, or an exception reply, to a request; judged without its
-    values.
+    """Whether a received PDU could be the normal reply, or an exception reply, to a request.
+
+    Judged without its values.
     """
     if pdu[0] & ~_EXCEPTION != request.wire[0]:
         return False
@@ -373,8 +372,9 @@ class Doubts:
         return found
 
     def marker(self, unit: int, *, is_check: bool = False) -> Marker | None:
-        """Return the next marker request (see `Marker`) for a unit; None if the unit answers no kind. ``is_check``: see
-        `UnitDoubt.marker`.
+        """Return the next marker request (see `Marker`) for a unit.
+
+        None if the unit answers no kind. ``is_check``: see `UnitDoubt.marker`.
         """
         self._number = (self._number + 1) & 0xFFFF
         return self.of(unit).marker(self._number, is_check=is_check)
@@ -385,15 +385,11 @@ class Doubts:
 
     @property
     def is_owed(self) -> bool:
-        """Whether late replies may still come, or requests wait for them, so that the next link to the endpoint must
-        know.
-        """
+        """Whether late replies may still come, or requests wait for them; the next link to the endpoint must know."""
         return any(not doubt.is_empty for doubt in self.units.values())
 
     def add(self, other: "Doubts") -> None:
-        """Add the late replies that are owed to an earlier link to the same endpoint, in the order of their
-        requests.
-        """
+        """Add the late replies owed to an earlier link to the same endpoint, in the order of their requests."""
         for unit, theirs in other.units.items():
             ours = self.of(unit)
             ours.owed = sorted((*ours.owed, *theirs.owed), key=lambda owed: owed.sent)

@@ -62,9 +62,7 @@ class ClientRights(Protocol):
         """
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read request is always permitted, without a rate limit, so that the same read needs no check
-        later.
-        """
+        """Whether a read request is always permitted, without a rate limit: then the same read needs no check later."""
 
 
 class Authorizer(Protocol):
@@ -90,9 +88,7 @@ class RequestObserver(Protocol):
     """Observer of requests and their outcomes, without influence on them. Seconds count from a request's arrival."""
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Called with replies of the fast path, as Modbus TCP frames, and the seconds that all of them took
-        together.
-        """
+        """Called with replies of the fast path, as Modbus TCP frames, and the seconds that they took together."""
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
         """Called when a client disconnected before its forwarded reads were answered; ``requests`` is their number."""
@@ -213,9 +209,7 @@ class RequestPipeline:
             observer.answered(client, replies, seconds)
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Report to the observers that a client disconnected before ``requests`` of its forwarded reads were
-        answered.
-        """
+        """Tell the observers that a client disconnected before ``requests`` of its forwarded reads were answered."""
         for observer in self.observers:
             observer.unanswered(client, requests)
 
@@ -276,9 +270,7 @@ class FastPath:
         return len(self.reads) < MOST_READS
 
     def learn_frame(self, frame: bytes) -> None:
-        """Store the eight bytes of an RTU frame with a read just answered, so that the same frame is recognised next
-        time.
-        """
+        """Store the eight bytes of an RTU frame with a read just answered, to recognise the same frame next time."""
         if len(self.frames) < MOST_READS:
             plan = self._plan(frame[0], frame[1:-2])
             if plan is not None:
@@ -306,9 +298,7 @@ class FastPath:
         return plan if plan is not None and self._permits(unit, served, pdu) else None
 
     def _direct(self, unit: int, function: int) -> tuple[ServedUnit | None, type[Request] | None]:
-        """Return unit and request class of a function code, or two times None if the device cannot answer it from
-        bytes.
-        """
+        """Return unit and request class of a function code, or twice None if the device cannot answer it from bytes."""
         served = self._responder.serves(unit)
         if served is None or served.device is None or not served.is_direct or not served.device.enabled(function):
             return None, None

@@ -71,7 +71,7 @@ class _Caller:
         return chosen
 
     def has_served(self, unit: int) -> None:
-        """Record that a request to this unit is sent, so that the caller's other units come before it, if units take
+        """Record that a request to this unit is sent, so that other units of the caller come before it, if units take
         turns.
         """
         served = self.served
@@ -260,8 +260,9 @@ class RequestQueue:
         return call
 
     def peek(self, eligible: Eligible | None = None) -> Call | None:
-        """Return the call that `pick` would return now, without ending its caller's turn; None if no call may be
-        sent.
+        """Return the call that `pick` would return now, without ending its caller's turn.
+
+        None if no call may be sent.
         """
         for round_ in self._rounds() if self._priority.callers else (self._others,):
             for caller in round_.callers:

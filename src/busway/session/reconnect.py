@@ -15,8 +15,9 @@ from typing import Final
 
 
 class ConnectionState(Enum):
-    """States of a client's connection; SUSPECT is an open connection after a timeout, BACKING_OFF a pause before an
-    attempt.
+    """States of a client's connection.
+
+    SUSPECT is an open connection after a timeout, BACKING_OFF a pause before an attempt.
     """
 
     DOWN = "down"
@@ -117,8 +118,9 @@ class Reconnect:
 
     @property
     def is_flapping(self) -> bool:
-        """Whether a pause follows several connections in a row without a valid reply; then calls fail at once, and do
-        not wait.
+        """Whether a pause follows several connections in a row without a valid reply.
+
+        Then calls fail at once, and do not wait.
         """
         return self.state is ConnectionState.BACKING_OFF and self.failures > 1
 

@@ -36,9 +36,9 @@ SILENCE: Final = Deferral.SILENCE
 """Returned by a responder for a request that gets no reply."""
 
 Replaced = tuple[bytes | None, ...]
-"""The old values that a write replaces, one element for each range it writes: the items in wire order, or None where
-they
-do not exist.
+"""The old values that a write replaces, one element for each range it writes.
+
+An element has the items in wire order; it is None if they do not exist.
 """
 
 
@@ -181,8 +181,9 @@ class RequestContext:
                 judged.check(values)
 
     def inside(self, finish: Callable[["RequestContext", Message | Deferral], None]) -> "RequestContext":
-        """Return a context for a responder that another responder asks; its late reply goes to the function
-        ``finish``.
+        """Return a context for a responder that another responder asks.
+
+        Its late reply goes to the function ``finish``.
         """
         made = RequestContext(
             unit=self.unit,
@@ -304,9 +305,7 @@ class Forwarding:
         self._answered(asked.client_reply(reply))
 
     def refuse(self, tag: None, asked: ForwardedMessage, code: int) -> None:
-        """Record that a target refused the request: the client gets this exception code instead of the intended
-        reply.
-        """
+        """Record that a target refused the request: the client gets this exception code, not the intended reply."""
         self._reply = None
         self._answered(ExceptionResponse(self._context.function, code))
 
@@ -377,8 +376,7 @@ class Responder(Protocol):
         """Return the unit that answers requests to ``unit``, 0…255; None if there is none."""
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Return the reply to a request, an awaitable of it, `LATER`, `SILENCE` or a `Forwarding` (rule 1 of this
-        module).
+        """Return the reply to a request, an awaitable of it, `LATER`, `SILENCE` or a `Forwarding` (see the module).
 
         Called for requests to unknown units as well.
         """

@@ -141,8 +141,9 @@ class CallTracker:
         )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """End every call in the queue because no connection could be opened; each open request gets a copy of
-        ``error``.
+        """End every call in the queue because no connection could be opened.
+
+        Each open request gets a copy of ``error``.
 
         With ``keep_repeated`` a call that is about to be repeated stays in the queue.
         """

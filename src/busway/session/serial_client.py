@@ -257,8 +257,9 @@ class SerialClientSession:
         return is_flying
 
     def serve_units_in_turn(self) -> None:
-        """Serve the units that each caller asks in turn, not its requests in their order; for a gateway's upstream
-        links.
+        """Serve the units that each caller asks in turn, not its requests in their order.
+
+        For a gateway's upstream links.
         """
         self._tracker.queue.units_in_turn = True
 
@@ -269,8 +270,9 @@ class SerialClientSession:
 
     @property
     def has_gap(self) -> bool:
-        """Whether requests may have to wait for silence before they are sent; on a serial line true while the port is
-        open.
+        """Whether requests may have to wait for silence before they are sent.
+
+        On a serial line true while the port is open.
         """
         return self._connected
 
@@ -403,9 +405,7 @@ class SerialClientSession:
         return (is_clear and not self._not_asked_before) or self._askable_at(call, now) <= now
 
     def _waits_for_counting(self, doubt: UnitDoubt, call: Call) -> bool:
-        """Whether a read must wait, because a repeated read of another call is counting the unit's late replies (rule 6
-        there).
-        """
+        """Whether a read must wait, because a repeated read of another call is counting the unit's late replies."""
         if doubt.counting is None or doubt.counting.ended:
             doubt.counting = None
             return False
@@ -413,9 +413,7 @@ class SerialClientSession:
         return not request.is_write and self._is_in_doubt(doubt, call)
 
     def _askable_at(self, call: Call, now: float) -> float:
-        """Return the earliest time to send the next request of this call, given the pauses and late replies of its
-        unit.
-        """
+        """Return the earliest time to send the next request of this call, given pauses and late replies of its unit."""
         at = self._not_asked_before.get(call.unit, now)
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not doubt.pending or self._serial.trust_reply_order:
@@ -572,10 +570,10 @@ class SerialClientSession:
             self._reply(awaited, frame, now, doubt)
 
     def _is_of_another(self, awaited: _RequestInFlight, doubt: UnitDoubt, pdu: bytes) -> bool:
-        """Whether a reply of the right function that does not fit the request in flight must be the reply to an older
+        """Whether a reply of the right function that does not fit the request in flight must belong to an older
         request.
 
-        If it is not, the reply is a broken one.
+        If it does not, the reply is a broken one.
         """
         last = doubt.last
         return (
@@ -779,8 +777,9 @@ class SerialClientSession:
         self._tracker.expire_queue(now, in_flight, self._why_not_sent)
 
     def _why_not_sent(self, call: Call) -> NoReply | None:
-        """Return the error of a call whose deadline passed while late replies kept it waiting; None if that was not the
-        reason.
+        """Return the error of a call whose deadline passed while late replies kept it waiting.
+
+        None if that was not the reason.
         """
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not self._is_in_doubt(doubt, call):

@@ -68,8 +68,9 @@ class _Answer:
         _count_answer(self.context, self.reply)
 
     def lost(self, *, write_failed: bool = False) -> None:
-        """Count the request as one without reply, for the diagnostics; an exception reply is counted as an exception as
-        well.
+        """Count the request as one without reply, for the diagnostics.
+
+        An exception reply is counted as an exception as well.
 
         ``write_failed``: the port did not accept the reply.
         """
@@ -176,8 +177,9 @@ class SerialServerSession:
         return [*filter(None, map(self.process, self.find(data, now)))]
 
     def answer_known(self, data: bytes, now: float) -> list[bytes] | None:
-        """Answer bytes from a network that are nothing but RTU frames with reads asked before; ``now`` is when they
-        were read.
+        """Answer bytes from a network that are nothing but RTU frames with reads asked before.
+
+        ``now`` is when they were read.
 
         Returns the replies in order. None if the bytes have to be passed to `receive`: then nothing was done.
         """

@@ -85,8 +85,9 @@ class Breakers:
         return probe
 
     def is_probing(self, unit: int) -> bool:
-        """Whether the request in flight to this unit is a probe of its open circuit breaker; a probe is not
-        repeated.
+        """Whether the request in flight to this unit is a probe of its open circuit breaker.
+
+        A probe is not repeated.
         """
         breaker = self._units.get(unit)
         return breaker is not None and breaker.state is BreakerState.PROBING
