@@ -317,6 +317,26 @@ async def mute_server() -> AsyncIterator[tuple[int, asyncio.Event]]:
         await asyncio.wait_for(closed.wait(), 60)
 
 
+async def test_a_nats_input_is_connected_when_the_server_has_its_subscription() -> None:
+    pytest.importorskip("nats")
+    lines: list[bytes] = []
+
+    async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(b'INFO {"server_id": "test", "version": "2.9.10", "max_payload": 1048576}\r\n')
+        async for line in reader:
+            lines.append(line.split()[0])
+            if lines[-1] == b"PING":
+                writer.write(b"PONG\r\n")
+        writer.close()
+
+    async with await asyncio.start_server(answer, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        rights = InputRights("plant.{device}.{point}.set", ("*/*",))
+        async with receiving(NatsCommands(f"nats://127.0.0.1:{port}", rights)):
+            told = list(lines)
+    assert b"PING" in told[told.index(b"SUB") :], told
+
+
 async def test_an_mqtt_input_that_ends_while_it_connects_closes_its_connection() -> None:
     pytest.importorskip("aiomqtt")
     async with mute_server() as (port, accepted):

@@ -125,6 +125,9 @@ class NatsCommands:
             pending_msgs_limit=4 * MOST_AT_ONCE,
             pending_bytes_limit=8 * MOST_AT_ONCE * LONGEST_REQUEST,
         )
+        # The library sends the PING of a flush at once, the subscription in the next turn of the event loop: the answer
+        # to the first PING says nothing of the subscription, the answer to the second comes after it.
+        await client.flush()
         await client.flush()
 
     async def _handle(self, message: Any, receiver: CommandReceiver, arrived: float) -> None:
