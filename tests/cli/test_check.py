@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.testing.certificates import CertificateStore
-from busway.testing.line import PacedLine
 
 ALL = ["--level", "disruptive", "--scratch", "4x101:8,0x101:8", "--idle", "50ms", "--timeout", "10s"]
 
@@ -102,7 +102,7 @@ def test_our_server_passes_every_check_over_a_serial_line(run: Callable[..., Any
 @contextlib.contextmanager
 def on_a_line(framing: str) -> Iterator[str]:
     """Our server at one end of a line with the pace of 115 200 baud; gives the URL of the other end."""
-    with PacedLine(ports=2, baud=115_200, parity="none") as line:
+    with line_of_whole_frames(ports=2, baud=115_200, parity="none") as line:
         ours, device = (f"{framing}://{path}?baud=115200&parity=none&data_bits=8" for path in line.paths)
         with busway.serve_in_thread(device, units={1: new_device()}):
             yield ours

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from control_sockets import short_directory
 from program import LIMIT, Busway
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.control import Running, ask, parse_control_address
 from busway.testing.certificates import CertificateStore
-from busway.testing.line import PacedLine
 
 LOOPBACK = "tcp://127.0.0.1:0"
 NETWORK = "tcp://0.0.0.0:0"
@@ -59,7 +59,7 @@ def device() -> busway.Device:
 @contextmanager
 def serial_line(units: tuple[int, ...] = (1,)) -> Iterator[tuple[str, busway.Device]]:
     """A paced line with devices at its far end: URL of the near end, and the device."""
-    with PacedLine(ports=2, baud=BAUD) as line:
+    with line_of_whole_frames(ports=2, baud=BAUD) as line:
         near, far = (f"rtu://{path}?baud={BAUD}" for path in line.paths)
         behind = device()
         with busway.serve_in_thread(far, units=dict.fromkeys(units, behind)):

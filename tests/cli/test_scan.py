@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from program import Busway
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.framing.rtu import encode_rtu
@@ -25,7 +26,7 @@ def line() -> Iterator[PacedLine]:
     """
     units = {3: busway.Device(holding_registers=1), 7: busway.Device(coils=1)}
     with (
-        PacedLine(ports=2, baud=38_400) as line,
+        line_of_whole_frames(ports=2, baud=38_400) as line,
         busway.serve_in_thread(f"rtu://{line.paths[0]}?baud=38400&gap_limit=5", units=units),
     ):
         yield line

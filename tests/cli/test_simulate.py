@@ -12,10 +12,10 @@ from typing import Any
 
 import pytest
 from program import Busway
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.testing.certificates import CertificateStore
-from busway.testing.line import PacedLine
 
 PROGRAM = [sys.executable, "-m", "busway", "simulate"]
 
@@ -101,7 +101,7 @@ def place(scheme: str, folder: Path) -> Iterator[tuple[str, str | None, dict[str
     elif "+" in scheme:
         yield f"{scheme}://127.0.0.1:0", None, {}
     else:
-        with PacedLine(ports=2, baud=38_400, data_bits=8 if scheme == "rtu" else 7) as line:
+        with line_of_whole_frames(ports=2, baud=38_400, data_bits=8 if scheme == "rtu" else 7) as line:
             here, there = (f"{scheme}://{path}?baud=38400" for path in line.paths)
             yield here, there, {}
 

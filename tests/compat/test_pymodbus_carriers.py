@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.compat.pymodbus import client as clients
@@ -15,7 +16,6 @@ from busway.compat.pymodbus import server as servers
 from busway.compat.pymodbus.datastore import ModbusDeviceContext, ModbusSequentialDataBlock, ModbusServerContext
 from busway.compat.pymodbus.exceptions import ConnectionException
 from busway.testing.certificates import CertificateFiles, CertificateStore
-from busway.testing.line import PacedLine
 
 FRAMERS = pytest.mark.parametrize("framer", ["rtu", "ascii"])
 
@@ -142,7 +142,7 @@ PATIENT: dict[str, Any] = {"timeout": 2, "retries": 10, "write_retries": 10}
 @FRAMERS
 @pytest.mark.real_time
 async def test_a_server_on_a_serial_port_serves_blocking_and_asyncio_clients(framer: str) -> None:
-    with PacedLine(ports=2, baud=115_200, parity="none") as line:
+    with line_of_whole_frames(ports=2, baud=115_200, parity="none") as line:
         ours, theirs = line.paths
         async with started(servers.StartAsyncSerialServer, port=theirs, framer=framer, **ON_A_LINE):
             blocking = clients.ModbusSerialClient(ours, framer=framer, **ON_A_LINE, **PATIENT)
@@ -155,7 +155,7 @@ async def test_a_server_on_a_serial_port_serves_blocking_and_asyncio_clients(fra
 
 @pytest.mark.real_time
 def test_a_blocking_server_on_a_serial_port_is_stopped_from_another_thread() -> None:
-    with PacedLine(ports=2, baud=115_200, parity="none") as line:
+    with line_of_whole_frames(ports=2, baud=115_200, parity="none") as line:
         ours, theirs = line.paths
         with in_thread(servers.StartSerialServer, {"context": new_context(), "port": theirs, **ON_A_LINE}):
             reads_and_writes(clients.ModbusSerialClient(ours, **ON_A_LINE, **PATIENT))

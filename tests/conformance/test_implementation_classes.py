@@ -7,6 +7,7 @@ line is set to where nothing is said is the column of defaults. Electrical inter
 from collections.abc import Iterator
 
 import pytest
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.client.settings import link_settings
@@ -43,7 +44,7 @@ ROLES = pytest.mark.parametrize("settings_of", [of_master, of_servers], ids=["ma
 
 @pytest.fixture
 def line() -> Iterator[PacedLine]:
-    with PacedLine(ports=2, baud=19_200) as made:
+    with line_of_whole_frames(ports=2, baud=19_200) as made:
         yield made
 
 
@@ -86,7 +87,7 @@ def test_the_reserved_addresses_are_nobodys_and_are_not_asked(line: PacedLine, u
 @pytest.mark.real_time
 def test_a_broadcast_reaches_every_server_and_none_answers(framing: str) -> None:
     devices = {1: busway.Device(holding_registers=2), 247: busway.Device(holding_registers=2)}
-    with PacedLine(ports=2, baud=19_200, data_bits=8 if framing == "rtu" else 7) as line:
+    with line_of_whole_frames(ports=2, baud=19_200, data_bits=8 if framing == "rtu" else 7) as line:
         with (
             busway.serve_in_thread(f"{framing}://{line.paths[1]}", units=devices),
             busway.connect(f"{framing}://{line.paths[0]}") as link,
@@ -105,7 +106,7 @@ def test_a_broadcast_reaches_every_server_and_none_answers(framing: str) -> None
 @pytest.mark.real_time
 def test_9600_and_19200_are_there_in_both_classes(baud: int) -> None:
     with (
-        PacedLine(ports=2, baud=baud) as line,
+        line_of_whole_frames(ports=2, baud=baud) as line,
         busway.serve_in_thread(f"rtu://{line.paths[1]}?baud={baud}", units={1: busway.Device(holding_registers=[5])}),
         busway.connect(f"rtu://{line.paths[0]}?baud={baud}") as link,
     ):
@@ -142,7 +143,7 @@ def test_even_parity_is_there_in_both_classes_and_odd_and_none_in_the_regular_on
 @pytest.mark.real_time
 def test_rtu_is_there_in_both_classes_and_ascii_in_the_regular_one(framing: str, data_bits: int) -> None:
     with (
-        PacedLine(ports=2, baud=19_200, data_bits=data_bits) as line,
+        line_of_whole_frames(ports=2, baud=19_200, data_bits=data_bits) as line,
         busway.serve_in_thread(f"{framing}://{line.paths[1]}", units={9: busway.Device(holding_registers=[6])}),
         busway.connect(f"{framing}://{line.paths[0]}") as link,
     ):

@@ -5,12 +5,12 @@ from urllib.parse import urlsplit
 
 import pytest
 from waiting import until
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.framing.mbap import encode_mbap
 from busway.framing.rtu import encode_rtu
 from busway.server.connection_tap import TappedConnection
-from busway.testing.line import PacedLine
 
 READ = bytes.fromhex("03 0000 0001")
 REPLY = bytes.fromhex("03 02 0000")
@@ -91,7 +91,7 @@ async def test_peer_over_udp_is_a_wire_that_cannot_be_closed() -> None:
 @pytest.mark.real_time
 async def test_open_port_is_a_wire_as_long_as_it_is_open() -> None:
     told = Told()
-    with PacedLine(ports=2, baud=115_200) as line:
+    with line_of_whole_frames(ports=2, baud=115_200) as line:
         server = busway.serve(f"rtu://{line.paths[1]}?baud=115200", units={1: busway.Device(holding_registers=1)})
         server.use_tap(told)
         async with server:

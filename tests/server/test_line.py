@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 from waiting import until
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.framing.rtu import encode_rtu
@@ -24,7 +25,7 @@ READ = encode_rtu(5, ReadHoldingRegisters(0, 2).encode())
 
 @pytest.fixture
 def line() -> Iterator[PacedLine]:
-    with PacedLine(ports=2, baud=BAUD) as made:
+    with line_of_whole_frames(ports=2, baud=BAUD) as made:
         yield made
 
 
@@ -152,7 +153,7 @@ async def test_units_of_a_port_have_counters_and_modes_of_their_own_and_the_stat
 @pytest.mark.clause("S12")
 @pytest.mark.real_time
 async def test_delimiter_is_changed_over_a_real_line() -> None:
-    with PacedLine(ports=2, baud=BAUD, data_bits=7) as line:
+    with line_of_whole_frames(ports=2, baud=BAUD, data_bits=7) as line:
         units = {5: busway.Device(holding_registers=4)}
         async with busway.serve(url(line, framing="ascii"), units=units):
             async with busway.open(f"ascii://{line.paths[0]}?baud={BAUD}") as link:

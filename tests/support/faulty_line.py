@@ -4,6 +4,8 @@ import contextlib
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field, replace
 
+from whole_frames import line_of_whole_frames
+
 import busway
 from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.routes import Route, RoutingTable
@@ -15,7 +17,6 @@ from busway.faults.responder import FaultyResponder
 from busway.server.listener import Listener
 from busway.server.local import DeviceResponder
 from busway.server.server import Server
-from busway.testing.line import PacedLine
 
 ANY_PORT = "tcp://127.0.0.1:0"
 BAUD = 115_200
@@ -78,7 +79,7 @@ async def faulty_line(
     """
     with contextlib.ExitStack() as stack:
         if carrier in ("rtu", "ascii"):
-            wire = stack.enter_context(PacedLine(ports=2, baud=BAUD, data_bits=8 if carrier == "rtu" else 7))
+            wire = stack.enter_context(line_of_whole_frames(ports=2, baud=BAUD, data_bits=8 if carrier == "rtu" else 7))
             listen, dial = (f"{carrier}://{path}?baud={BAUD}" for path in wire.paths)
         else:
             listen, dial = f"{carrier}://127.0.0.1:0", ""

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 from waiting import until
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.configuration import GatewayConfiguration, load_gateway, parse_gateway, simple_gateway
@@ -14,7 +15,6 @@ from busway.apps.server.overrides import Overrides
 from busway.apps.server.service import Service
 from busway.options.gateway import UpstreamParameters
 from busway.options.server import ListenerParameters, Scope
-from busway.testing.line import PacedLine
 
 GOOD = Path(__file__).parents[2] / "config" / "files" / "gateway.toml"
 ANY_PORT = "tcp://127.0.0.1:0"
@@ -185,7 +185,7 @@ async def test_what_a_listener_tells_its_requests_changes_without_its_connection
 
 @pytest.mark.real_time
 async def test_a_serial_line_with_other_options_has_its_port_back_for_the_next_request() -> None:
-    with PacedLine(ports=2, baud=115_200) as wire:
+    with line_of_whole_frames(ports=2, baud=115_200) as wire:
         near, far = (f"rtu://{path}?baud=115200" for path in wire.paths)
         async with busway.serve(far, units={1: device(100), 2: device(200)}):
             options = ["timeout = 0.3\n"]

@@ -9,6 +9,7 @@ import pytest
 from handlers import ScriptedHandler
 from scripted_peer import ScriptedPeer, first_address
 from waiting import until
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.configuration import simple_gateway
@@ -18,7 +19,6 @@ from busway.apps.gateway.routes import Route, RoutingTable
 from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.framing.mbap import MbapFrame
 from busway.server.listener import Listener
-from busway.testing.line import PacedLine
 
 ANY_PORT = "tcp://127.0.0.1:0"
 
@@ -192,7 +192,7 @@ async def test_where_nothing_is_said_a_request_is_answered_within_two_and_a_half
 @pytest.mark.parametrize("scheme", ["rtu", "ascii", "tcp"])
 async def test_a_client_on_defaults_hears_0b_of_a_dead_unit_and_no_timeout_of_its_own(scheme: str) -> None:
     """From end to end, over sockets and a line, every option as it is where nothing is said."""
-    with PacedLine(ports=2, baud=19200) as bus:
+    with line_of_whole_frames(ports=2, baud=19200) as bus:
         near, far = (f"{scheme}://{path}?baud=19200" for path in bus.paths)
         if scheme == "tcp":
             far = ANY_PORT

@@ -4,11 +4,11 @@ import asyncio
 
 import pytest
 from waiting import until
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.settings import simple_plan
-from busway.testing.line import PacedLine
 
 pytestmark = pytest.mark.real_time
 
@@ -19,7 +19,7 @@ BAUD = 115_200
 @pytest.mark.clause("T32")
 async def test_a_flooding_client_costs_another_at_most_one_transaction_of_waiting() -> None:
     order: list[int] = []
-    with PacedLine(ports=2, baud=BAUD) as line:
+    with line_of_whole_frames(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
         device = busway.Device(holding_registers=list(range(1000)))
         device.on_read("holding_registers", lambda access: order.append(access.address))

@@ -9,6 +9,7 @@ import pytest
 from handlers import HeldReplies, ScriptedHandler
 from scripted_peer import ScriptedPeer, first_address
 from waiting import until
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.gateway import Gateway
@@ -21,7 +22,6 @@ from busway.options.server import ServerParameters
 from busway.pdu.general import OpaqueRequest
 from busway.server.listener import Listener
 from busway.server.tcp import settle
-from busway.testing.line import PacedLine
 
 ANY_PORT = "tcp://127.0.0.1:0"
 LISTENER = GatewayListener("office", Listener(ANY_PORT))
@@ -177,7 +177,7 @@ async def test_routes_renumber_shift_split_refuse_and_drop() -> None:
 @pytest.mark.clause("T32")
 @pytest.mark.real_time
 async def test_a_write_to_unit_0_is_broadcast_to_the_serial_lines_and_echoed() -> None:
-    with PacedLine(ports=3, baud=BAUD) as line:
+    with line_of_whole_frames(ports=3, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
         one, two = device(), device()
         async with (
@@ -194,7 +194,7 @@ async def test_a_write_to_unit_0_is_broadcast_to_the_serial_lines_and_echoed() -
 @pytest.mark.clause("T32")
 @pytest.mark.real_time
 async def test_a_serial_listener_is_silent_for_units_that_it_does_not_route() -> None:
-    with PacedLine(ports=2, baud=BAUD) as line:
+    with line_of_whole_frames(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
         async with busway.serve(ANY_PORT, units={3: device(300)}) as server:
             made = plan(
@@ -211,7 +211,7 @@ async def test_a_serial_listener_is_silent_for_units_that_it_does_not_route() ->
 
 @pytest.mark.real_time
 async def test_a_broadcast_of_a_serial_master_reaches_every_server_behind() -> None:
-    with PacedLine(ports=2, baud=BAUD) as line:
+    with line_of_whole_frames(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
         one, two = device(), device()
         async with busway.serve(ANY_PORT, units={3: one, 4: two}) as server:
@@ -324,7 +324,7 @@ async def test_draining_takes_nothing_new_from_any_network_listener(scheme: str)
 async def test_draining_takes_nothing_new_from_a_serial_listener() -> None:
     gate = HeldReplies()
     handler = ScriptedHandler(gate.decide)
-    with PacedLine(ports=2, baud=BAUD) as line:
+    with line_of_whole_frames(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
         async with busway.serve(ANY_PORT, responder=handler) as server:
             gateway = Gateway(simple_plan([urls[0]], server.endpoints[0], timeout=5))

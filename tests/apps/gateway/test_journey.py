@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from waiting import until
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.access.audit_log import AuditLog
@@ -24,7 +25,6 @@ from busway.server.listener import Listener
 from busway.session.client import TcpClientSession
 from busway.session.responder import RequestContext
 from busway.session.serial_client import SerialClientSession
-from busway.testing.line import PacedLine
 
 ROOT = Path(__file__).resolve().parents[3]
 SOURCES = f"{ROOT / 'src' / 'busway'}/"
@@ -122,7 +122,7 @@ async def test_every_request_of_every_listener_goes_the_way_of_the_page_and_come
     limits: dict[str, Any] = {"split read": {"max_registers": 2}, "remembered read": {"cache": 60.0}}.get(kind, {})
     async with contextlib.AsyncExitStack() as stack:
         serial = listener == "serial port"
-        paths = stack.enter_context(PacedLine(ports=2, baud=BAUD)).paths if serial else []
+        paths = stack.enter_context(line_of_whole_frames(ports=2, baud=BAUD)).paths if serial else []
         urls = [f"rtu://{path}?baud={BAUD}" for path in paths]
         devices = {unit: busway.Device(holding_registers=[7] * 10) for unit in (0, 1) if unit or upstream == "tcp"}
         behind = await stack.enter_async_context(busway.serve(f"{upstream}://127.0.0.1:0", units=devices))

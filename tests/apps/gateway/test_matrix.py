@@ -5,6 +5,7 @@ import itertools
 from collections.abc import AsyncIterator
 
 import pytest
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.gateway import Gateway
@@ -13,7 +14,6 @@ from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamS
 from busway.pdu.general import OpaqueRequest
 from busway.server.listener import Listener
 from busway.testing.certificates import CertificateFiles, CertificateStore
-from busway.testing.line import PacedLine
 
 pytestmark = pytest.mark.real_time
 
@@ -50,7 +50,7 @@ class SocketAddresses:
         self._port: str | None = None
         self.client_options = self.listen = ""
         if kind in ("rtu", "ascii"):
-            line = stack.enter_context(PacedLine(ports=2, baud=BAUD, data_bits=8 if kind == "rtu" else 7))
+            line = stack.enter_context(line_of_whole_frames(ports=2, baud=BAUD, data_bits=8 if kind == "rtu" else 7))
             self.listen = f"{kind}://{line.paths[0]}?baud={BAUD}"
             self._port = f"{kind}://{line.paths[1]}?baud={BAUD}"
         elif kind == "tls":

@@ -6,11 +6,11 @@ import random
 
 import pytest
 from handles import open_handles
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.settings import simple_plan
-from busway.testing.line import PacedLine
 
 pytestmark = pytest.mark.real_time
 
@@ -86,7 +86,7 @@ async def test_every_answer_goes_to_whoever_asked_whatever_goes_away(seed: int) 
     chance = random.Random(seed)
     before = open_handles()
     tally = Tally()
-    with PacedLine(ports=2, baud=BAUD) as line:
+    with line_of_whole_frames(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
         plan = simple_plan([ANY_PORT], urls[0], timeout=0.1, retries=0, queue=400, quiet_window=0.01)
         async with Gateway(plan) as gateway:

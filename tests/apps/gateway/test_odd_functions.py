@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 from handlers import ScriptedHandler
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.gateway import Gateway
@@ -17,7 +18,6 @@ from busway.pdu.general import ExceptionResponse, OpaqueRequest
 from busway.pdu.message import ReplyMessage, Request
 from busway.server.listener import Listener
 from busway.session.responder import Outcome, Responder, ServedUnit
-from busway.testing.line import PacedLine
 
 BAUD = 115_200
 SIZES = (0, 1, 2, 3, 7, 61, 252)
@@ -44,7 +44,7 @@ async def between(
         def ends(scheme: str) -> tuple[str, str]:
             if scheme not in ("rtu", "ascii"):
                 return f"{scheme}://127.0.0.1:0", ""
-            wire = wires.enter_context(PacedLine(ports=2, baud=BAUD, data_bits=8 if scheme == "rtu" else 7))
+            wire = wires.enter_context(line_of_whole_frames(ports=2, baud=BAUD, data_bits=8 if scheme == "rtu" else 7))
             return tuple(f"{scheme}://{path}?baud={BAUD}" for path in wire.paths)  # type: ignore[return-value]
 
         outer, inner = ends(listener), ends(line)

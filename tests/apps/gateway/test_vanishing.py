@@ -10,6 +10,7 @@ from handlers import HeldReplies, ScriptedHandler
 from handles import open_handles
 from scripted_peer import ScriptedPeer
 from waiting import until
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.configuration import parse_gateway
@@ -18,7 +19,6 @@ from busway.apps.gateway.routes import Route, RoutingTable
 from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.framing.mbap import MbapFrame, encode_mbap
 from busway.server.listener import Listener
-from busway.testing.line import PacedLine
 
 ANY_PORT = "tcp://127.0.0.1:0"
 BAUD = 115_200
@@ -208,7 +208,7 @@ async def test_clients_that_keep_going_away_leave_nothing_behind(cache: float | 
 @pytest.mark.real_time
 async def test_a_port_that_is_pulled_out_fails_fast_and_works_again_when_it_is_back() -> None:
     before = open_handles()
-    with PacedLine(ports=2, baud=BAUD) as line:
+    with line_of_whole_frames(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
         async with (
             busway.serve(urls[1], units={1: device(1), 2: device(2)}),

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from generated import assert_up_to_date
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.simulator.includes import load_declaration, parse_declaration
@@ -15,7 +16,6 @@ from busway.apps.simulator.simulation import Simulation
 from busway.config.profiles import DEVICES, ready_made
 from busway.errors import ConfigError, ExceptionReply
 from busway.testing import simulated_device
-from busway.testing.line import PacedLine
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -315,7 +315,7 @@ def test_the_thermostat_reaches_its_set_point_and_alarms_where_it_should() -> No
 
 @pytest.mark.real_time
 def test_the_thermostat_sits_on_a_serial_line() -> None:
-    with PacedLine(ports=2, baud=19_200) as line:
+    with line_of_whole_frames(ports=2, baud=19_200) as line:
         near, far = (f"rtu://{path}?baud=19200&parity=even" for path in line.paths)
         with simulated_device("device:thermostat", url=near), busway.connect(far, timeout=5) as link:
             unit = link.unit(1)

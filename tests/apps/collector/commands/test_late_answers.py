@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from late_unit import LateUnit
 from waiting import until
+from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.collector.commands.command import CommandState
-from busway.testing.line import PacedLine
 
 pytestmark = pytest.mark.real_time
 
@@ -53,7 +53,7 @@ class FirstWrite:
 
 async def test_a_late_answer_leaves_the_command_unknown_and_it_is_not_sent_again(tmp_path: Path) -> None:
     (tmp_path / "drive.toml").write_text(UNIT)
-    with PacedLine(ports=2, baud=115_200) as line, LateUnit("rtu", path=line.paths[1], hiccups=()) as unit:
+    with line_of_whole_frames(ports=2, baud=115_200) as line, LateUnit("rtu", path=line.paths[1], hiccups=()) as unit:
         (tmp_path / "plant.toml").write_text(PLANT.format(url=f"rtu://{line.paths[0]}?baud=115200"))
         async with busway.collect(tmp_path / "plant.toml") as collector:
             await until(lambda: collector.status()[0].state == "polled")
