@@ -12,24 +12,38 @@ from .shared_links import SharedLinks
 
 
 class BlockingPool:
-    """All blocking links of this process by endpoint, shared by their users; safe from any thread."""
+    """The blocking links of this process: users of the same endpoint share one link, unless it is not to be shared.
+
+    Safe to use from any thread.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._links: SharedLinks[BlockingLinkDriver] = SharedLinks(_made)
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> BlockingLinkDriver:
-        """Return the shared link to an endpoint, created if necessary. Raises `ConfigError`, `Overloaded`."""
+        """Return the link that all users of an endpoint share, created for the first; or a new one if not ``shared``.
+
+        Give it back with `release`.
+
+        Raises:
+            ConfigError: other users share the link with other connection settings, or a setting cannot be used.
+            Overloaded: the endpoint already has ``max_connections`` links that are not shared.
+        """
         with self._lock:
             return self._links.acquire(settings, shared=shared)
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> BlockingLinkDriver:
-        """Choose one of several links to the same endpoint for a request. Raises `LinkDown` if there are none."""
+        """Return one of the links to an endpoint, for one request. Raises `LinkDown` if no link is open to it.
+
+        ``rule`` chooses among the connected ones: the link made first, or the one connected longest. If none is
+        connected, it is the link made first.
+        """
         with self._lock:
             return self._links.choose(settings, rule)
 
     def release(self, settings: LinkSettings, link: BlockingLinkDriver) -> None:
-        """Give a link back after use; when its last user does, its connection is closed."""
+        """Give back a link that `acquire` returned; it is closed when its last user gives it back."""
         with self._lock:
             is_last = self._links.release(settings, link)
         if is_last:

@@ -1,4 +1,4 @@
-"""Explicit connection management: the limit of connections per endpoint, and the choice of one for a request.
+"""Explicit connection management: the limit of links per endpoint, and the choice of a link for a request.
 
 Knows no pool and no connection (Messaging on TCP/IP V1.0b §4.2.1.1, §4.2.1.2).
 """
@@ -15,8 +15,8 @@ class Choosable(Protocol):
     """Interface of one of several links to an endpoint, among which the option ``select`` chooses.
 
     Attributes:
-        shared: whether all users of the endpoint share it.
-        opened: when its connection was made.
+        shared: whether all users of the endpoint share the link.
+        opened: when the connection was opened, by the clock of the link; compared only with other links of its kind.
     """
 
     shared: bool
@@ -31,7 +31,10 @@ AnyLink = TypeVar("AnyLink", bound=Choosable)
 
 
 def check_room(links: Iterable[Choosable], settings: LinkSettings) -> None:
-    """Raise `Overloaded` if an endpoint already has ``max_connections`` explicitly managed connections."""
+    """Raise `Overloaded` if no further link with ``shared=False`` to the endpoint is allowed (``max_connections``).
+
+    ``links`` are all links to the endpoint; those that are shared do not count.
+    """
     limit = settings.management.max_connections
     held = sum(not link.shared for link in links)
     if held >= limit:
@@ -43,9 +46,12 @@ def check_room(links: Iterable[Choosable], settings: LinkSettings) -> None:
 
 
 def chosen(links: Sequence[AnyLink], settings: LinkSettings, rule: LinkSelection) -> AnyLink:
-    """Return the link for a request: a connected one by the rule of ``select``, else the first, which then connects.
+    """Return the link that a request uses. Raises `LinkDown` if ``links`` is empty; nothing was sent.
 
-    ``links`` are in the order they were made. Raises `LinkDown` if there are none.
+    Args:
+        links: all links to the endpoint, in the order they were made.
+        settings: those of the caller; only the endpoint is used, for the error.
+        rule: chooses among the connected links. If none is connected, the first one is returned; it connects then.
     """
     if not links:
         raise LinkDown(

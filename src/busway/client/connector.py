@@ -1,4 +1,4 @@
-"""Connectors: objects that open the connections of a link over the transport that its endpoint names.
+"""Connectors: objects that open the connections of a link, over TCP, UDP, TLS or a serial port.
 
 Knows the transports; knows a session only to pass it on.
 """
@@ -26,17 +26,26 @@ class Connector(Protocol):
     """Interface of the object that opens the connections of a link to one endpoint."""
 
     async def connect(self, protocol: Callable[[], Any]) -> Any:  # an asyncio.Transport with its protocol, or alike
-        """Open a connection for an asyncio link; return its transport, which calls ``protocol``. Raises `LinkDown`."""
+        """Open a connection for an asyncio link and return its transport. Raises `LinkDown`.
+
+        ``protocol`` is called once the connection is open, and returns the object that gets the transport's events.
+        """
 
     def dial(self) -> Channel:
-        """Open a connection for a blocking link and return its socket or port. Raises `LinkDown`."""
+        """Open a connection for a blocking link and return its non-blocking socket or port. Raises `LinkDown`."""
 
     def release(self) -> None:
-        """Free what the connector holds, such as a serial port, because its link is closed for good."""
+        """Free what the connector holds, such as the right to a serial port; called when the link is closed for good."""
 
 
 class TcpConnector:
-    """Opens the TCP connections of a link, with the socket options asked for (Messaging on TCP/IP V1.0b §4.3.2)."""
+    """Opens the TCP connections of a link, and sets their socket options (Messaging on TCP/IP V1.0b §4.3.2).
+
+    Args:
+        endpoint: host and port of the server.
+        sockets: options of each connection, with its local address and the time allowed to connect.
+        interface: name of the network interface that the connections must use; None leaves it to the system.
+    """
 
     def __init__(self, endpoint: Endpoint, sockets: SocketParameters, *, interface: str | None = None) -> None:
         self._endpoint = endpoint
@@ -95,7 +104,10 @@ class TcpConnector:
 
 
 class UdpConnector:
-    """Opens the UDP sockets of a link; each frame is one datagram."""
+    """Opens the UDP sockets of a link; each frame is one datagram.
+
+    ``session`` is the session of the link: it counts received datagrams that are not one whole frame as damaged.
+    """
 
     def __init__(
         self, endpoint: Endpoint, sockets: SocketParameters, session: TcpClientSession | SerialClientSession
@@ -138,10 +150,16 @@ class UdpConnector:
 
 
 def connector_for(settings: LinkSettings, session: TcpClientSession | SerialClientSession, *, user: str) -> Connector:
-    """Create the connector of an endpoint; ``user`` names the holder of a serial port in errors for others.
+    """Create the object that opens the connections of a link. Nothing is opened yet.
+
+    Args:
+        settings: the settings of the link.
+        session: the session of the link; a serial port tells it when characters leave or arrive damaged.
+        user: who will hold the serial port, in words, for the error that a second user of the port gets.
 
     Raises:
-        ConfigError: a carrier that a client cannot use, or a serial port that this process uses already.
+        ConfigError: a client cannot use this kind of endpoint, this process uses the serial port already, or a file
+            for TLS cannot be used.
     """
     endpoint = settings.endpoint
     if endpoint.carrier == "tcp":

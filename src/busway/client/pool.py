@@ -14,21 +14,32 @@ from .shared_links import SharedLinks
 
 
 class LinkPool:
-    """All asyncio links of one event loop by endpoint, shared by their users."""
+    """The asyncio links of one event loop: users of the same endpoint share one link, unless it is not to be shared."""
 
     def __init__(self) -> None:
         self._links: SharedLinks[AsyncLinkDriver] = SharedLinks(_made)
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AsyncLinkDriver:
-        """Return the shared link to an endpoint, created if necessary. Raises `ConfigError`, `Overloaded`."""
+        """Return the link that all users of an endpoint share, created for the first; or a new one if not ``shared``.
+
+        Give it back with `release`.
+
+        Raises:
+            ConfigError: other users share the link with other connection settings, or a setting cannot be used.
+            Overloaded: the endpoint already has ``max_connections`` links that are not shared.
+        """
         return self._links.acquire(settings, shared=shared)
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AsyncLinkDriver:
-        """Choose one of several links to the same endpoint for a request. Raises `LinkDown` if there are none."""
+        """Return one of the links to an endpoint, for one request. Raises `LinkDown` if no link is open to it.
+
+        ``rule`` chooses among the connected ones: the link made first, or the one connected longest. If none is
+        connected, it is the link made first.
+        """
         return self._links.choose(settings, rule)
 
     async def release(self, settings: LinkSettings, link: AsyncLinkDriver) -> None:
-        """Give a link back after use; when its last user does, its connection is closed."""
+        """Give back a link that `acquire` returned; it is closed when its last user gives it back."""
         if self._links.release(settings, link):
             await link.close()
 
@@ -46,7 +57,11 @@ _pools: "WeakKeyDictionary[asyncio.AbstractEventLoop, LinkPool]" = WeakKeyDictio
 
 
 def pool_of_running_loop() -> LinkPool:
-    """The pool of links that belongs to the running event loop."""
+    """Return the pool of links of the running event loop, created at the first call.
+
+    Raises:
+        ConfigError: no event loop is running: the link is not used in a coroutine.
+    """
     try:
         loop = asyncio.get_running_loop()
     except RuntimeError:

@@ -1,11 +1,11 @@
 """Finding the units that answer on a line, or behind an address.
 
-1. Each unit is asked for one holding register. Whatever answers is there, also with an exception or a damaged reply; a
-   gateway that answers 0A or 0B says that the unit is absent. Nothing is ever written.
-2. A line is listened to first, and nothing is sent where others talk: two masters disturb each other.
-3. The wait for a unit is learnt from the answers (`session.adaptive_timeout`). If one comes late, those who were given
-   less time are asked again.
-4. What answers is asked who it is (43/14, 17).
+1. Each unit is asked for one holding register. A unit that answers in any way is there, also with an exception or a
+   damaged reply; the exceptions 0A and 0B of a gateway say that the unit is absent. Nothing is ever written.
+2. A line is listened to first, and nothing is sent if others talk there: two masters disturb each other.
+3. The time to wait for a unit is learnt from the answers (`session.adaptive_timeout`). If an answer comes late, silent
+   units that were given less than the full time are asked again.
+4. A unit that answers is asked for its identification (43/14, 17).
 """
 
 import contextlib
@@ -27,7 +27,7 @@ from .sessions import timing_of
 from .settings import link_settings
 
 LISTEN_SECONDS: Final = 2.0
-"""How long a line is listened to before anything is sent."""
+"""How long a scan listens to a line before it sends anything, unless told otherwise."""
 
 
 @dataclass(slots=True)
@@ -35,11 +35,11 @@ class FoundUnit:
     """A unit that answered a scan, and how it answered.
 
     Attributes:
-        unit: its number.
-        answer: how it answered, in words.
-        seconds: until it did.
-        identification: device identification (43/14) by number; empty if it has none.
-        server_id: what function 17 gave; empty if nothing.
+        unit: unit identifier, 0…255.
+        answer: how the unit answered, in words, such as ``answers`` or ``answers with exception 02``.
+        seconds: from the request to the answer.
+        identification: identification objects (43/14, level basic) by number; empty if not asked for, or not given.
+        server_id: data of the reply to function 17; empty if not asked for, or not given.
     """
 
     unit: int
@@ -61,16 +61,19 @@ def scan(
 ) -> list[FoundUnit]:
     """Find the units that answer on a line, or behind an address. Writes nothing.
 
-    It takes up to ``timeout`` for each unit that is not there, less as soon as some have answered.
+    Each absent unit costs up to ``timeout``; less after some have answered, if ``learn`` is on.
 
     Args:
         url: the endpoint, as in `connect`.
         units: the units to ask, 1…247 on a line and 0…255 elsewhere; None asks 1…247, and 255 too on TCP, TLS and UDP.
-        timeout: seconds, the longest wait for a unit.
-        learn: shorten the wait by what the answers took.
-        identify: ask each that answers what it is (43/14, 17).
-        listen: seconds that a line is listened to first; None asks even where another master talks.
+        timeout: the longest wait for the answer of a unit, 0.001…60 seconds.
+        learn: shorten the wait to a multiple of the slowest answer so far.
+        identify: ask each unit that answers for its identification (43/14, 17).
+        listen: seconds to listen to a line first; None: do not listen, and ask even if another master is active.
         options: as in `connect`, except ``retries``: each unit is asked once.
+
+    Returns:
+        The units that answered, in the order of their answers: ascending, then those found when asked again.
 
     Raises:
         ConfigError: an invalid argument, or there is traffic on the line. Nothing was sent.
@@ -86,7 +89,13 @@ def scan(
 
 
 def units_to_ask(endpoint: Endpoint, units: Iterable[int] | None) -> list[int]:
-    """Return the units that a scan asks, ascending; on a serial line never unit 0 (broadcast). Raises `ConfigError`."""
+    """Return the units that a scan asks, ascending, each once.
+
+    None for ``units`` gives 1…247, and 255 too on TCP, TLS and UDP with Modbus TCP framing.
+
+    Raises:
+        ConfigError: no unit is given, or one is out of range: 0…255, or 1…247 on a serial line (0 is the broadcast).
+    """
     is_line = endpoint.framing != "mbap"
     if units is None:
         return [*range(1, LAST_SERIAL_UNIT + 1), *([] if is_line else [TCP_DEVICE_UNIT])]
@@ -107,13 +116,18 @@ def refuse_busy_line(
     hint: str = "listen=None asks all the same",
     begun: Callable[[], None] = lambda: None,
 ) -> None:
-    """Listen to a line before a scan; raise `ConfigError` if there is traffic. Nothing was sent.
+    """Listen to a line before a scan, and raise `ConfigError` if there is traffic. Sends nothing.
 
     Args:
-        endpoint: what is about to be scanned; over UDP, and where it is no line, nothing is listened to.
-        listen: seconds.
-        hint: how to ask in spite of it.
-        begun: called when the line is open and listened to.
+        endpoint: what is about to be scanned. Returns at once if that is no line (Modbus TCP framing), or a line over
+            UDP.
+        listen: seconds to listen.
+        hint: the end of the error message: how to scan all the same.
+        begun: called when the line is open and listening begins.
+
+    Raises:
+        ConfigError: there is traffic, or an option of the endpoint is invalid.
+        LinkDown: the line cannot be opened.
     """
     if endpoint.framing == "mbap" or endpoint.carrier not in ("serial", "tcp"):
         return
@@ -132,7 +146,7 @@ def refuse_busy_line(
 
 
 def _for_listening(endpoint: Endpoint) -> Endpoint:
-    """Return an endpoint without options that have no effect when a serial line is only listened to."""
+    """Return the endpoint without those options that listening to a line does not accept."""
     taken = Offer.at(endpoint, "monitor", MONITORS).options
     kept = {name: text for name, text in endpoint.options.items() if aliases().get(name, name) in taken}
     return replace(endpoint, options=kept)
@@ -143,16 +157,16 @@ class UnitScan:
 
     Args:
         endpoint: the line, or the server in front of the units.
-        units: the units to ask.
-        longest: seconds that a unit is given at most.
-        learn: whether the wait is shortened by what is learnt.
+        units: the units to ask, in this order.
+        longest: the longest wait for the answer of a unit, in seconds.
+        learn: whether the wait is shortened to a multiple of the slowest answer so far.
         identify: whether units that answer are asked for their identification.
         options: as in `connect`.
-        asking: called with each unit before it is asked.
+        asking: called with the number of each unit before it is asked.
 
     Attributes:
-        line: what the port is set to; None over a network.
-        adaptive_timeout: what was learnt of the time that answers take.
+        line: settings of the serial port, such as its baud rate; None over a network.
+        adaptive_timeout: the present wait for a unit, learnt from the answers so far.
     """
 
     def __init__(
@@ -177,11 +191,15 @@ class UnitScan:
         self._identifies = identify
         self._asking = asking
         self._waited: dict[int, float] = {}
-        """Units that were silent, and how long they were given."""
+        """How many seconds each silent unit was given to answer, by unit."""
         self._link: BlockingLink = connect(endpoint, shared=False, **chosen)
 
     def found(self) -> Iterator[FoundUnit]:
-        """Ask the units one after the other and yield each as soon as it answers. Raises `LinkDown`."""
+        """Ask the units one after the other, and yield each that answers as soon as it does. Raises `LinkDown`.
+
+        If an answer came late, silent units that were given less than the full time are asked a second time. Can be
+        used once: the link is closed at the end.
+        """
         with self._link:
             self._link.connect()
             yield from self._ask(self._units)
@@ -201,7 +219,10 @@ class UnitScan:
             yield found
 
     def _probe(self, unit: int) -> FoundUnit | None:
-        """Send a harmless read to a unit. Returns how it answered, or None if it did not."""
+        """Ask a unit for one holding register. Returns how it answered; None if the unit is silent or absent.
+
+        Raises `LinkDown` if the device closed the connection and a new one cannot be opened.
+        """
         counters, timeout = self._link.counters, self.adaptive_timeout.timeout
         late_before = counters.late_replies
         began = time.monotonic()

@@ -19,19 +19,19 @@ from ..session.call import FreeSlots, free_slots
 
 
 class ScopedLink(Protocol):
-    """Interface of a link whose requests in flight count towards a limit that several links share."""
+    """Interface of a link whose requests in flight count towards a limit that all links of a client share."""
 
     def serve(self, now: float) -> None:
-        """Send waiting requests of the link, because the common limit has room for them."""
+        """Send waiting requests of the link, because the common limit may have room for them now."""
 
 
 class ClientScope:
-    """The limit of requests in flight that the links of one client share.
+    """The limit of requests in flight that all links of one client share, with the option ``scope=client``.
 
     Attributes:
-        limit: requests in flight on all its connections together, 1…16.
-        slots: the free slots.
-        lock: the lock of its blocking links.
+        limit: the most requests in flight on all connections of the client together, 1…16.
+        slots: one entry for each further request that may be sent; the sessions take entries and put them back.
+        lock: the lock that all blocking links of the client use in place of their own.
     """
 
     def __init__(self, limit: int) -> None:
@@ -42,19 +42,19 @@ class ClientScope:
 
     @property
     def is_used(self) -> bool:
-        """Whether any link still counts its requests towards this common limit."""
+        """Whether any open link counts its requests towards this limit."""
         return any(link() is not None for link in self._links)
 
     def enter(self, link: ScopedLink) -> None:
-        """Add a new link to those whose requests count towards this common limit."""
+        """Add a new link, whose requests count towards this limit; it is held weakly."""
         self._links.append(weakref.ref(link))
 
     def leave(self, link: ScopedLink) -> None:
-        """Remove a closed link from those whose requests count towards this common limit."""
+        """Remove a link that was closed, so that `serve` no longer calls it."""
         self._links = deque(one for one in self._links if one() not in (None, link))
 
     def serve(self, now: float) -> None:
-        """Let the links send waiting requests, in turn, as far as the common limit allows."""
+        """Let the links send waiting requests, in turn, until the limit is reached. ``now`` is the time, in seconds."""
         for _ in range(len(self._links)):
             if not self.slots:
                 return
@@ -65,10 +65,14 @@ class ClientScope:
 
 
 def same_scope(scope: ClientScope | None, limit: int) -> ClientScope:
-    """Return the common limit for one more link of a client; a new one if no link of it is open.
+    """Return the common limit for one more link of a client: ``scope``, or a new object if that has no open links.
+
+    Args:
+        scope: the common limit of the client's links so far; None before the first link.
+        limit: the ``max_transactions`` of the new link.
 
     Raises:
-        ConfigError: its other links have another limit.
+        ConfigError: the open links of the client have another limit.
     """
     if scope is None or not scope.is_used:
         return ClientScope(limit)

@@ -24,11 +24,13 @@ from .settings import LinkSettings
 class ClientSession(Protocol):
     """Interface of a client session, which decides without IO what a link sends, awaits and repeats.
 
+    The driver of the link calls it; ``now`` is always the time in seconds, by one monotonic clock.
+
     Attributes:
-        counters: counters of the link.
-        finished: calls that have all their outcomes; the driver empties the list.
-        recycle: why the driver must close the connection and open another; empty while it need not.
-        valid_reply: whether this connection has brought a reply that answers a request.
+        counters: counters of requests, replies and errors of the link.
+        finished: calls whose requests all have a reply or an error; the driver wakes their callers, and empties it.
+        recycle: why the driver must close the connection and open another; empty while it may stay open.
+        valid_reply: whether a reply to a request has come over the present connection.
     """
 
     counters: ClientCounters
@@ -38,15 +40,15 @@ class ClientSession(Protocol):
 
     @property
     def breakers(self) -> Breakers | None:
-        """The circuit breakers of the units; None if the option is off."""
+        """The breakers of the units, which make requests to silent units fail at once; None if that is switched off."""
 
     @property
     def has_calls(self) -> bool:
-        """Whether calls wait that have requests left to send."""
+        """Whether a call waits that has requests left to send."""
 
     @property
     def has_gap(self) -> bool:
-        """Whether requests wait only because a gap between requests is not over."""
+        """Whether requests wait only for the end of a prescribed pause (``request_gap``, ``connect_delay``)."""
 
     @property
     def in_flight(self) -> int:
@@ -57,37 +59,46 @@ class ClientSession(Protocol):
         """Number of calls that have requests left to send."""
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue the requests of a call to be sent. Raises `ModbusError`; nothing was sent then."""
+        """Put the requests of a call into the queue. Raises `ModbusError` if it is refused; nothing was sent then."""
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """Return the frame of a call that can be sent at once; None if it has to be queued with `submit`."""
+        """Return the bytes of a call that can be sent at once, and count them as sent.
+
+        Returns None if the call has to be queued with `submit`; then nothing has changed.
+        """
 
     def serve_units_in_turn(self) -> None:
-        """Send requests to the units in turn, not in call order, so that a slow unit does not hold up others."""
+        """Serve units in turn from now on, not in the order of calls, so that a slow unit does not hold up others."""
 
     def cancel(self, call: Call) -> bool:
-        """Cancel a call. Returns whether requests of it were sent and are unanswered."""
+        """Cancel a call: no more of its requests are sent. Returns whether some were sent and are unanswered."""
 
     def connected(self, now: float) -> None:
         """Tell the session that the link has an open connection."""
 
     def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
-        """Tell the session that the connection ended; ``lost`` is False if the client itself closed it unused."""
+        """Tell the session that the connection ended; its unanswered requests are repeated or fail.
+
+        ``lost`` is False if the client itself closed a connection that no call used.
+        """
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """End waiting calls because no connection could be opened; ``keep_repeated`` spares those to be repeated."""
+        """End all waiting calls with ``error``, because no connection could be opened.
+
+        With ``keep_repeated`` a call with a request that is about to be repeated keeps waiting.
+        """
 
     def transmit(self, now: float) -> list[bytes]:
-        """Return the frames that are due to be sent at ``now``, in order."""
+        """Return the frames to send at ``now``, in order, and count them as sent; empty if none is due."""
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
         """Process the first ``size`` bytes of ``buffer``, which the connection has received."""
 
     def deadline(self) -> float | None:
-        """The time at which `tick` or `transmit` has something to do, by the clock of ``now``; None for never."""
+        """Return the time at which `tick` or `transmit` has to be called next, by the clock of ``now``; None: never."""
 
     def tick(self, now: float) -> None:
-        """End requests and calls whose timeout or deadline has passed."""
+        """End or repeat requests whose timeout has passed, and end calls whose deadline has passed."""
 
 
 def client_session_for(
@@ -95,7 +106,13 @@ def client_session_for(
 ) -> TcpClientSession | SerialClientSession:
     """Create the client session for an endpoint, without a connection. Raises `ConfigError`.
 
-    ``shared_slots`` are the slots for requests in flight that all links of a client share with ``scope=client``.
+    Returns:
+        A session for Modbus TCP, or for a serial line (RTU and ASCII framing, also over a network).
+
+    Args:
+        settings: the settings of the link.
+        shared_slots: the free places for requests in flight that all links of a client take from one list, with the
+            option ``scope=client``; None if the session has its own limit.
     """
     name = settings.endpoint.url
     if settings.line is None:
@@ -130,7 +147,10 @@ def client_session_for(
 
 
 def reconnect_for(settings: LinkSettings) -> Reconnect:
-    """Create the object that decides when a link connects again; serial ports have other pauses."""
+    """Return the object that decides when a link connects again, with the pauses of the link's options.
+
+    For a serial port these are the options for reopening (``reopen_first``, ``reopen_most``).
+    """
     if settings.line is not None and settings.line.port is not None:
         opening = settings.line.opening
         return Reconnect(random.random, first=opening.reopen_first, most=opening.reopen_most)
@@ -139,7 +159,7 @@ def reconnect_for(settings: LinkSettings) -> Reconnect:
 
 
 def timing_of(port: SerialSettings | None) -> SerialTiming:
-    """Return the character times for the settings of a serial port; those of a network if ``port`` is None."""
+    """Return the duration of characters and silences on a serial port; on a network if ``port`` is None."""
     if port is None:
         return SerialTiming.of_network()
     return SerialTiming.of_line(

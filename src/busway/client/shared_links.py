@@ -2,8 +2,9 @@
 
 Knows links as the selection rules see them; knows no event loop, lock or request (Messaging on TCP/IP V1.0b §4.2.1).
 
-1. Automatic management: users of one endpoint share its link; the last one to leave closes it.
-2. Explicit management: a link that is not shared belongs to its user alone; there may be ``max_connections`` of them.
+1. Automatic management: users of one endpoint share its link; the last user to give it back closes it.
+2. Explicit management: a link that is not shared belongs to its user alone; an endpoint may have ``max_connections``
+   such links.
 3. Users with different connection settings cannot share a link: the second gets an error that names the setting.
 4. If several links lead to one endpoint, a rule chooses one for each request (§4.2.1.2).
 """
@@ -22,17 +23,25 @@ from .settings import LinkSettings
 
 @dataclass(slots=True)
 class _Shared(Generic[AnyLink]):
+    """The link that the users of one endpoint share.
+
+    Attributes:
+        settings: those of the first user; the others must ask for the same.
+        users: how many users have the link now.
+    """
+
     settings: LinkSettings
     link: AnyLink
     users: int = 0
 
 
 class SharedLinks(Generic[AnyLink]):
-    """The links of one client by endpoint: one that all its users share, and those that are not shared.
+    """The links of one client: for each endpoint at most one that its users share, and any that have one user.
 
     Args:
-        make: makes a link from its settings, whether it is shared, and the scope that counts its transactions where
-            ``max_transactions`` is for the whole client; None where it is for each link.
+        make: creates a link; called as ``make(settings, shared, scope)``. ``shared``: whether the link may have several
+            users. ``scope``: the limit of requests in flight that all links of the client share, with the option
+            ``scope=client``; None if ``max_transactions`` limits each link by itself.
     """
 
     def __init__(self, make: Callable[[LinkSettings, bool, ClientScope | None], AnyLink]) -> None:
@@ -42,7 +51,14 @@ class SharedLinks(Generic[AnyLink]):
         self._scope: ClientScope | None = None
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AnyLink:
-        """Return the shared link to an endpoint, created if necessary. Raises `ConfigError`, `Overloaded`."""
+        """Return the link that all users of an endpoint share, created for the first; or a new one if not ``shared``.
+
+        Each return counts as one user, until `release`.
+
+        Raises:
+            ConfigError: other users share the link with other connection settings, or a setting cannot be used.
+            Overloaded: the endpoint already has ``max_connections`` links that are not shared.
+        """
         name = settings.endpoint.url
         if not shared:
             check_room(list(self._links.get(name, ())), settings)
@@ -55,11 +71,15 @@ class SharedLinks(Generic[AnyLink]):
         return entry.link
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AnyLink:
-        """Choose one of several links to the same endpoint for a request. Raises `LinkDown` if there are none."""
+        """Return one of the links to an endpoint, for one request. Raises `LinkDown` if no link is open to it.
+
+        ``rule`` chooses among the connected ones: the link made first, or the one connected longest. If none is
+        connected, it is the link made first.
+        """
         return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 
     def release(self, settings: LinkSettings, link: AnyLink) -> bool:
-        """Give a link back after use; returns whether that was the last user, who must close it."""
+        """Count one user of a link less. Returns whether that was the last one; then the caller must close the link."""
         name = settings.endpoint.url
         entry = self._shared.get(name)
         if entry is not None and entry.link is link:
