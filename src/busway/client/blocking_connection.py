@@ -1,10 +1,10 @@
-"""One open connection of a blocking link: its socket or port, and the frames that this has not accepted yet.
+"""One open connection of a blocking link: its socket or port, and the frames that are not sent yet.
 
-Knows a channel; knows no session and no thread. The lock of its link guards it, except while a thread waits.
+Knows a channel; knows no session and no thread. It is used under the lock of its link, except for `wait`.
 
 1. Unsent frames are dropped with their connection. A link makes another object for its next connection, so no byte can
-   leave on the wrong one.
-2. Frames are sent one by one, in order: a datagram holds one, and a frame that was begun is completed first.
+   leave on the wrong connection.
+2. Frames are sent one by one, in order: a datagram holds one frame, and a half-sent frame is completed first.
 """
 
 import contextlib
@@ -18,12 +18,12 @@ from .polling import ExactPoll, Poll
 
 
 class BlockingConnection:
-    """An open connection of a blocking link with its unsent frames, until `close`.
+    """An open connection of a blocking link, with its unsent frames.
 
     Attributes:
         channel: the socket or port.
-        unsent: frames that the channel has not accepted yet; the first one may be half sent.
-        frame_leaves: checks whether the last character has left, and tells the session; None if that is unknown.
+        unsent: frames that the system has not accepted yet, in order; of a half-sent one the rest.
+        frame_leaves: tells the session if the serial port still holds characters of a sent frame; None for others.
     """
 
     __slots__ = ("_poll", "channel", "frame_leaves", "unsent")
@@ -35,7 +35,10 @@ class BlockingConnection:
         self._poll = poll
 
     def send(self, frame: bytes) -> None:
-        """Send a frame; what the socket does not accept waits for `flush`. Raises `OSError` if the connection ended."""
+        """Send a frame; what the system does not accept now is kept for `flush`.
+
+        Raises `OSError` if the connection has ended; a part of the frame may have gone out.
+        """
         if not self.unsent:
             try:
                 sent = self.channel.send(frame)
@@ -47,7 +50,7 @@ class BlockingConnection:
         self.unsent.append(frame)
 
     def flush(self) -> None:
-        """Send waiting frames as far as the socket accepts them. Raises `OSError` if the connection has ended."""
+        """Send the kept frames as far as the system accepts them. Raises `OSError` if the connection has ended."""
         unsent = self.unsent
         while unsent:
             frame = unsent[0]
@@ -61,7 +64,10 @@ class BlockingConnection:
             unsent.popleft()
 
     def wait(self, seconds: float) -> bool:
-        """Wait, without the link's lock, until bytes can be received or sent; return False after ``seconds``."""
+        """Wait until bytes can be received, or kept frames sent. Returns False if the time is over before.
+
+        Call it without the lock of the link. At a serial port it may return early.
+        """
         return self._poll.wait(self.channel, seconds, bool(self.unsent))
 
     def close(self) -> None:

@@ -7,16 +7,19 @@ from typing import Protocol
 
 
 class LinkEnd(Protocol):
-    """Interface of the asyncio driver as a serial port calls it when something happens."""
+    """Interface of the object that a serial port or UDP socket of an asyncio link tells what happens."""
 
     def arrived(self, data: bytes) -> None:
-        """Process bytes that the serial port has received."""
+        """Process bytes that were received without errors."""
 
     def arrived_damaged(self, data: bytes, overrun: bool) -> None:
-        """Process received bytes among which some have parity or framing errors or were lost by the port."""
+        """Process received bytes of which some have parity or framing errors, or between which some were lost.
+
+        ``overrun``: the driver of the port says that characters were lost.
+        """
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Handle the end of the connection, with its error if there was one."""
+        """Handle the end of the connection; ``exc`` is the error that ended it, None if there was none."""
 
 
 class Channel(Protocol):
@@ -26,10 +29,20 @@ class Channel(Protocol):
         """Return the file descriptor of the socket or port, for waiting until it is ready."""
 
     def recv_into(self, buffer: bytearray, /) -> int:
-        """Receive bytes into a buffer and return their number, 0 at the end. Raises `BlockingIOError`, `OSError`."""
+        """Receive bytes into ``buffer`` and return their number; 0: the peer closed the connection.
+
+        Raises:
+            BlockingIOError: nothing has come yet.
+            OSError: the connection failed.
+        """
 
     def send(self, data: bytes, /) -> int:
-        """Send as many bytes as the socket accepts and return their number. Raises `BlockingIOError`, `OSError`."""
+        """Send as many bytes as the system accepts at once, and return their number.
+
+        Raises:
+            BlockingIOError: none is accepted now.
+            OSError: the connection failed.
+        """
 
     def close(self) -> None:
         """Close the socket or port."""

@@ -28,14 +28,14 @@ class Connector(Protocol):
     async def connect(self, protocol: Callable[[], Any]) -> Any:  # an asyncio.Transport with its protocol, or alike
         """Open a connection for an asyncio link and return its transport. Raises `LinkDown`.
 
-        ``protocol`` is called once the connection is open, and returns the object that gets the transport's events.
+        ``protocol`` is called once, and returns the object that gets the events of the transport.
         """
 
     def dial(self) -> Channel:
         """Open a connection for a blocking link and return its non-blocking socket or port. Raises `LinkDown`."""
 
     def release(self) -> None:
-        """Free what the connector holds, such as the right to a serial port; called when the link is closed for good."""
+        """Free what the connector holds, such as a serial port; called when the link is closed for good."""
 
 
 class TcpConnector:

@@ -1,10 +1,12 @@
 """Late replies that may still come when a serial link is closed, kept for the next link to the same endpoint.
 
-A late reply reaches the port or the converter even if the link that asked is closed: a program that opens and closes a
-link for each reading would take it for the answer to its next request. Knows links by URL; knows no frame.
+A late reply reaches the serial port or the converter even if the link that sent the request is closed: a program that
+opens and closes a link for each reading would take the late reply for the answer to its next request. Knows links by
+URL; knows no frame.
 
-1. The outstanding replies of a closed link are kept, and passed to the next link to the same URL when it connects.
-2. So they outlive links, and are forgotten at the end of the process.
+1. What is known about late replies of a closed link is kept, and passed to the next link to the same URL when that
+   connects.
+2. It is forgotten at the end of the process.
 """
 
 import threading
@@ -14,18 +16,18 @@ from typing import Final
 from ..session.late_replies import Doubts
 
 KEPT_AT_MOST: Final = 1024
-"""Most endpoints that are remembered; the one closed first is forgotten first."""
+"""Most endpoints that are remembered; beyond that, the one whose link was closed longest ago is forgotten."""
 
 
 class KeptDoubts:
-    """The late replies that may still come on serial lines whose links were closed, by URL; thread-safe."""
+    """What is known about late replies on serial lines whose links were closed, by URL; thread-safe."""
 
     def __init__(self) -> None:
         self._by_url: OrderedDict[str, Doubts] = OrderedDict()
         self._lock = threading.Lock()
 
     def keep(self, url: str, doubts: Doubts) -> None:
-        """Store the late replies that may still come on the line of a closed link to ``url``."""
+        """Store what a closed link to ``url`` knows of late replies that may still come; nothing if none may come."""
         if not doubts.is_owed:
             return
         with self._lock:
@@ -38,7 +40,7 @@ class KeptDoubts:
                 self._by_url.popitem(last=False)
 
     def hand_over(self, url: str, doubts: Doubts) -> None:
-        """Move the late replies stored for ``url`` to ``doubts``, the record of a new link to it."""
+        """Move what is stored for ``url`` to ``doubts``, the record of late replies of a new link to the same URL."""
         if not self._by_url:
             return
         with self._lock:
@@ -47,7 +49,7 @@ class KeptDoubts:
             doubts.add(kept)
 
     def clear(self) -> None:
-        """Forget the late replies of all lines, for tests that reuse a URL for another line."""
+        """Forget everything that is stored; for tests that reuse a URL for another line."""
         with self._lock:
             self._by_url.clear()
 

@@ -1,6 +1,6 @@
-"""Waits of a blocking link at its socket or serial port, until it is readable or a time is over.
+"""Waits of a blocking link until its socket or serial port is ready, or a time is over.
 
-Knows descriptors; knows no conversation.
+Knows descriptors; knows no session.
 """
 
 import select
@@ -10,17 +10,24 @@ from ..transport.serial.waiting import wait_ready
 from .channel import Channel
 
 _LONGEST_WAIT: Final = 0.25
-"""Longest single wait at a port, in seconds: closing it does not wake a thread that waits there."""
+"""Longest single wait at a serial port, in seconds: closing the port does not wake a thread that waits at it."""
 
 
 class ExactPoll:
-    """Waits until one serial port is ready, with exact timing: it wakes ``spin`` seconds early and waits busily."""
+    """Waits until a serial port is ready, for a caller that needs exact timing.
+
+    A wait that ends by time ends ``spin`` seconds early; the caller spends the rest in a busy loop.
+    """
 
     def __init__(self, spin: float) -> None:
         self._spin = spin
 
     def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
-        """Wait until bytes can be received (or sent, if ``writes``); return False after ``seconds`` without."""
+        """Wait until bytes can be received, or with ``writes`` also until bytes can be sent. Returns whether they can.
+
+        Returns False if the time was over first, or if another thread closed the port. A single wait is at most 0.25
+        seconds long, even if ``seconds`` is more.
+        """
         if seconds > self._spin:
             seconds -= self._spin
         try:
@@ -31,7 +38,10 @@ class ExactPoll:
 
 
 class Poll:
-    """Waits until one socket is ready, with ``poll`` where the system has it: it has no highest descriptor."""
+    """Waits until one socket is ready: by ``poll``, or by ``select`` on systems that lack it.
+
+    ``poll`` is preferred because it works with any number of open descriptors.
+    """
 
     def __init__(self, connection: Channel) -> None:
         self._poll = select.poll() if hasattr(select, "poll") else None
@@ -40,7 +50,10 @@ class Poll:
             self._poll.register(connection, select.POLLIN)
 
     def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
-        """Wait until bytes can be received (or sent, if ``writes``); return False after ``seconds`` without."""
+        """Wait until bytes can be received, or with ``writes`` also until bytes can be sent. Returns whether they can.
+
+        Returns False if ``seconds`` were over first, or if another thread closed the socket.
+        """
         if self._poll is None:
             readable, writable, _ = select.select([connection], [connection] if writes else [], [], seconds)
             return bool(readable or writable)

@@ -1,4 +1,4 @@
-"""Callbacks that a program has registered for changes of a connection's state; both drivers tell them.
+"""Callbacks that a program has registered for changes of a connection's state; both kinds of link call them.
 
 Knows states and reasons; knows no connection.
 
@@ -15,13 +15,13 @@ from ..session.reconnect import ConnectionState
 _log = logging.getLogger("busway.client")
 
 DISCONNECTED: Final = "the program disconnected it"
-"""The reason of a connection that `disconnect` has closed."""
+"""The reason that callbacks get when the program itself closed the connection by `disconnect`."""
 OnState = Callable[[str, str], None]
-"""Called with the state (as `Link.state` has it) and the reason, which may be empty."""
+"""Called as ``callback(state, reason)`` with the new state, such as ``up``, and its reason in words, or empty."""
 
 
 class StateObservers:
-    """The callbacks of one link, whose connection is in ``state`` now."""
+    """The callbacks of one link. ``state`` is the present state of its connection."""
 
     __slots__ = ("_callbacks", "_state")
 
@@ -30,7 +30,7 @@ class StateObservers:
         self._state = state
 
     def add(self, callback: OnState) -> Callable[[], None]:
-        """Register a callback. Returns a function that removes it, and does nothing when called again."""
+        """Register a callback. Returns a function that removes it again; calling that twice does no harm."""
         entry: list[OnState] = [callback]
         self._callbacks.append(callback)
 
@@ -41,7 +41,7 @@ class StateObservers:
         return remove
 
     def tell(self, state: ConnectionState, reason: str) -> None:
-        """Call the callbacks if the state is another one than before."""
+        """Call the callbacks with the new state and its reason; do nothing if the state is the same as before."""
         if state is self._state:
             return
         self._state = state
