@@ -18,14 +18,14 @@ SHOWN_STATE = {state.value: state.value for state in ConnectionState} | {
     ConnectionState.UP.value: "connected",
     ConnectionState.DOWN.value: "not connected",
 }
-"""The states of a connection as the ``repr`` of a link says them."""
+"""The words for the states of a connection in the ``repr`` of a link, by state."""
 
 
 def default_unit(endpoint: Endpoint, unit: int | None) -> int:
-    """Check a unit number 0…255 and return it; None gives the default, 255 on TCP (Messaging on TCP/IP V1.0b
-    §4.4.1.2).
+    """Return a unit number after checking it; for None the default, 255 (Messaging on TCP/IP V1.0b §4.4.1.2).
 
-    With the framings RTU and ASCII, also over a network, a unit 0…247 is required (Serial Line V1.02 §2.2).
+    Any unit 0…255 is valid with Modbus TCP framing. With RTU and ASCII framing, also over a network, there is no
+    default, and units are 0…247 (Serial Line V1.02 §2.2).
 
     Raises:
         InvalidRequest: the unit is missing where it is required, or out of range. Nothing was sent.
@@ -41,10 +41,10 @@ def default_unit(endpoint: Endpoint, unit: int | None) -> int:
 
 
 def with_assumed_unit(outcome: object, unit: int) -> None:
-    """Add to an error the remark that no unit was given, if naming a unit may help.
+    """Add to an error that ``unit`` was assumed because none was given, if naming another unit may help.
 
-    That is so if a gateway answered or nothing did, and if a function was refused (01): the default unit may be
-    a gateway itself, which has no registers.
+    That may help if a gateway answered, if nothing answered, and if the function was refused (exception 01): the
+    default unit may be the gateway itself, which has no registers. Other outcomes, and replies, stay as they are.
     """
     if isinstance(outcome, ExceptionReply):
         may_help = outcome.from_gateway or outcome.code == ExceptionCode.ILLEGAL_FUNCTION
@@ -56,7 +56,11 @@ def with_assumed_unit(outcome: object, unit: int) -> None:
 
 
 def with_assumed_line(outcome: object, settings: LinkSettings, counters: ClientCounters) -> None:
-    """Add to an error the remark which settings of the port were not given, if no unit has answered by them so far."""
+    """Add to an error which settings of the serial port were assumed because they were not given.
+
+    Only if nothing was received, or only damaged bytes, and no unit has answered with these settings so far. Other
+    outcomes, and replies, stay as they are.
+    """
     assumed = "" if settings.line is None else settings.line.assumed
     if not assumed or counters.replies or counters.exceptions or counters.late_replies:
         return
@@ -66,7 +70,10 @@ def with_assumed_line(outcome: object, settings: LinkSettings, counters: ClientC
 
 
 def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusError]:
-    """Return one error for each request of a call that was refused before anything was sent."""
+    """Return one error for each request, in order: copies of ``refusal`` with the request's function and address.
+
+    ``refusal`` is the error of a call that was refused before anything was sent.
+    """
     errors = []
     for request in requests:
         error = type(refusal).__new__(type(refusal), *refusal.args)
@@ -85,12 +92,15 @@ def closed_error(settings: LinkSettings) -> LinkClosed:
 
 
 def no_connection_of_its_own(settings: LinkSettings) -> InvalidRequest:
-    """Return the error for a call about the connection of a link that sends on those of others."""
+    """Return the error for an attempt to manage the connection of a link opened with ``select``, which has none."""
     return InvalidRequest("a link opened with select has no connection of its own", endpoint=settings.endpoint.url)
 
 
 def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
-    """Raise `ConfigError` if a second user of a shared connection gives other settings for it than the first."""
+    """Raise `ConfigError` if a further user of a shared link asks for other connection settings than it has.
+
+    ``held``: the settings that the link has; ``wanted``: those of the further user.
+    """
     different = held.differs(wanted)
     if different:
         raise ConfigError(
@@ -100,7 +110,10 @@ def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
 
 
 def check_selected(settings: LinkSettings, options: Mapping[str, object]) -> None:
-    """Raise `ConfigError` if a link that only uses connections of others (``select``) has options of a connection."""
+    """Raise `ConfigError` if a link opened with ``select`` is given options of a connection, which have no effect.
+
+    ``options`` are those given by keyword; the ones in the URL are in ``settings``.
+    """
     context = () if settings.ssl_context is None else ("ssl_context",)
     for name in (*settings.endpoint.options, *options, *context):
         if name not in CALL_DEFAULTS:

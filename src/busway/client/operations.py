@@ -1,7 +1,8 @@
 """Operations of a unit, such as reading values, as generators that yield requests and take replies, without IO.
 
-Knows which requests an operation needs and what its result is made of; knows no link. Both interfaces run them: each
-operation is a generator that yields requests (one, or several to send together) and is sent their replies.
+Knows which requests an operation needs and how its result is made; knows no link. The asyncio and the blocking
+interface both run these generators. A generator yields a list of requests to send together, is sent the list of their
+replies, in the same order, and may yield again; its return value is the result of the operation.
 """
 
 import contextlib
@@ -48,7 +49,19 @@ def read_values(
     split: bool,
     width: int = NARROW,
 ) -> Operation:
-    """Read values from an address: one if ``count`` is None, else a list. ``width``: bytes of a register."""
+    """Read values from an address, as a generator of requests. Its result is a list; one value if ``count`` is None.
+
+    Args:
+        address: where the first value is, in any notation that names its table.
+        kind: type of the values; None: unsigned integers of one register. Must be None for coils and discrete inputs.
+        order: order of bytes and registers in values, such as ``ABCD``.
+        count: number of values; None: one.
+        split: whether several requests may be used if one cannot hold all values.
+        width: bytes of one register in replies: 2, but 4 or 8 on some devices.
+
+    Raises:
+        InvalidRequest: an argument is invalid or too large. Nothing was sent.
+    """
     place = place_of(address)
     number = 1 if count is None else count
     if number < 1:
@@ -86,7 +99,18 @@ def read_values(
 def write_values(
     address: int | str | Address, values: Any, kind: str | ValueType[Any] | None, order: str, function: WriteFunction
 ) -> Operation:
-    """Write one value or a sequence of values to an address."""
+    """Write one value or several to an address with one request, as a generator of requests. It has no result.
+
+    Args:
+        address: where the first value goes, in any notation that names its table.
+        values: one value, or an iterable of values for consecutive addresses.
+        kind: type of the values; None: ``uint16``. Must be None for coils.
+        order: order of bytes and registers in values, such as ``ABCD``.
+        function: ``single`` (05, 06), ``multiple`` (15, 16), or ``auto``: single for one coil or register.
+
+    Raises:
+        InvalidRequest: an argument is invalid or too large, or the table is read-only. Nothing was sent.
+    """
     place = place_of(address)
     if place.table is None or not place.table.is_writable:
         raise InvalidRequest(f"{place}: {place.table.label if place.table else 'table'}s are read-only")
@@ -121,7 +145,16 @@ def write_values(
 
 
 def read_identification(level: str, object_id: int | None) -> Operation:
-    """Read identification objects, a dict by number, with as many requests as needed."""
+    """Read identification objects (43/14), as a generator of requests. Its result is a dict of bytes by object number.
+
+    Args:
+        level: ``basic``, ``regular`` or ``extended``: the objects to read; without effect if ``object_id`` is given.
+        object_id: the only object to read, 0…255; None for all of the level.
+
+    Raises:
+        InvalidRequest: ``level`` is none of the three. Nothing was sent.
+        BadReply: the device announces further objects, but not ones after those it has sent.
+    """
     if object_id is not None:
         code, start = INDIVIDUAL, object_id
     elif level in LEVELS:
@@ -153,7 +186,7 @@ def place_of(address: int | str | Address) -> Address:
 
 
 def _hint_of_number(place: Address) -> str:
-    """Return a suggestion for an error about an address that is a bare number, as in manuals (40001)."""
+    """Return a suggestion, for an error message, how to write an address that is only a number (such as 40001)."""
     offset = place.offset
     with contextlib.suppress(InvalidRequest):
         meant = parse_address(str(offset))
@@ -171,7 +204,7 @@ READ: dict[Table, type[ReadBits] | type[ReadRegisters]] = {
 
 
 def _natural_type(place: Address, width: int) -> str:
-    """Return the value type for registers of ``width`` bytes that is used if none is given."""
+    """Return the type used if none is given: an unsigned integer of one register, which has ``width`` bytes."""
     if width not in (2, 4, 8):
         raise InvalidRequest(f"{place}: a register of {width} bytes is no number by itself; name a type")
     return f"uint{8 * width}"
@@ -203,7 +236,11 @@ def _check_single(place: Address, items: int, limit: int, function: WriteFunctio
 
 
 def diagnostic_request(sub_function: int, data: bytes) -> Request:
-    """Build the request of function 08 from a sub-function number, known or not, and its data."""
+    """Return a request of function 08 with any sub-function, 0…65535, and its data.
+
+    Raises:
+        InvalidRequest: the sub-function is out of range, or is a standard one that cannot have such data.
+    """
     if not 0 <= as_integer("sub-function", sub_function) <= 0xFFFF:
         raise InvalidRequest(f"sub-function must be 0…65535, not {sub_function}")
     pdu = bytes((FunctionCode.DIAGNOSTICS,)) + sub_function.to_bytes(2, "big") + bytes(data)
@@ -214,6 +251,6 @@ def diagnostic_request(sub_function: int, data: bytes) -> Request:
 
 
 def diagnostic_data(reply: Message) -> bytes:
-    """Return the data field of a reply to function 08."""
+    """Return the data of a reply to function 08: what follows the sub-function."""
     data: bytes = reply.values()["data"]
     return data[2:] if isinstance(reply, OpaqueReply) else data

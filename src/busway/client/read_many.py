@@ -1,12 +1,13 @@
 """Reads values from several addresses with as few requests as their addresses allow.
 
-Knows places, types and requests; knows no link.
+Knows addresses, value types and requests; knows no link.
 
-1. Ranges that touch or overlap become one request; nothing is read that was not asked for, because a device may refuse
-   a range with a hole in it.
-2. Who polls asks for the same names again and again. The requests, and what their replies become, are worked out once
-   for equal names, addresses and types, and kept: up to `_MOST_PLANS`, then all are forgotten.
-3. Values of one type are decoded by one call, wherever in a reply they lie: that is three times as fast as one by one.
+1. Ranges that touch or overlap become one request, as far as the limit of one request allows. Nothing else is read
+   with them, because a device may refuse a range in which registers are missing.
+2. A program that polls asks for the same names again and again. The requests, and how their replies are decoded, are
+   worked out once for equal names, addresses and types, and kept for `_MOST_PLANS` different questions; then all are
+   forgotten.
+3. All values of one type in a reply are decoded by one call: that is three times as fast as one by one.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,12 +29,22 @@ Wanted: TypeAlias = (
     | tuple[str | Address, str | ValueType[Any] | None]
     | tuple[str | Address, str | ValueType[Any] | None, int | None]
 )
-"""What is wanted under one name: an address, with a type, and with a number of values for a list."""
+"""What to read under one name: an address, or a tuple of address and type, or of address, type and count.
+
+With a count the value is a list of that many values.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class _Item:
-    """One named value to be read: ``items`` registers or bits of a table from ``offset`` on, and its type."""
+    """One named value, or list of values, to be read.
+
+    Attributes:
+        offset: protocol address of the first register or bit, 0…65535.
+        items: number of registers or bits.
+        form: type of the values; None for coils and discrete inputs.
+        count: number of values in the list; None for one value that is no list.
+    """
 
     name: str
     table: Table
@@ -49,7 +60,7 @@ class _Item:
 
 @dataclass(slots=True)
 class _Range:
-    """The addresses of one read request, and the named values in them."""
+    """One read request: the addresses from ``offset`` to before ``end``, and the named values that lie in them."""
 
     table: Table
     offset: int
@@ -61,7 +72,17 @@ class _Range:
 
 
 def read_together(wanted: Mapping[str, Wanted], order: str, width: int = NARROW) -> Operation:
-    """Read all named values with few requests. Returns a dict of them, in the order of the names."""
+    """Read all named values, as a generator of requests. Its result is a dict of values by name, in the given order.
+
+    Args:
+        wanted: what to read, by name.
+        order: order of bytes and registers in values, such as ``ABCD``.
+        width: bytes of one register in replies; only 2 is possible here.
+
+    Raises:
+        InvalidRequest: an address, type, count or the width is invalid. Nothing was sent.
+        BadReply: bytes of a reply mean nothing in their type.
+    """
     if width != NARROW:
         raise InvalidRequest(f"read_many needs registers of 2 bytes, not of {width}; read each value by itself")
     if not wanted:
@@ -122,7 +143,7 @@ def _placed(
 
 
 def _ranges(items: Iterable[_Item]) -> list[_Range]:
-    """Group the values to be read into ranges of one request each; no value lies in two of them."""
+    """Group the values to be read into ranges, each for one request; every value lies in exactly one range."""
     ranges: list[_Range] = []
     for item in sorted(items, key=lambda one: (one.table.value, one.offset, one.end)):
         last = ranges[-1] if ranges else None
@@ -141,7 +162,7 @@ def _ranges(items: Iterable[_Item]) -> list[_Range]:
 
 
 class _Decoder:
-    """Turns the reply to one request into the values asked for: those of one type at once."""
+    """Turns the reply to one request into the named values in it; all values of one type are decoded at once."""
 
     __slots__ = ("_bits", "_lists", "_register_bits", "_together")
 
@@ -167,7 +188,10 @@ class _Decoder:
         ]
 
     def decode(self, reply: object, found: dict[str, Any]) -> None:
-        """Add the values of a reply to ``found``, by name. Raises `BadReply` if bytes mean nothing in their type."""
+        """Decode a reply and add its values to ``found``, by name.
+
+        Raises `BadReply` if bytes mean nothing in their type.
+        """
         if isinstance(reply, ReadBits.Reply):
             wanted, size = self._bits
             states = reply.bits(size)
@@ -191,7 +215,7 @@ def _bytes_of(item: _Item, one: _Range) -> slice:
 
 
 def _joined(parts: Iterable[slice]) -> list[slice]:
-    """Join parts of a reply of which one begins where the one before it ends."""
+    """Return the slices of a reply with neighbours joined: those that begin where the slice before them ends."""
     found: list[slice] = []
     for part in parts:
         if found and found[-1].stop == part.start:
@@ -203,7 +227,14 @@ def _joined(parts: Iterable[slice]) -> list[slice]:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """How certain names are read: the requests, and what decodes the reply to each."""
+    """How the values of one `read_together` are read; kept for the next call with equal arguments.
+
+    Attributes:
+        wanted: the argument of that call.
+        names: the names, in the order of the result.
+        requests: the requests to send together.
+        ranges: for each request, what decodes its reply.
+    """
 
     wanted: dict[str, Wanted]
     names: tuple[str, ...]

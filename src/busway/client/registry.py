@@ -1,12 +1,12 @@
 """Registry of the client connections of this process: shows their status and limits their number.
 
-Holds links weakly and asks only them, never a peer.
+Holds links weakly, and gets all it knows from them; sends nothing.
 
-1. A connection is local where this process opened it (Messaging on TCP/IP V1.0b §4.2.1): those of asyncio and of
-   blocking links count alike.
+1. A local connection is one that this process has opened (Messaging on TCP/IP V1.0b §4.2.1), by an asyncio or a
+   blocking link.
 2. At the limit the unused shared connection whose last use is longest ago is closed; its link reconnects at the next
-   request. A connection of explicit management (``shared=False``) is never closed for another.
-3. A connection of an event loop is closed by that loop alone.
+   request. The connection of a link with ``shared=False`` is never closed to make room.
+3. A connection of an asyncio link is closed only on its own event loop.
 """
 
 import threading
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import asyncio  # for annotations only: blocking programs do not load it
 
 DEFAULT_LIMIT: Final = 10_000
-"""Default limit of connections: more than any plant has devices, fewer than there are local ports."""
+"""Default limit of open connections: more than any plant has devices, fewer than a system has local ports."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,20 +34,21 @@ class LocalConnectionStatus:
     Attributes:
         endpoint: URL of the peer, without options.
         kind: ``asyncio`` or ``blocking``.
-        shared: whether all users share it (automatic management), or it belongs to one (explicit management).
+        shared: whether all users of the endpoint share the link; False: it belongs to one user (``shared=False``).
         state: ``down``, ``connecting``, ``up``, ``suspect`` or ``backing off``.
         local: local address and port of the connection; empty while not connected, and on a serial port.
         age: seconds since the connection was opened; None while not connected.
         idle: seconds since it was last used, 0 while a reply is awaited; None while not connected.
-        sent_bytes, received_bytes: of all connections of the link so far.
+        sent_bytes, received_bytes: bytes on all connections of the link so far.
         transactions: number of requests sent.
-        failures: requests without a reply or with a broken one, and connections that were lost.
+        failures: number of timeouts, invalid replies and lost connections together.
         connections: how many connections the link has had.
-        in_flight: requests whose reply is awaited.
-        queued: calls that wait.
-        reason: why it is not connected; empty while connected, or if no connection was needed yet.
-        late_replies: replies that came after their timeout; all were dropped.
-        in_doubt: units that may still send late replies, on links without transaction numbers.
+        in_flight: number of requests whose reply is awaited.
+        queued: number of calls that have requests left to send.
+        reason: why the last attempt to connect failed; empty while connected, and before the first failure.
+        late_replies: number of replies that came after their timeout; all were dropped.
+        in_doubt: units that may still send late replies, ascending; always empty with Modbus TCP framing, where
+            transaction identifiers tell late replies from others.
     """
 
     endpoint: str
@@ -70,13 +71,14 @@ class LocalConnectionStatus:
 
 
 class LocalLink(Protocol):
-    """Interface of a link as the registry of the process's links uses it.
+    """Interface of an asyncio or blocking link for the registry of the links of this process.
 
     Attributes:
-        home: the event loop it lives on; None of a blocking link.
-        shared: whether it is managed automatically.
-        opened, last_used: when the connection was made, and last used, in the clock of the link.
-        sent_bytes, received_bytes: of all its connections.
+        home: the event loop that the link belongs to; None for a blocking link.
+        shared: whether all users of the endpoint share the link.
+        opened: when the present connection was opened, in seconds by the clock of the link.
+        last_used: when the present connection was last used, by the same clock.
+        sent_bytes, received_bytes: bytes on all connections of the link so far.
     """
 
     home: "asyncio.AbstractEventLoop | None"
@@ -94,16 +96,17 @@ class LocalLink(Protocol):
         """Return state, traffic and counters of the link at this moment."""
 
     def make_room(self) -> bool:
-        """Close the link's connection unless a call uses it; returns whether it did. Called on the link's own event
-        loop.
+        """Close the link's connection if no call uses it. Returns whether it was closed.
+
+        An asyncio link is asked only on its own event loop.
         """
 
 
 class LocalConnections:
-    """The registry of all links of a process; safe from any thread.
+    """The registry of all links of a process; safe to use from any thread.
 
     Attributes:
-        supported: how many connections there may be at once.
+        supported: the most connections that may be open at once.
     """
 
     def __init__(self, supported: int = DEFAULT_LIMIT) -> None:
@@ -122,23 +125,32 @@ class LocalConnections:
             self._links.discard(link)
 
     def links(self) -> list[LocalLink]:
-        """The open links, except those whose event loop has ended."""
+        """Return the links that are not closed, connected or not, except those whose event loop is closed."""
         with self._lock:
             links = list(self._links)
         return [link for link in links if link.home is None or not link.home.is_closed()]
 
     def count(self) -> int:
-        """Number of client connections that the process has open."""
+        """Return the number of client connections that the process has open."""
         return sum(link.is_connected for link in self.links())
 
     def limit(self, supported: int) -> None:
-        """Set the limit of open client connections of the process. Raises `ConfigError` outside 1…65535."""
+        """Set the most client connections that may be open at once. Raises `ConfigError` if it is not 1…65535."""
         if not 1 <= supported <= 65_535:
             raise ConfigError(f"must be 1…65535, not {supported}", key="supported")
         self.supported = supported
 
     def make_room(self, newcomer: LocalLink, endpoint: str) -> None:
-        """Close an unused connection if the process is at its limit. Raises `LinkDown` if all are in use."""
+        """Close an unused connection if the process is at its limit; called before a link connects.
+
+        Args:
+            newcomer: the link that is about to connect.
+            endpoint: URL of its peer, for the error.
+
+        Raises:
+            LinkDown: the process is at its limit, and no connection can be closed: they are in use, not shared, or of
+                another event loop.
+        """
         if len(self._links) <= self.supported:
             return
         standing = [link for link in self.links() if link.is_connected and link is not newcomer]
@@ -159,9 +171,10 @@ counted_by(LOCAL.count)
 
 
 def local_connections() -> tuple[LocalConnectionStatus, ...]:
-    """Status of every open link of this process, asyncio and blocking, sorted by endpoint.
+    """Return the status of every link of this process that is not closed, asyncio and blocking, sorted by endpoint.
 
-    Nothing is sent. Closed links are not listed. Links at work on other threads may change while the list is made.
+    Links that are not connected are in the list as well. Nothing is sent. Links in use on other threads may change
+    while the list is made.
     """
     return tuple(sorted((link.status() for link in LOCAL.links()), key=lambda one: (one.endpoint, one.kind)))
 
@@ -169,11 +182,12 @@ def local_connections() -> tuple[LocalConnectionStatus, ...]:
 def limit_local_connections(supported: int) -> None:
     """Set how many connections this process may have open at once; 10 000 by default.
 
-    At the limit the unused shared connection whose last use is longest ago is closed; if all are in use, a request
-    that needs a new one ends as `LinkDown` (Messaging on TCP/IP V1.0b §4.2.1.1). Open connections stay open.
+    At the limit the unused shared connection whose last use is longest ago is closed for a new one; if all are in use,
+    a request that needs a new connection fails with `LinkDown` (Messaging on TCP/IP V1.0b §4.2.1.1). A lower limit
+    does not close connections that are open.
 
     Args:
-        supported: connections, 1…65535.
+        supported: the most connections that may be open, 1…65535.
 
     Raises:
         ConfigError: the number is out of range.
@@ -184,12 +198,14 @@ def limit_local_connections(supported: int) -> None:
 def status_of(
     link: LocalLink, session: ClientSession, life: ConnectionLife, now: float, local: object
 ) -> LocalConnectionStatus:
-    """Return the status of a link, put together from its session and connection.
+    """Return the status of a link, collected from its driver, session and connections.
 
     Args:
-        link, session, life: the driver, its session, and the life of its connections.
-        now: the time, in the clock of the driver.
-        local: local socket address; None if there is none.
+        link: the driver of the link.
+        session: the client session of the link.
+        life: the state of the link's connections.
+        now: the time in seconds, by the clock of the driver.
+        local: local socket address; None while not connected, and on a serial port.
     """
     stands = link.is_connected
     counters, in_flight = session.counters, session.in_flight
@@ -215,7 +231,7 @@ def status_of(
 
 
 def _address(name: object) -> str:
-    """Return a socket address as text: ``host:port``, IPv6 in brackets."""
+    """Return a socket address as ``host:port``, IPv6 in brackets; empty if it is not a tuple of host and port."""
     if not isinstance(name, tuple) or len(name) < 2:
         return ""
     host = f"[{name[0]}]" if ":" in str(name[0]) else name[0]

@@ -1,11 +1,11 @@
-"""The connector for serial ports: opens a port for a link, waits for a missing one, and makes it look like a stream.
+"""The connector for serial ports: opens a port for a link, waits for a missing port, and makes it look like a stream.
 
 Knows ports, and tells the session when the last character of its frame has left; knows no request.
 
-1. A missing port is waited for, up to ``port_wait``.
-2. The response timeout counts from the last character: the session is told when it leaves, and again where the system
-   turns out to hold it longer.
-3. If the driver counts lost characters, bytes read with such a loss are treated as damaged.
+1. A missing port is waited for, up to ``port_wait`` seconds.
+2. The response timeout counts from the last character of a request: the session is told when that is expected to
+   leave, and again if the system turns out to hold it longer.
+3. If the driver of the port reports lost characters, the bytes read with that report are treated as damaged.
 """
 
 import time
@@ -25,11 +25,24 @@ if TYPE_CHECKING:
     from ..transport.serial.connection import SerialConnection
 
 HOLDS_AT_MOST: Final = 16
-"""How often in a row a response timeout is put off because the system still holds characters."""
+"""How often, for one frame, the response timeout is moved because the system still holds characters."""
 
 
 class SerialConnector:
-    """Opens the serial port of a link, and opens it again after a loss."""
+    """Opens the serial port of a link, and opens it again after it was lost.
+
+    From its creation until `release` no other user in this process can open the port.
+
+    Args:
+        endpoint: the endpoint with the name of the port.
+        port: baud rate, parity and other settings of the port.
+        opening: how long to wait for a missing port, and the pauses between attempts.
+        session: the session of the link; it is told when characters leave, and gets damaged bytes.
+        user: who holds the port, in words, for the error that a second user in this process gets.
+
+    Raises:
+        ConfigError: this process uses the port already, or `serialx` is not installed.
+    """
 
     def __init__(
         self,
@@ -47,7 +60,10 @@ class SerialConnector:
         self._claim = Claim(endpoint.path, user)
 
     async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:
-        """Open the port for an asyncio link, waiting for it as the options say. Raises `LinkDown`."""
+        """Open the port for an asyncio link; wait for a missing port up to ``port_wait`` seconds. Raises `LinkDown`.
+
+        ``protocol`` is called once, and returns the object that gets received bytes and the loss of the port.
+        """
         import asyncio
 
         from ..transport.serial.connection import SerialConnection
@@ -66,7 +82,7 @@ class SerialConnector:
             await asyncio.sleep(pause)
 
     def dial(self) -> Channel:
-        """Open the port for a blocking link, waiting for it as the options say. Raises `LinkDown`."""
+        """Open the port for a blocking link; wait for a missing port up to ``port_wait`` seconds. Raises `LinkDown`."""
         waited = _Waited(self._opening)
         while True:
             try:
@@ -76,11 +92,11 @@ class SerialConnector:
             time.sleep(pause)
 
     def release(self) -> None:
-        """Free the port for other programs, because the link was closed for good."""
+        """Let other users in this process open the port; called when the link is closed for good."""
         self._claim.release()
 
     def _named(self, error: LinkDown | ConfigError) -> LinkDown:
-        """Return `LinkDown` for an error of opening the port, with that error as its cause."""
+        """Return a `LinkDown` that names the endpoint, with ``error``, raised by opening the port, as its cause."""
         kind = error.kind if isinstance(error, LinkDown) else "other"
         down = LinkDown(error.message, kind=kind, endpoint=self._endpoint.url)
         down.__cause__ = error
@@ -88,7 +104,7 @@ class SerialConnector:
 
 
 class _Waited:
-    """How long a link has waited for a missing serial port, and may still wait."""
+    """One wait for a missing serial port, from its creation: how long to pause, and when to give up."""
 
     def __init__(self, opening: OpeningParameters) -> None:
         self._policy = reopen_policy(opening)
@@ -96,7 +112,10 @@ class _Waited:
         self._failures = 0
 
     def pause(self, error: LinkDown) -> float:
-        """Return the seconds before the next attempt to open the port; raise ``error`` when the wait is over."""
+        """Return the seconds to wait before the next attempt to open the port; ``error`` is why the last one failed.
+
+        Raises ``error`` itself if the whole wait is over, or if waiting cannot help because the options are wrong.
+        """
         self._failures += 1
         left = self._until - time.monotonic()
         if isinstance(error.__cause__, ConfigError) or left <= 0:
@@ -105,7 +124,10 @@ class _Waited:
 
 
 class SerialStream:
-    """An open serial port of an asyncio link, with the methods of a stream transport."""
+    """An open serial port of an asyncio link, with those methods of an asyncio transport that the link uses.
+
+    ``end`` is the protocol of the link, which gets received bytes and the loss of the port.
+    """
 
     def __init__(self, session: SerialClientSession, end: LinkEnd) -> None:
         self._session = session
@@ -116,7 +138,10 @@ class SerialStream:
         self._puts_off = 0
 
     def opened(self, connection: "SerialConnection") -> None:
-        """Keep the opened port and tell the link's session its baud rate and other properties."""
+        """Use ``connection`` from now on, and tell the session whether its characters take time.
+
+        They take none on a pseudo-terminal.
+        """
         self._connection = connection
         self._session.characters_take_time = not connection.pseudo_terminal
         self._overruns = Overruns(connection.counters)
@@ -124,7 +149,7 @@ class SerialStream:
     # What the port tells.
 
     def received(self, data: bytes, errors: int) -> None:
-        """Pass received bytes to the link; ``errors``: how many of them the port marked as damaged."""
+        """Pass received bytes to the link, as damaged if some are; ``errors``: how many the port marked as damaged."""
         overrun = self._overruns is not None and self._overruns.more()
         if errors or overrun:
             self._end.arrived_damaged(data, overrun=overrun)
@@ -132,14 +157,18 @@ class SerialStream:
             self._end.arrived(data)
 
     def lost(self, error: LinkDown) -> None:
-        """Report to the link that the serial port is gone, for example unplugged."""
+        """Tell the link that the serial port is lost, for example unplugged; ``error`` says why."""
         self._connection = None
         self._end.connection_lost(error)
 
     # What a link calls.
 
     def write(self, data: bytes) -> None:
-        """Send a frame on the serial port, and tell the session when its last character will have left."""
+        """Send a frame, and tell the session when its last character will have left.
+
+        Does nothing after the port was closed or lost. If sending fails, the link is told so in the next turn of the
+        event loop.
+        """
         connection = self._connection
         if connection is None:
             return
@@ -153,7 +182,7 @@ class SerialStream:
             asyncio.get_running_loop().call_soon(self._end.connection_lost, error)
 
     def still_sending(self) -> None:
-        """Tell the session if the port still holds characters of a frame, so that the timeout starts later."""
+        """Tell the session if the system still holds characters of the last frame, so that the timeout starts later."""
         if self._connection is None or self._puts_off >= HOLDS_AT_MOST:
             return
         try:
@@ -172,16 +201,16 @@ class SerialStream:
             connection.close()
 
     async def wait_closed(self) -> None:
-        """Wait until the port is closed, after `close`."""
+        """Wait until the port is really closed; call it after `close`."""
         if self._closing is not None:
             await self._closing.wait_closed()
 
     def abort(self) -> None:
-        """Close the serial port of the link at once."""
+        """Close the serial port; the same as `close`."""
         self.close()
 
     def is_closing(self) -> bool:
-        """Whether the serial port of the link is closed."""
+        """Whether the serial port was closed or lost."""
         return self._connection is None
 
 
@@ -196,11 +225,16 @@ class SerialChannel:
         self._puts_off = 0
 
     def fileno(self) -> int:
-        """Return the port's file descriptor, for waiting until it is ready. Raises `OSError` if ports have none."""
+        """Return the port's file descriptor, to wait until it is ready. Raises `OSError` if the system has none."""
         return self._port.fileno()
 
     def recv_into(self, buffer: bytearray) -> int:
-        """Receive bytes into a buffer. Raises `BlockingIOError` if nothing usable came, `LinkDown` without port."""
+        """Receive bytes into ``buffer`` and return their number, which is never 0.
+
+        Raises:
+            BlockingIOError: nothing has come, or only damaged bytes, which go to the session directly.
+            LinkDown: the port is lost.
+        """
         data, errors = self._port.read(0)
         overrun = bool(data) and self._overruns.more()
         if errors or overrun:
@@ -212,13 +246,16 @@ class SerialChannel:
         return len(data)
 
     def send(self, data: bytes) -> int:
-        """Send a frame and tell the session when its last character will have left. Raises `LinkDown`."""
+        """Send a whole frame and return its size; tell the session when its last character will have left.
+
+        Raises `LinkDown` if the port is lost; a part of the frame may have gone out.
+        """
         self._puts_off = 0
         self._session.written(self._port.write(data))
         return len(data)
 
     def still_sending(self) -> None:
-        """Tell the session if the port still holds characters of a frame, so that the timeout starts later."""
+        """Tell the session if the system still holds characters of the last frame, so that the timeout starts later."""
         if self._puts_off >= HOLDS_AT_MOST:
             return
         try:

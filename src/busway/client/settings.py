@@ -1,6 +1,6 @@
 """The settings of a link, read from its URL and from keywords, as checked objects.
 
-Knows which parts of a link take which parameter classes; what an option means, and with which schemes, is declared in
+Knows which classes of options a link has; what an option means, and for which schemes it exists, is declared in
 `busway.options`.
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import ssl
 
 CALL_DEFAULTS: Final = tuple(name for name, one in declared(ClientParameters).items() if Mark.PER_CALL in one.marks)
-"""What each user of a shared link may choose; the rest belongs to the connection."""
+"""Names of the options that each user of a shared link may choose; all others belong to the connection."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +31,14 @@ class LineSettings:
     """Settings of a link that only RTU and ASCII framing have.
 
     Attributes:
-        conversation: turnaround, gaps, drain.
-        breaker: when units are given up.
-        framing: how frames are found.
-        port: what the line is set to; None over a network.
-        opening: how the port is opened.
-        assumed: rate and parity of the port as far as they are defaults: ``19200 baud and parity even``; or empty.
+        conversation: pauses between requests, and how late replies are dealt with.
+        breaker: after how many timeouts requests to a unit fail at once, and for how long.
+        framing: how frames are found in the received bytes.
+        port: baud rate, parity and other settings of the serial port; None over a network.
+        opening: how long to wait for a missing port, the pauses between attempts to open it, and whether frames are
+            timed exactly; without effect over a network.
+        assumed: baud rate and parity as text for errors, as far as the user did not give them, such as
+            ``19200 baud and parity even``; empty if both were given, and over a network.
     """
 
     conversation: SerialClientParameters
@@ -52,14 +54,15 @@ class LinkSettings:
     """All settings of a link, as given to `busway.open` and `busway.connect`.
 
     Attributes:
-        endpoint: where the link leads.
-        parameters: the options of the client session.
+        endpoint: the device, line or server that the link connects to.
+        parameters: options of the client session, such as timeouts and retries.
         sockets: socket options of the connection; without effect on a serial port.
-        management: when connections come and go; without effect on a serial port.
-        line: settings of the line, if the framing is RTU or ASCII.
-        breaker: when units are given up, where the framing is another; None: never.
-        security: certificates and what else TLS needs, where the carrier is TLS.
-        ssl_context: the program's own, in place of one made from ``security``.
+        management: how long connections are kept, when lost ones are replaced, and how many there may be.
+        line: settings of the line with RTU or ASCII framing; None with Modbus TCP framing.
+        breaker: with Modbus TCP framing, after how many timeouts requests to a unit fail at once; None: that is off.
+            With RTU and ASCII framing `LineSettings.breaker` is used, and this is None.
+        security: certificates and other settings of TLS; None if the endpoint does not use TLS.
+        ssl_context: a context that the program made itself; None to make one from ``security``.
     """
 
     endpoint: Endpoint
@@ -93,14 +96,20 @@ class LinkSettings:
 
 
 BESIDE_CONTEXT: Final = ("server_name", "handshake_timeout")
-"""Options of TLS that a context does not decide."""
+"""Options of TLS that may be given together with ``ssl_context``, because a context does not decide them."""
 _NEVER: Final = BreakerParameters(open_after=0)
 
 
 def link_settings(
     url: str | Endpoint, options: Mapping[str, object], ssl_context: "ssl.SSLContext | None" = None
 ) -> LinkSettings:
-    """Create link settings from a URL with options and from keywords, which override them. Raises `ConfigError`."""
+    """Return the settings of a link, from the options in its URL and from keyword options.
+
+    Where both give the same option, the keyword counts.
+
+    Raises:
+        ConfigError: the URL or an option is invalid, or an option has no effect for this endpoint.
+    """
     endpoint = parse_endpoint(url)
     if ssl_context is not None:
         _check_context(endpoint, {**endpoint.options, **options})
@@ -133,7 +142,7 @@ def link_settings(
 
 
 def _assumed(port: SerialSettings | None, given: Mapping[str, object]) -> str:
-    """Return rate and parity of a port as text, without what is given; empty without a port."""
+    """Return the baud rate and parity of a port as text, without those in ``given``; empty if ``port`` is None."""
     if port is None:
         return ""
     words = {"baud": f"{port.baud} baud", "parity": f"parity {port.parity.value}"}
@@ -141,7 +150,7 @@ def _assumed(port: SerialSettings | None, given: Mapping[str, object]) -> str:
 
 
 def _check_context(endpoint: Endpoint, options: Mapping[str, object]) -> None:
-    """Raise `ConfigError` if a context has no effect here, or would contradict an option."""
+    """Raise `ConfigError` if ``ssl_context`` has no effect here, or another option has none because of it."""
     if endpoint.carrier != "tls":
         raise ConfigError(f"has no effect on {endpoint.scheme}://; it is for tls://", key="ssl_context")
     for name in canonical(options):

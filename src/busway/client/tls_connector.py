@@ -2,14 +2,14 @@
 
 Knows TCP, TLS and the meaning of their failures; knows no session.
 
-1. The server is verified: its chain, its time, and its name against the host of the URL or ``server_name``. Without
-   that nothing is sent; where it is switched off, each connection says so in the log.
-2. Certificates are read when the link is made, and again when their files have changed. The own one is looked at then,
-   if ``cryptography`` is there to read it: one that expires is said in the log, before servers refuse it.
-3. With TLS 1.3 a client believes itself connected before the server has looked at its certificate: a refusal comes with
-   the first read, and ends the connection with the same sentence.
-4. A certificate whose time is wrong is looked at in a second connection, over which nothing is sent: an operator who
-   reads the date knows whether the certificate or the clock is to blame.
+1. The certificate of the server is verified: its chain, its dates, and its name against the host of the URL or
+   ``server_name``. Nothing is sent to a server that fails; with ``verify=off-insecure`` each connection logs a warning.
+2. Certificates are read when the link is made, and again when their files have changed. If ``cryptography`` is
+   installed, the dates of the client's own certificate are checked then: a warning is logged before servers refuse it.
+3. With TLS 1.3 a client is connected before the server has checked the client's certificate: a refusal comes with the
+   first read, and ends the connection with the same message.
+4. If a server's certificate is refused for its dates, they are read over a second connection, over which nothing is
+   sent: an operator who reads the date knows whether the certificate or the clock is wrong.
 """
 
 import contextlib
@@ -37,11 +37,17 @@ if TYPE_CHECKING:
 _log = logging.getLogger("busway.client")
 
 _OF_TIME: Final = (FailureKind.EXPIRED, FailureKind.NOT_YET_VALID)
-"""Failures that are worth a second connection (rule 4): ``ssl`` does not say when a refused certificate expired."""
+"""Failures after which a second connection reads the dates of the certificate: ``ssl`` does not tell them (rule 4)."""
 
 
 class TlsConnector:
-    """Opens the TLS connections of a link, with ``context`` if the program has made one.
+    """Opens the TLS connections of a link.
+
+    Args:
+        endpoint: host and port of the server.
+        sockets: options of the TCP connection under TLS.
+        security: certificates and other settings of TLS; with ``context`` only server name and handshake timeout.
+        context: a context that the program made itself; None to make one from ``security``.
 
     Raises:
         ConfigError: a file cannot be used, or the authority is missing.
@@ -67,7 +73,10 @@ class TlsConnector:
         self._look_at_own()
 
     async def connect(self, protocol: Callable[[], "asyncio.BufferedProtocol"]) -> Any:  # a `TlsLayer`, as a transport
-        """Connect, complete the TLS handshake and return the transport. Raises `LinkDown`."""
+        """Connect, complete the TLS handshake and return the transport. Raises `LinkDown`.
+
+        ``protocol`` is called after the handshake, and returns the object that gets the events of the transport.
+        """
         try:
             return await self._agree(self._context_now(), protocol)
         except TlsFailure as failure:
@@ -78,8 +87,9 @@ class TlsConnector:
             raise self._down(error) from error
 
     async def _agree(self, context: ssl.SSLContext, protocol: Callable[[], "asyncio.BufferedProtocol"]) -> "TlsLayer":
-        """Connect under asyncio, with TLS handshake, and return the transport. Raises `TlsFailure`, `OSError`,
-        `ValueError`.
+        """Connect under asyncio, complete the handshake and return the transport.
+
+        Raises `TlsFailure`, `OSError`, `ValueError`.
         """
         import asyncio  # here: blocking programs, and every start of the command line, do without it
 
@@ -120,8 +130,9 @@ class TlsConnector:
         return layer
 
     async def _look_at_date(self, failure: TlsFailure) -> TlsFailure:
-        """If a certificate's date is the problem, add the server's dates to the error, from a second handshake (rule
-        4).
+        """Return the failure with the dates of the server's certificate, read over a second connection (rule 4).
+
+        Returns ``failure`` unchanged if that connection fails.
         """
         try:
             layer = await self._agree(timeless_context(self._security), _silent_protocol)
@@ -132,7 +143,7 @@ class TlsConnector:
         return dated(failure, certificate, time.time())
 
     def dial(self) -> "TlsSocket":
-        """Connect, complete the TLS handshake and return a socket for a blocking link. Raises `LinkDown`."""
+        """Connect, complete the TLS handshake and return the socket, for a blocking link. Raises `LinkDown`."""
         try:
             return self._agree_now(self._context_now())
         except TlsFailure as failure:
@@ -143,8 +154,9 @@ class TlsConnector:
             raise self._down(error) from error
 
     def _agree_now(self, context: ssl.SSLContext) -> "TlsSocket":
-        """Connect, blocking, with TLS handshake, and return the socket. Raises `TlsFailure`, `OSError`,
-        `ValueError`.
+        """Connect and complete the handshake, blocking, and return the socket.
+
+        Raises `TlsFailure`, `OSError`, `ValueError`.
         """
         from ..transport.tls.socket import TlsSocket
 
@@ -154,7 +166,7 @@ class TlsConnector:
         return TlsSocket(connection, context, server_name=self._server_name, timeout=self._security.handshake_timeout)
 
     def _look_at_date_now(self, failure: TlsFailure) -> TlsFailure:
-        """If a certificate's date is the problem, add the server's dates to the error; blocking."""
+        """Do the same as `_look_at_date`, blocking."""
         try:
             connection = self._agree_now(timeless_context(self._security))
         except (OSError, ValueError):
@@ -181,7 +193,10 @@ class TlsConnector:
         return context
 
     def _look_at_own(self) -> None:
-        """Log a warning if the client's certificate has expired or expires soon."""
+        """Log a warning if the client's own certificate is not valid now or expires soon; once per version of its file.
+
+        Does nothing if the program brought its own context.
+        """
         name = self._security.certificate
         if name is None or self._context is None or self._looked_at == self._context.generation:
             return
@@ -198,7 +213,7 @@ class TlsConnector:
 
 
 def _silent_protocol() -> "asyncio.BufferedProtocol":
-    """Return an asyncio protocol that ignores all events, for a connection that carries no data."""
+    """Return an asyncio protocol that ignores all events and data, for a connection over which nothing is sent."""
     import asyncio
 
     class Silent(asyncio.BufferedProtocol):
