@@ -1,7 +1,7 @@
 """The asynchronous interface of the client: links and units for asyncio programs.
 
-Knows names, arguments and results; `busway.client.link` does the communication. Names, arguments
-and docstrings are those of the blocking interface (``blocking``); a test holds them together.
+Knows names, arguments and results; `busway.client.link` does the communication. Names, arguments and docstrings are
+those of the blocking interface (`busway.client.blocking`); a test ensures that.
 """
 
 import asyncio
@@ -75,7 +75,7 @@ Method = TypeVar("Method", bound=Callable[..., Any])
 
 
 def documented_by(other: object) -> Callable[[Method], Method]:
-    """Decorator that gives a method of an asyncio class the docstring of the same method of the blocking class."""
+    """Return a decorator that gives a method of an asyncio class the docstring of ``other``, its blocking twin."""
 
     def take(method: Method) -> Method:
         method.__doc__ = other.__doc__
@@ -112,9 +112,9 @@ class AsyncUnit:
         return reply
 
     async def _ask(self, request: Any, call_options: CallOptions) -> Any:  # as `execute`, which types them
-        """Send one request and return its reply, like `execute`, but with the call options in one mapping.
+        """Send one request and return its reply, like `execute`, but take the call options as one mapping.
 
-        Does the same as `AsyncLink.run` without a further coroutine, which saves 0.5 of 7 µs.
+        Does what `AsyncLink.run` does, but without a further coroutine, which saves 0.5 of 7 µs.
         """
         link = self._link._bound()
         now = link.now()
@@ -160,7 +160,7 @@ class AsyncUnit:
         return outcomes
 
     def _tell_assumed(self, error: ModbusError) -> None:
-        """Add to an error what was assumed because it was not given, if naming it may help."""
+        """Add to an error what was assumed, if that may be the cause: the unit, or settings of the serial port."""
         if self._is_assumed:
             with_assumed_unit(error, self._number)
         with_assumed_line(error, self._link._settings, self._link.counters)
@@ -483,8 +483,8 @@ class AsyncUnit:
 class AsyncLink:
     """A link to an endpoint for asyncio programs, returned by `busway.open`; an asynchronous context manager.
 
-    It connects at the first request, and reconnects at the next request after a loss. By default all links of an event
-    loop to one endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
+    The link connects at the first request, and reconnects at the next request after a lost connection. By default all
+    links of an event loop to one endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
     """
 
     def __init__(self, settings: LinkSettings, *, shared: bool, rule: LinkSelection | None = None) -> None:
@@ -497,7 +497,15 @@ class AsyncLink:
         self._closed = False
 
     def _bound(self) -> AsyncLinkDriver:
-        """The driver of this link on the current event loop; taken from the pool of shared links at first use."""
+        """Return the driver for the next request: this link's own, or the one that ``select`` chooses.
+
+        At the first use this link's own driver is taken from the pool of the running event loop.
+
+        Raises:
+            LinkClosed: the program has closed this link.
+            LinkDown: with ``select``, no other link to the endpoint is open.
+            ConfigError, Overloaded: at the first use, as in `LinkPool.acquire`.
+        """
         link = self._link
         if link is not None and not self._closed:
             return link
@@ -511,7 +519,7 @@ class AsyncLink:
         return self._link
 
     def _looked_at(self) -> AsyncLinkDriver | None:
-        """The driver of this link, for reading its status; None before the first use."""
+        """Return the driver whose status this link shows; None before the first use, or if ``select`` has no choice."""
         if self._rule is None:
             return self._link
         try:
@@ -616,24 +624,25 @@ def open_link(
     Args:
         url: the endpoint; the query after ``?`` may set the options below.
         shared: use one connection for all links of this event loop to the endpoint; False gives this link its own
-            connection (explicit connection management); an endpoint has at most ``max_connections`` of those.
-        select: make no connection, but send each request on one that other links have open to the endpoint:
-            ``first``, the link made first, or ``oldest``, the connection open longest (Messaging on TCP/IP V1.0b
+            connection (explicit connection management), at most ``max_connections`` for one endpoint.
+        select: open no connection, but send each request on a connection that another link has open to the endpoint:
+            ``first``: that of the link made first; ``oldest``: the one open longest (Messaging on TCP/IP V1.0b
             §4.2.1.2). That connection has its settings already, so only ``timeout``, ``retries`` and ``deadline`` may
-            be given as well.
+            be given as well. None: the link has its own or a shared connection.
         ssl_context: for ``tls://``, the program's own context, such as ``ssl.create_default_context()`` for the
-            authorities that the system trusts. It decides what is verified, and what is shown and spoken; of the
-            options of TLS only ``server_name`` and ``handshake_timeout`` may be given as well.
-        options: by name, ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
-            `ManagementParameters`; where the framing is RTU or ASCII, of `SerialClientParameters`, `BreakerParameters`
-            and `FramingParameters`; for a serial port, of `SerialSettings` and `OpeningParameters`. An option without
-            effect for the scheme is refused.
+            authorities that the system trusts. It decides what is verified, which certificate the client sends, and
+            the versions and ciphers of TLS; only the TLS options ``server_name`` and ``handshake_timeout`` may be given
+            as well. None: the context is made from the TLS options.
+        options: by name, such as ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
+            `ManagementParameters`; with RTU or ASCII framing, also of `SerialClientParameters`, `BreakerParameters` and
+            `FramingParameters`; for a serial port, also of `SerialSettings` and `OpeningParameters`. An option that has
+            no effect for the scheme raises `ConfigError`.
 
     Raises:
         ConfigError: the URL or an option is invalid, the endpoint is open already with other connection settings, or
             the serial port is in use in this process. The last two are raised at the first request.
-        Overloaded: raised at the first request: the endpoint already has ``max_connections`` connections of explicit
-            management. Nothing was sent.
+        Overloaded: raised at the first request: the endpoint already has ``max_connections`` links with
+            ``shared=False``. Nothing was sent.
     """
     settings = link_settings(url, options, ssl_context)
     rule = selection(select)

@@ -1,7 +1,7 @@
 """The blocking interface: links and units for plain programs and threads.
 
-Knows names, arguments and results; `busway.client.blocking_link` does the communication. The
-asynchronous interface (``aio``) has the same names, arguments and docstrings; a test holds them together.
+Knows names, arguments and results; `busway.client.blocking_link` does the communication. The asynchronous interface
+(`busway.client.aio`) has the same names, arguments and docstrings; a test ensures that.
 """
 
 import threading
@@ -79,12 +79,13 @@ class BlockingUnit:
     Python values. Every method raises:
 
     * `InvalidRequest`: an argument is out of range; nothing was sent.
-    * `ExceptionReply`: the device refused.
-    * `NoReply`: no answer in time, after all attempts.
+    * `ExceptionReply`: the device refused the request.
+    * `NoReply`: no answer came in time, after all attempts.
     * `BadReply`: the answer breaks the protocol.
-    * `LinkDown`: no connection, or it ended.
+    * `LinkDown`: there is no connection, or it ended before the answer.
     * `Overloaded`: too many calls wait already; nothing was sent.
-    * `WriteOutcomeUnknown`: methods that write only; it was sent, and no valid answer came.
+    * `WriteOutcomeUnknown`: only methods that write; the request was sent, and no valid answer came: it may have been
+      executed or not.
     """
 
     __slots__ = ("_holding", "_input", "_is_assumed", "_link", "_number", "_width")
@@ -106,11 +107,11 @@ class BlockingUnit:
         return self._number
 
     def execute(self, request: TypedRequest[Reply], **call_options: Unpack[CallOptions]) -> Reply:
-        """Send any request message and return its reply, for functions that have no method here.
+        """Send any request message and return its reply, for functions that have no method of their own here.
 
         Args:
-            request: a request of a standard function or of one that you declared.
-            call_options: `CallOptions`.
+            request: a request of a standard function, or of a function that you declared.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         requests: tuple[Any] = (request,)  # `TypedRequest` is for type checkers; these are complete requests
         outcome: Any
@@ -128,10 +129,10 @@ class BlockingUnit:
 
         Args:
             requests: any number of requests.
-            return_errors: return errors in the list in place of replies, instead of raising the first one after all
-                requests have ended. If nothing could be sent (`LinkDown`, `Overloaded`, `UnitSuspended`), each request
-                has that error; invalid arguments still raise `InvalidRequest`.
-            call_options: `CallOptions`; the deadline is for all of them together.
+            return_errors: True: the list has an error in the place of each reply that failed; if nothing could be sent
+                (`LinkDown`, `Overloaded`, `UnitSuspended`), every request has that error. False: the first error in the
+                list is raised, after all requests have ended. `InvalidRequest` for invalid arguments is always raised.
+            call_options: `CallOptions`; the deadline is for all requests together.
         """
         if not requests:
             return []
@@ -150,7 +151,7 @@ class BlockingUnit:
         return outcomes
 
     def _tell_assumed(self, error: ModbusError) -> None:
-        """Add to an error what was assumed because it was not given, if naming it may help."""
+        """Add to an error what was assumed, if that may be the cause: the unit, or settings of the serial port."""
         if self._is_assumed:
             with_assumed_unit(error, self._number)
         with_assumed_line(error, self._link._settings, self._link.counters)
@@ -264,12 +265,13 @@ class BlockingUnit:
         """Read one value, or ``count`` values, from an address in any notation.
 
         Args:
-            address: ``4x101``, ``40101``, ``holding:0x64``, ``%MW100``, ``0x1`` for coil 1 … (`parse_address`).
-            type: type of the values in registers (``uint16`` by default, ``float32``, ``string:8`` …).
-            order: order of bytes and registers, ``ABCD`` (big-endian) by default.
-            count: number of values; a list is given then.
-            split: allow several requests if one cannot hold ``count`` values.
-            call_options: `CallOptions`.
+            address: such as ``4x101``, ``40101``, ``holding:0x64``, ``%MW100``, ``0x1`` for coil 1 (`parse_address`).
+            type: type of the values in registers, such as ``float32`` or ``string:8``; ``uint16`` by default. None for
+                coils and discrete inputs, which are bools.
+            order: order of bytes and registers in a value, ``ABCD`` (big-endian) by default.
+            count: number of values, which are returned as a list; None returns one value, not in a list.
+            split: allow several requests if one request cannot read ``count`` values.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         return self._perform(read_values(address, type, order, count, split, self._width), call_options)
 
@@ -278,14 +280,14 @@ class BlockingUnit:
     ) -> dict[str, Any]:
         """Read values from several addresses, by name, with as few requests as their addresses allow.
 
-        Ranges that touch or overlap are read together; what lies between others is not read. The requests go out as
-        those of `execute_many` do, so values of different requests may be of different moments.
+        Ranges that touch or overlap are read by one request; addresses between other ranges are not read. The requests
+        are sent as by `execute_many`, so values of different requests may be of different moments.
 
         Args:
             wanted: by name, an address in any notation, or a tuple of address and type, or of address, type and count:
                 ``{"power": ("4x1", "float32"), "on": "0x1", "names": ("4x9", "string:8", 2)}``.
-            order: order of bytes and registers of all of them; a `ValueType` keeps its own where this is left out.
-            call_options: `CallOptions`.
+            order: order of bytes and registers in all values; without it a `ValueType` keeps its own order.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
 
         Returns:
             The values by name, in the order of ``wanted``; a list where a count was given.
@@ -353,30 +355,33 @@ class BlockingUnit:
         function: WriteFunction = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None:
-        """Write a value or a list of values to an address in any notation. A value out of range is never truncated.
+        """Write one value, or several, to an address in any notation. A value out of range raises `InvalidRequest`.
 
         Args:
             address: as in `read`; ``4x1.3`` writes one bit of a register by a mask write.
             value: one value, or any iterable of values for consecutive addresses.
-            type: type of the values in registers (``uint16`` by default).
-            order: order of bytes and registers.
-            function: ``single`` (05, 06) or ``multiple`` (15, 16) for devices that have only one of them.
-            call_options: `CallOptions`.
+            type: type of the values in registers; ``uint16`` by default. None for coils.
+            order: order of bytes and registers in a value, ``ABCD`` (big-endian) by default.
+            function: ``single`` (05, 06) or ``multiple`` (15, 16), for devices that have only one of the two; ``auto``
+                uses the single function for one coil or register.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
 
         Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
+            WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
         """
         self._perform(write_values(address, value, type, order, function), call_options)
 
     def read_device_identification(
         self, level: Level = "basic", *, object_id: int | None = None, **call_options: Unpack[CallOptions]
     ) -> dict[int, bytes]:
-        """Read identification objects (a dict by number), function 43/14 (§6.21), with as many requests as needed.
+        """Read identification objects as a dict of bytes by object number, function 43/14 (§6.21).
+
+        As many requests are sent as the objects need.
 
         Args:
             level: ``basic`` (objects 0–2), ``regular`` (to 0x7F) or ``extended`` (to 0xFF).
-            object_id: the one object to read instead, 0…255.
-            call_options: `CallOptions`.
+            object_id: read only this object, 0…255, whatever ``level`` is; None reads all objects of the level.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         found: dict[int, bytes] = self._perform(read_identification(level, object_id), call_options)
         return found
@@ -387,7 +392,7 @@ class BlockingUnit:
         Args:
             address: first coil, 0…65535.
             count: number of coils, 1…2000.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         reply = self.execute(read_request(ReadCoils, address, count), **call_options)
         assert isinstance(reply, ReadCoils.Reply)
@@ -399,7 +404,7 @@ class BlockingUnit:
         Args:
             address: first input, 0…65535.
             count: number of inputs, 1…2000.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         reply = self.execute(read_request(ReadDiscreteInputs, address, count), **call_options)
         assert isinstance(reply, ReadDiscreteInputs.Reply)
@@ -411,7 +416,7 @@ class BlockingUnit:
         Args:
             address: first register, 0…65535.
             count: number of registers, 1…125.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         reply = self.execute(read_request(self._holding, address, count), **call_options)
         assert isinstance(reply, ReadHoldingRegisters.Reply)
@@ -423,7 +428,7 @@ class BlockingUnit:
         Args:
             address: first register, 0…65535.
             count: number of registers, 1…125.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         reply = self.execute(read_request(self._input, address, count), **call_options)
         assert isinstance(reply, ReadInputRegisters.Reply)
@@ -435,10 +440,10 @@ class BlockingUnit:
         Args:
             address: the coil, 0…65535.
             value: True (or 1) for on, False (or 0) for off; anything else is `InvalidRequest`, and nothing is sent.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
 
         Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
+            WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
         """
         self.execute(WriteSingleCoil.of(address, value), **call_options)
 
@@ -448,10 +453,10 @@ class BlockingUnit:
         Args:
             address: the register, 0…65535.
             value: 0…65535.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
 
         Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
+            WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
         """
         self.execute(WriteSingleRegister(address, value), **call_options)
 
@@ -461,10 +466,10 @@ class BlockingUnit:
         Args:
             address: first coil, 0…65535.
             values: 1…1968 bools (or 0 and 1); anything else is `InvalidRequest`, and nothing is sent.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
 
         Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
+            WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
         """
         self.execute(WriteMultipleCoils.of(address, values), **call_options)
 
@@ -476,10 +481,10 @@ class BlockingUnit:
         Args:
             address: first register, 0…65535.
             values: 1…123 numbers 0…65535.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
 
         Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
+            WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
         """
         self.execute(WriteMultipleRegisters.of(address, values), **call_options)
 
@@ -492,10 +497,10 @@ class BlockingUnit:
             address: the register, 0…65535.
             and_mask: bits to keep, 0…65535.
             or_mask: values of the other bits, 0…65535.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
 
         Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
+            WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
         """
         self.execute(MaskWriteRegister(address, and_mask, or_mask), **call_options)
 
@@ -508,41 +513,43 @@ class BlockingUnit:
         values: Iterable[int],
         **call_options: Unpack[CallOptions],
     ) -> list[int]:
-        """Write holding registers, then read some, in one request, function 23 (§6.17).
+        """Write holding registers and then read holding registers, in one request, function 23 (§6.17).
+
+        Returns the registers read, as ints 0…65535.
 
         Args:
             read_address: first register to read, 0…65535.
             count: number of registers to read, 1…125.
             write_address: first register to write, 0…65535.
             values: 1…121 numbers 0…65535.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
 
         Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
+            WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
         """
         reply = self.execute(ReadWriteMultipleRegisters.of(read_address, count, write_address, values), **call_options)
         assert isinstance(reply, ReadWriteMultipleRegisters.Reply)
         return reply.registers
 
     def read_fifo_queue(self, address: int, **call_options: Unpack[CallOptions]) -> list[int]:
-        """Read up to 31 registers of a FIFO queue, the oldest first, without removing them, function 24 (§6.18).
+        """Read up to 31 registers of a FIFO queue, the oldest first; they stay in the queue, function 24 (§6.18).
 
         Args:
             address: address of the queue's pointer register, 0…65535.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         reply = self.execute(ReadFifoQueue(address), **call_options)
         assert isinstance(reply, ReadFifoQueue.Reply)
         return reply.registers
 
     def read_file_record(self, file: int, record: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
-        """Read registers of a file, function 20 with one group (§6.14).
+        """Read consecutive registers of a file as ints 0…65535, function 20 with one group (§6.14).
 
         Args:
-            file: 1…65535.
-            record: first record, 0…9999.
+            file: file number, 1…65535.
+            record: number of the first record (register), 0…9999.
             count: number of registers, 1…124.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         reply = self.execute(ReadFileRecord.of((FileReference(file, record, count),)), **call_options)
         assert isinstance(reply, ReadFileRecord.Reply)
@@ -551,16 +558,16 @@ class BlockingUnit:
     def write_file_record(
         self, file: int, record: int, values: Iterable[int], **call_options: Unpack[CallOptions]
     ) -> None:
-        """Write registers of a file, function 21 with one group (§6.15).
+        """Write consecutive registers of a file, function 21 with one group (§6.15).
 
         Args:
-            file: 1…65535.
-            record: first record, 0…9999.
+            file: file number, 1…65535.
+            record: number of the first record (register), 0…9999.
             values: 1…122 numbers 0…65535.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
 
         Raises:
-            WriteOutcomeUnknown: it was sent, and no valid answer came.
+            WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
         """
         self.execute(WriteFileRecord.of(file, record, values), **call_options)
 
@@ -574,15 +581,15 @@ class BlockingUnit:
         """Send function 08 with a sub-function and return the data of the reply (§6.8).
 
         Args:
-            sub_function: 0…65535; `DiagnosticCode` names them.
+            sub_function: 0…65535; the standard ones are in `DiagnosticCode`.
             data: two bytes; for sub-function 00 any even number of bytes up to 250.
-            call_options: `CallOptions`.
+            call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         reply = self.execute(diagnostic_request(sub_function, data), **call_options)
         return diagnostic_data(reply)
 
     def get_comm_event_counter(self, **call_options: Unpack[CallOptions]) -> GetCommEventCounter.Reply:
-        """Read the status word and the number of successful messages, function 11 (§6.9)."""
+        """Read the status word and the counter of successful messages, function 11 (§6.9)."""
         reply = self.execute(GetCommEventCounter(), **call_options)
         assert isinstance(reply, GetCommEventCounter.Reply)
         return reply
@@ -596,14 +603,17 @@ class BlockingUnit:
     def report_server_id(self, **call_options: Unpack[CallOptions]) -> bytes:
         """Read the device's description of itself as bytes, function 17 (§6.13); each device defines its layout.
 
-        `ServerId.of` takes the bytes apart.
+        `ServerId.of` parses the bytes.
         """
         reply = self.execute(ReportServerId(), **call_options)
         assert isinstance(reply, ReportServerId.Reply)
         return reply.data
 
     def _perform(self, operation: Operation, call_options: CallOptions) -> Any:
-        """Run an operation of `client.operations`: send each request that it yields, and pass it the reply."""
+        """Run a generator of `busway.client.operations`, and return its result.
+
+        The requests that the generator yields are sent, and it is sent the list of their replies.
+        """
         try:
             requests = next(operation)
             while True:
@@ -615,8 +625,8 @@ class BlockingUnit:
 class BlockingLink:
     """A link to an endpoint for blocking programs, returned by `busway.connect`; a context manager and thread-safe.
 
-    It connects at the first request, and reconnects at the next request after a loss. By default all links of a process
-    to one endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
+    The link connects at the first request, and reconnects at the next request after a lost connection. By default all
+    links of a process to one endpoint share one connection (Messaging on TCP/IP V1.0b §4.2.1).
     """
 
     def __init__(
@@ -628,7 +638,12 @@ class BlockingLink:
         self._closed = False
 
     def _bound(self) -> BlockingLinkDriver:
-        """The driver that sends the next request: this link's own, or one that the option ``select`` chooses."""
+        """Return the driver for the next request: this link's own, or the one that ``select`` chooses.
+
+        Raises:
+            LinkClosed: the program has closed this link.
+            LinkDown: with ``select``, no other link to the endpoint is open.
+        """
         if self._closed:
             raise closed_error(self._settings)
         if self._link is not None:
@@ -636,7 +651,7 @@ class BlockingLink:
         return BLOCKING_POOL.choose(self._settings, self._rule or LinkSelection.FIRST)
 
     def _looked_at(self) -> BlockingLinkDriver | None:
-        """The driver of this link, for reading its status; None if there is none now."""
+        """Return the driver whose status this link shows; None if it has none now: closed, or nothing to ``select``."""
         try:
             return self._link or self._bound()
         except ModbusError:
@@ -652,7 +667,7 @@ class BlockingLink:
 
     @property
     def register_width(self) -> int:
-        """Bytes of one register in replies: 2, or the value of the option ``register_width``."""
+        """Bytes of one register in replies: the option ``register_width``, which is 2 for standard devices."""
         return self._settings.parameters.register_width
 
     @property
@@ -674,14 +689,14 @@ class BlockingLink:
         return ClientCounters() if link is None else link.session.counters
 
     def unit(self, number: int | None = None) -> BlockingUnit:
-        """Return an object for the requests to one unit behind this link. Nothing is sent.
+        """Return an object whose methods send requests to one unit behind this link. Nothing is sent yet.
 
         Args:
-            number: unit identifier 0…255; 255, the device itself, if left out on TCP. It is required where the framing
-                is RTU or ASCII, and is 0…247 there; 0 is the broadcast, for writes only (Serial Line V1.02 §2.2).
+            number: unit identifier. With Modbus TCP framing 0…255; None is 255, the device itself. With RTU or ASCII
+                framing, 0…247, and required; 0 is the broadcast, for writes only (Serial Line V1.02 §2.2).
 
         Raises:
-            InvalidRequest: the number is missing where the framing is RTU or ASCII, or is out of range.
+            InvalidRequest: the number is out of range, or missing with RTU or ASCII framing.
         """
         return BlockingUnit(self, default_unit(self._settings.endpoint, number), is_assumed=number is None)
 
@@ -692,8 +707,8 @@ class BlockingLink:
     def disconnect(self) -> None:
         """Close the connection, for all links that share it; the next request opens another one.
 
-        Use it where a connection is open and useless, such as one to a gateway that answers nothing. Calls in flight
-        end as after a loss: a read is repeated as ``retries`` says, a write is `WriteOutcomeUnknown`.
+        Use it if a connection is open but useless, such as one to a gateway that answers nothing. Requests in flight
+        are treated as after a loss: reads are repeated as ``retries`` says, writes fail with `WriteOutcomeUnknown`.
 
         Raises:
             InvalidRequest: the link was opened with ``select``, and has no connection of its own.
@@ -706,9 +721,9 @@ class BlockingLink:
         """Register a callback for changes of `state`. Returns a function that removes it.
 
         Args:
-            callback: called with the new state and the reason, which may be empty, as soon as the change is noticed:
-                by the thread that uses the link, or on the event loop. It must return at once and must not use the
-                link. An error of the callback is logged.
+            callback: called with the new state and the reason in words, which may be empty, as soon as the change is
+                noticed: in the thread that uses the link, or on the event loop. It must return at once and must not use
+                the link. An error that it raises is logged.
 
         Raises:
             InvalidRequest: the link was opened with ``select``, and has no connection of its own.
@@ -718,7 +733,7 @@ class BlockingLink:
         return self._bound().on_state(callback)
 
     def close(self) -> None:
-        """Close this link; the connection closes with its last user. Calls under way end as `LinkDown`."""
+        """Close this link, and its connection if no other link uses that; calls under way fail with `LinkDown` then."""
         if not self._closed:
             self._closed = True
             if self._link is not None:
@@ -733,7 +748,10 @@ class BlockingLink:
         self.close()
 
     def run(self, unit: int, requests: Sequence[Request], call_options: CallOptions) -> list[Any]:
-        """Send requests and return a reply or error for each, in order; all methods of a unit use this."""
+        """Send requests to a unit and return a list with a reply or an error for each, in order.
+
+        All methods of `unit` use this.
+        """
         link = self._link
         if link is None or self._closed:
             link = self._bound()
@@ -764,23 +782,24 @@ def connect(
     Args:
         url: the endpoint; the query after ``?`` may set the options below.
         shared: use one connection for all links of this process to the endpoint; False gives this link its own
-            connection (explicit connection management); an endpoint has at most ``max_connections`` of those.
-        select: make no connection, but send each request on one that other links have open to the endpoint:
-            ``first``, the link made first, or ``oldest``, the connection open longest (Messaging on TCP/IP V1.0b
+            connection (explicit connection management), at most ``max_connections`` for one endpoint.
+        select: open no connection, but send each request on a connection that another link has open to the endpoint:
+            ``first``: that of the link made first; ``oldest``: the one open longest (Messaging on TCP/IP V1.0b
             §4.2.1.2). That connection has its settings already, so only ``timeout``, ``retries`` and ``deadline`` may
-            be given as well.
+            be given as well. None: the link has its own or a shared connection.
         ssl_context: for ``tls://``, the program's own context, such as ``ssl.create_default_context()`` for the
-            authorities that the system trusts. It decides what is verified, and what is shown and spoken; of the
-            options of TLS only ``server_name`` and ``handshake_timeout`` may be given as well.
-        options: by name, ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
-            `ManagementParameters`; where the framing is RTU or ASCII, of `SerialClientParameters`, `BreakerParameters`
-            and `FramingParameters`; for a serial port, of `SerialSettings` and `OpeningParameters`. An option without
-            effect for the scheme is refused.
+            authorities that the system trusts. It decides what is verified, which certificate the client sends, and
+            the versions and ciphers of TLS; only the TLS options ``server_name`` and ``handshake_timeout`` may be given
+            as well. None: the context is made from the TLS options.
+        options: by name, such as ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
+            `ManagementParameters`; with RTU or ASCII framing, also of `SerialClientParameters`, `BreakerParameters` and
+            `FramingParameters`; for a serial port, also of `SerialSettings` and `OpeningParameters`. An option that has
+            no effect for the scheme raises `ConfigError`.
 
     Raises:
         ConfigError: the URL or an option is invalid, the endpoint is open already with other connection settings, or
             the serial port is in use in this process.
-        Overloaded: the endpoint already has ``max_connections`` connections of explicit management. Nothing was sent.
+        Overloaded: the endpoint already has ``max_connections`` links with ``shared=False``. Nothing was sent.
     """
     settings = link_settings(url, options, ssl_context)
     rule = selection(select)

@@ -2,13 +2,13 @@
 
 Knows when to connect, write, wait and look at the clock; knows no functions or values.
 
-1. The session is used only under the lock; nothing that may wait happens under it.
-2. One of the threads that wait for replies is the leader: it connects, waits at the socket and feeds the session. When
-   its own call is complete, the next waiting thread takes over.
-3. Every waiting thread watches its own timeout, so none depends on how long the leader waits.
+1. The session is used only under the lock of the link; no wait at a socket and no connecting happens under the lock.
+2. One of the threads that wait for replies is the leader: it connects, waits at the socket and passes received bytes to
+   the session. When the leader's own call is complete, the next waiting thread becomes the leader.
+3. Every waiting thread watches the timeouts of the link itself, so it does not depend on how long the leader waits.
 4. Before the first request after a pause the socket is checked: if the peer closed the idle connection, a new one is
-   opened without an error. On a line, bytes that came meanwhile are read before each request: they are late replies,
-   or traffic of others.
+   opened without an error. On a line, bytes that came since the last call are read before each request: they are late
+   replies, or traffic of others.
 5. Nothing runs between calls, so a connection with a limited hold time is closed at the next call, which opens another
    one; with ``hold=request`` it is closed at the end of the call.
 """
@@ -47,24 +47,29 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("busway.client")
 _IDLE_SECONDS = 0.05
-"""Seconds: a connection unused for longer is checked before it is written to."""
+"""Seconds after which an unused connection is checked before a request is sent on it."""
 _BLOCKED: Final = 0.01
 """Seconds until a waiting thread checks again whether the connection accepts more bytes."""
 _STARVED: Final = 0.02
-"""Longest wait at a socket, in seconds, while another link of the client holds the slots."""
+"""Longest wait at a socket, in seconds, while requests wait and the links of the client have one common limit."""
 _SPIN: Final = 0.0003
-"""Seconds before a frame that ``precise_timing`` spends in a busy loop: a sleeping thread wakes about that late."""
+"""Seconds of busy loop before a frame, with ``precise_timing``: a sleeping thread wakes about that late."""
 
 
 class BlockingLinkDriver:
     """The blocking driver of one link: one of the threads that wait for replies sends and receives for all.
 
     Attributes:
-        shared: whether all users of the endpoint share it.
-        home: None; no event loop is concerned.
-        opened, last_used: when the connection was made, and last used, in the clock of ``time.monotonic``.
-        sent_bytes, received_bytes: of all its connections.
-        observers: called with each new state of the connection, with the lock held; None before the first is added.
+        name: URL of the endpoint.
+        session: the client session, which decides what is sent and when; used only under the lock of the link.
+        reconnect: state of the connection, and when a new one may be opened.
+        shared: whether all users of the endpoint share the link.
+        home: always None: the link belongs to no event loop.
+        opened: when the present connection was opened, by ``time.monotonic``.
+        last_used: when the present connection was last used, by ``time.monotonic``.
+        sent_bytes, received_bytes: bytes on all connections of the link so far.
+        observers: callbacks of the program for new states of the connection, called under the lock of the link; None
+            before the first is added.
     """
 
     home: "asyncio.AbstractEventLoop | None" = None
@@ -109,7 +114,7 @@ class BlockingLinkDriver:
 
     @staticmethod
     def now() -> float:
-        """The current time in seconds, by the clock in which deadlines of calls are given."""
+        """Return the time in seconds, by the clock in which deadlines of calls are given (``time.monotonic``)."""
         return time.monotonic()
 
     @property
@@ -118,7 +123,11 @@ class BlockingLinkDriver:
         return self._connection is not None
 
     def run(self, call: Call) -> None:
-        """Run a call until all its requests have their outcomes. Raises `Overloaded`, `LinkDown`."""
+        """Run a call; return when all its requests have a reply or an error, which are in the call then.
+
+        Raises:
+            Overloaded, LinkDown, UnitSuspended, and on a serial line InvalidRequest: nothing was sent.
+        """
         with self._turn:
             now = time.monotonic()
             if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
@@ -153,7 +162,10 @@ class BlockingLinkDriver:
                     self._used()
 
     def connect(self) -> None:
-        """Open the connection now, instead of at the first request. Raises `LinkDown`."""
+        """Open the connection now, instead of at the first request. Raises `LinkDown`.
+
+        Does nothing if the link is connected, or closed for good.
+        """
         with self._turn:
             while self._leading and self._connection is None and not self._life.closed:
                 self._waiting += 1
@@ -187,8 +199,9 @@ class BlockingLinkDriver:
             return self.observers.add(callback)
 
     def disconnect(self) -> None:
-        """Close the connection; the next request opens another one. Calls in flight end or are repeated as after a
-        loss.
+        """Close the connection; the next request opens another one.
+
+        Requests in flight are repeated or fail, as after a loss of the connection.
         """
         with self._turn:
             if self._connection is not None:
@@ -200,7 +213,7 @@ class BlockingLinkDriver:
                 self._turn.notify_all()
 
     def close(self) -> None:
-        """Close the connection. Waiting calls end as `LinkDown`."""
+        """Close the link for good. Calls that wait or are under way fail with `LinkDown`."""
         with self._turn:
             closed_before, self._life.closed = self._life.closed, True
             LOCAL.discard(self)
@@ -227,9 +240,7 @@ class BlockingLinkDriver:
         return status_of(self, self.session, self._life, time.monotonic(), local)
 
     def make_room(self) -> bool:
-        """Close the connection of this link, to make room for another one, unless a call uses it. Returns whether it
-        did.
-        """
+        """Close the connection if no call uses it, to make room for another link's. Returns whether it was closed."""
         if not self._turn.acquire(blocking=False):
             return False  # a thread is using it
         try:
@@ -241,14 +252,20 @@ class BlockingLinkDriver:
             self._turn.release()
 
     def serve(self, now: float) -> None:
-        """Send waiting requests, because other links have fewer requests in flight now. Call with the lock held."""
+        """Send waiting requests, because other links of the client have put slots for requests in flight back.
+
+        Call it with the lock held.
+        """
         if self.session.has_calls and self._connection is not None:
             self._transmit(now)
 
     # Turns.
 
     def _wait_for_turn(self, call: Call) -> bool:
-        """Wait until the call is complete, or until this thread must send and receive. Call with the lock held."""
+        """Wait until the call is complete (returns False), or until this thread must be the leader (returns True).
+
+        Call it with the lock held. See rule 2 of the module: the leader sends and receives for all waiting threads.
+        """
         while not call.ended:
             if not self._leading:
                 self._leading = True
@@ -265,7 +282,7 @@ class BlockingLinkDriver:
         return False
 
     def _lead(self, call: Call) -> None:
-        """Do the work of the link in this thread: connect, send and receive until ``call`` is complete."""
+        """Be the leader of the link: connect, send and receive for all threads, until ``call`` is complete."""
         while True:
             with self._turn:
                 now = time.monotonic()
@@ -290,7 +307,10 @@ class BlockingLinkDriver:
                         self._receive(connected)
 
     def _pause(self, now: float) -> float:
-        """Return the seconds until the session has something to send or to time out. Call with the lock held."""
+        """Return the seconds until a request, a timeout or an attempt to connect is due; 0 if one is due now.
+
+        Call it with the lock held.
+        """
         deadline = self.session.deadline()
         if self._connection is None:
             if self._life.may_dial(now):
@@ -309,14 +329,14 @@ class BlockingLinkDriver:
         return self._leading or self._waiting > 0
 
     def _used(self) -> None:
-        """Finish a call: let other links send under the common limit; with ``hold=request``, close the connection."""
+        """Let other links of the client use free slots; with ``hold=request``, close the connection if it is unused."""
         if self._scope is not None:
             self._scope.serve(time.monotonic())
         if not self._hold:
             self._let_go(time.monotonic())
 
     def _let_go(self, now: float) -> None:
-        """Close the connection if it was unused for the time that the option ``hold`` gives."""
+        """Close the connection if it was unused for as long as the option ``hold`` says."""
         if self._connection is not None and not self._is_used():
             reason = self._life.spent(now, self.last_used)
             if reason:
@@ -348,7 +368,7 @@ class BlockingLinkDriver:
             self.last_used = now
 
     def _flush(self, now: float) -> None:
-        """Send the frames that wait because the connection did not accept them before."""
+        """Send the frames that the system did not accept before; drop the connection if it has ended."""
         connection = self._connection
         if connection is not None and connection.unsent:
             try:
@@ -362,7 +382,7 @@ class BlockingLinkDriver:
             self._end_if_stuck(time.monotonic())
 
     def _end_if_stuck(self, now: float) -> None:
-        """Drop the connection after a call if frames of the call are unsent, because they would be sent later."""
+        """Drop the connection if bytes are unsent after a call has ended, because they would be sent later."""
         if self._connection is not None and self._connection.unsent:
             self._drop(now, "a call ended before the connection had taken its request")
 
@@ -414,7 +434,7 @@ class BlockingLinkDriver:
         self._done()
 
     def _done(self) -> None:
-        """Wake the threads that wait for calls which are complete now."""
+        """Wake the waiting threads if calls have ended, so that each can see whether its own has."""
         if self._line is not None and self._line.notes:
             self._tell_notes(self._line.notes)
         if self.session.finished:
@@ -423,7 +443,7 @@ class BlockingLinkDriver:
                 self._turn.notify_all()
 
     def _look_at_line(self) -> None:
-        """Process bytes and silence that a serial line had while no call ran."""
+        """Process the bytes that came on a serial line since the last call, and the silence after them."""
         if not self._leading and self._connection is not None:
             self._receive(self._connection)
             self._tick(time.monotonic())
@@ -446,7 +466,7 @@ class BlockingLinkDriver:
             self._drop(now, f"reconnecting after {self.session.recycle}")
 
     def _drop(self, now: float, reason: str) -> None:
-        """Close the connection because it failed or must be replaced by a new one."""
+        """Close the connection because it failed or must be replaced; its requests are repeated or fail."""
         self._close_connection()
         self._life.lost(now, reason)
         self._done()
@@ -458,7 +478,7 @@ class BlockingLinkDriver:
         self._done()
 
     def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
-        """Log a connection event, such as connected or lost, and report it to the user's callback."""
+        """Handle an event of the connection: log ``news`` unless empty, and call the observers."""
         if news:
             # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
@@ -471,7 +491,7 @@ class BlockingLinkDriver:
             connection.close()
 
     def _refuse_while_down(self, call: Call, now: float) -> None:
-        """Raise `LinkDown` at once while the pause after a failed attempt to connect lasts."""
+        """Raise `LinkDown` if the link is closed, or during the pause after a failed attempt to connect."""
         if self._life.closed or (self._connection is None and not self._leading):
             refusal = self._life.refusal(now, call.unit)
             if refusal is not None:
@@ -492,7 +512,10 @@ class BlockingLinkDriver:
     # By the leader, without the lock where it waits.
 
     def _make_connection(self) -> LinkDown | None:
-        """Open a connection. Returns None, or the error with which all waiting calls were ended."""
+        """Open a connection and send what is due. Returns None, or the error if that failed or the link was closed.
+
+        With that error all waiting calls have ended.
+        """
         with self._turn:
             self._life.dialled(time.monotonic())
         try:

@@ -2,13 +2,13 @@
 
 Knows when to connect, write and look at the clock; knows no functions or values.
 
-1. It connects at the first request, and reconnects at the next request after the connection was lost.
-2. One timer serves the earliest deadline; it is moved only for an earlier one. On a serial port it is an
-   `Alarm`, because the silence before a frame is shorter than the delay of the loop's timers.
-3. Received bytes are processed in one call; the callers of completed calls are woken then.
-4. A connection that is not held for ever is closed by that timer, or as soon as no request needs it.
-5. On a line every frame is followed by a silence, so the timer follows the session's deadline after each step; times
-   are those of ``time.monotonic``, which serial ports use.
+1. The driver connects at the first request, and reconnects at the next request after the connection was lost.
+2. It has one timer, set to the earliest time at which something is due. Over TCP it is moved only to an earlier time.
+   On a serial port it is an `Alarm`, because the silence before a frame is shorter than the delay of the loop's timers.
+3. Received bytes are processed at once; then the callers of completed calls are woken.
+4. A connection whose hold time is limited is closed by that timer, or as soon as no request needs it.
+5. On a line every frame is followed by a silence, so the timer is set anew after each step. Times on a line are those
+   of ``time.monotonic``, which serial ports use.
 """
 
 import asyncio
@@ -44,16 +44,17 @@ if TYPE_CHECKING:
 _log = logging.getLogger("busway.client")
 
 CLOSING_SECONDS: Final = 2.0
-"""Seconds that closing a link waits for its port."""
+"""Most seconds that closing a link waits until its serial port is closed."""
 SPIN: Final = 0.0003
-"""Seconds before a frame that ``precise_timing`` spends in a busy loop: a sleeping processor wakes about that late."""
+"""Seconds of busy loop before a frame, with ``precise_timing``: a sleeping processor wakes about that late."""
 COARSE_SPIN: Final = 0.0015
-"""The same with only the timers of the event loop, which are up to one millisecond late."""
+"""The same as `SPIN` on systems without exact timers: those of the event loop are up to one millisecond late."""
 
 
 class _LinkProtocol(asyncio.BufferedProtocol):
-    """The asyncio protocol of one connection of a link; each connection has its own, so that late events are
-    recognised.
+    """The asyncio protocol of one connection of a link.
+
+    Each connection has its own object, by which the link recognises late events of an earlier connection.
     """
 
     __slots__ = ("_buffer", "_link")
@@ -92,15 +93,20 @@ class AsyncLinkDriver:
     """The asyncio driver of one link: connects, sends, receives and runs the timers of its session.
 
     Attributes:
-        shared: whether all users of the endpoint share it.
-        home: the event loop it lives on.
-        watch: called after received bytes or a timer were handled and completed calls were woken; the gateway looks at
-            the incomplete ones then.
-        told: called with each event of the connection and its reason, after the state has changed.
-        observers: called with each new state of the connection; None before the first is added.
-        opened, last_used: when the connection was made, and last used, in the clock of the loop.
-        sent_bytes, received_bytes: of all its connections.
-        now: the clock in which calls give their times.
+        name: URL of the endpoint.
+        session: the client session, which decides what is sent and when.
+        reconnect: state of the connection, and when a new one may be opened.
+        shared: whether all users of the endpoint share the link.
+        home: the event loop that the link belongs to.
+        watch: called after received bytes or a timer were handled and the callers of completed calls were woken; a
+            gateway looks at its incomplete calls then. None: nothing is called.
+        told: called with each event of the connection and its reason, after the state has changed. None: nothing is
+            called.
+        observers: callbacks of the program for new states of the connection; None before the first is added.
+        opened: when the present connection was opened, by the clock `now`.
+        last_used: when the present connection was last used, by the clock `now`.
+        sent_bytes, received_bytes: bytes on all connections of the link so far.
+        now: returns the time in seconds; all times of calls and deadlines are by this clock.
     """
 
     __slots__ = (
@@ -205,10 +211,12 @@ class AsyncLinkDriver:
     # Calls of the public interface.
 
     def start(self, call: Call, now: float) -> "asyncio.Future[None]":
-        """Begin a call; the returned future is done when all requests have an outcome. Raises `Overloaded`,
-        `LinkDown`.
+        """Begin a call; return a future that is done when all its requests have a reply or an error.
 
         A caller that stops waiting for the future must call `give_up`.
+
+        Raises:
+            Overloaded, LinkDown, UnitSuspended, and on a serial line InvalidRequest: nothing was sent.
         """
         future: asyncio.Future[None] = self._loop.create_future()
         call.owner = future
@@ -216,12 +224,12 @@ class AsyncLinkDriver:
         return future
 
     def begin(self, call: Call, now: float) -> None:
-        """Start a call that reports its end to ``owner``: a future, or an object with ``done`` and ``set_result``.
+        """Begin a call; its end is reported to ``call.owner``: a future, or an object with ``done`` and ``set_result``.
 
-        ``set_result`` is called as soon as the call has all its outcomes, directly from the handling of the last one.
+        ``set_result`` is called as soon as the last request has its reply or error, not in a later turn of the loop.
 
         Raises:
-            Overloaded, LinkDown, and on a serial line `InvalidRequest` and `UnitSuspended`: nothing was sent.
+            Overloaded, LinkDown, UnitSuspended, and on a serial line InvalidRequest: nothing was sent.
         """
         # Usually nothing waits and there is room: then the request bypasses the queue (saves 2 of 12 µs).
         adu = None if self._transport is None or self._paused else self.session.send_now(call, now)
@@ -254,7 +262,10 @@ class AsyncLinkDriver:
             self._arm(soonest)
 
     def give_up(self, call: Call) -> None:
-        """Cancel a call, because its caller no longer waits."""
+        """Cancel a call, because its caller no longer waits: no more of its requests are sent.
+
+        Closes the connection if a request of the call is partly sent.
+        """
         self._write_outgoing()
         now = self._clock()
         if self.session.cancel(call):
@@ -269,7 +280,10 @@ class AsyncLinkDriver:
             self._loop.call_soon(self._flush)
 
     async def close(self) -> None:
-        """Close the connection. Waiting calls end as `LinkDown`."""
+        """Close the link for good. Calls that wait or are under way fail with `LinkDown`.
+
+        Returns when the connection is closed; for a serial port it waits at most `CLOSING_SECONDS`.
+        """
         self._life.closed = True
         LOCAL.discard(self)
         if self._timer is not None:
@@ -306,8 +320,9 @@ class AsyncLinkDriver:
         return self.observers.add(callback)
 
     async def disconnect(self) -> None:
-        """Close the connection; the next request opens another one. Calls in flight end or are repeated as after a
-        loss.
+        """Close the connection; the next request opens another one.
+
+        Requests in flight are repeated or fail, as after a loss of the connection.
         """
         if self._connecting is not None:
             self._connecting.cancel()
@@ -333,23 +348,26 @@ class AsyncLinkDriver:
         return self._transport is not None
 
     def call_at(self, when: float, callback: Callable[[], None]) -> asyncio.TimerHandle:
-        """Let the event loop call a function at a time by the clock that deadlines use. Returns the timer."""
+        """Let the event loop call ``callback`` at the time ``when``, by the clock `now`. Returns the timer."""
         return self._loop.call_later(max(when - self._clock(), 0.0), callback)
 
     @property
     def down_because(self) -> str:
-        """Return why the last attempt to connect failed; empty while connected and before the first attempt."""
+        """Why the last attempt to connect failed; empty while connected and before the first attempt."""
         return self._life.down_because
 
     @property
     def next_attempt(self) -> float | None:
-        """Return the seconds until another attempt to connect is allowed; None if the next request makes one."""
+        """Seconds until another attempt to connect is allowed; None if no pause after a failed attempt is running."""
         if self.reconnect.state is not ConnectionState.BACKING_OFF:
             return None
         return max(self.reconnect.not_before - self._clock(), 0.0)
 
     async def connect(self) -> None:
-        """Open the connection now, instead of at the first request. Raises `LinkDown`."""
+        """Open the connection now, instead of at the first request. Raises `LinkDown`.
+
+        Does nothing if the link is connected, or closed for good.
+        """
         if self.is_connected or self._life.closed:
             return
         self._ensure_connection(self._clock(), by_name=True)
@@ -364,16 +382,14 @@ class AsyncLinkDriver:
         return status_of(self, self.session, self._life, self._clock(), local)
 
     def make_room(self) -> bool:
-        """Close the connection of this link, to make room for another one, unless a call uses it. Returns whether it
-        did.
-        """
+        """Close the connection if no call uses it, to make room for another link's. Returns whether it was closed."""
         if self._transport is None or self._is_used():
             return False
         self._release(self._clock(), "another connection needed the place")
         return True
 
     def serve(self, now: float) -> None:
-        """Send waiting requests, because other links under the common limit have fewer in flight now."""
+        """Send waiting requests, because other links of the client have put slots for requests in flight back."""
         if self.session.has_calls and self._transport is not None:
             self._pump(now)
             self._rearm()
@@ -381,7 +397,7 @@ class AsyncLinkDriver:
     # Events of the connection.
 
     def received(self, protocol: _LinkProtocol, buffer: bytes | bytearray, size: int) -> None:
-        """Process bytes received on a connection, unless it has been replaced by another one."""
+        """Process the first ``size`` bytes of ``buffer``, unless they came on an earlier connection."""
         if protocol is not self._protocol:
             return
         now = self.last_used = self._clock()
@@ -402,7 +418,10 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def received_damaged(self, protocol: _LinkProtocol, data: bytes, *, overrun: bool) -> None:
-        """Process received bytes that the serial port has marked as damaged (parity, framing)."""
+        """Process received bytes of which some are damaged, unless they came on an earlier connection.
+
+        ``overrun``: characters were lost between them, beside errors of parity and framing.
+        """
         if protocol is not self._protocol or self._line is None:
             return
         if TRACE.level:
@@ -411,12 +430,12 @@ class AsyncLinkDriver:
         self._rearm()
 
     def peer_ended(self, protocol: _LinkProtocol) -> None:
-        """Handle the peer's end of stream: no reply can come, so abort instead of letting unsent bytes leave."""
+        """Handle the end of the peer's stream: drop unsent bytes, because no reply to them can come."""
         if protocol is self._protocol and self._held is not None and self._held():
             self._abort()
 
     def lost(self, protocol: _LinkProtocol, reason: str) -> None:
-        """Handle the end of a connection, unless it has been replaced by another one."""
+        """Handle the end of the connection, unless ``protocol`` is of an earlier one; ``reason`` is in words."""
         if protocol is not self._protocol:
             return
         self._forget_connection()
@@ -430,7 +449,7 @@ class AsyncLinkDriver:
             self._scope.serve(now)
 
     def pause(self, protocol: _LinkProtocol, paused: bool) -> None:
-        """Stop or resume sending, because the transport's write buffer is full or has emptied."""
+        """Stop sending because the transport's write buffer is full; with ``paused`` False resume."""
         if protocol is self._protocol:
             self._paused = paused
             if not paused:
@@ -446,16 +465,17 @@ class AsyncLinkDriver:
             self._pump(self._clock())
 
     def _write_outgoing(self) -> None:
-        """Write, in one piece, the frames collected during this turn of the event loop."""
+        """Write the frames collected during this turn of the event loop, in one piece."""
         outgoing = self._outgoing
         if outgoing:
             self._transport.write(b"".join(outgoing))
             outgoing.clear()
 
     def _pump(self, now: float) -> None:
-        """Send all requests that are due; open a connection first, or replace one that is out of step.
+        """Send all requests that are due; without a connection, open one if requests wait.
 
-        ``now`` may lie shortly ahead (``precise_timing``): the frame is prepared now, and leaves at that time.
+        Closes the connection instead if the session asks for a new one. ``now`` may lie shortly ahead, with
+        ``precise_timing``: the frame is prepared at once, and sent at that time.
         """
         session = self.session
         if self._transport is None:
@@ -487,13 +507,13 @@ class AsyncLinkDriver:
                 self._rearm()
 
     def _recycle(self, now: float) -> None:
-        """Close a connection whose replies no longer match its requests; unsent requests open a new one."""
+        """Close the connection, because the session asks for a new one (``recycle``); waiting calls open that."""
         if self._protocol is not None:
             self._abort()
             self.lost(self._protocol, f"reconnecting after {self.session.recycle}")
 
     def _end_if_stuck(self) -> None:
-        """Abort the connection after a call if bytes of the call are unsent, because they would be sent later."""
+        """Close the connection if bytes are unsent after a call has ended, because they would be sent later."""
         if self._held is None or not self._held() or self._protocol is None:
             return
         if self._writes_late and takes_bytes(self._transport.get_extra_info("socket")):
@@ -523,9 +543,7 @@ class AsyncLinkDriver:
         self._paused = False
 
     def _after_use(self, now: float) -> None:
-        """Finish a call: let other links send under the common limit; close the connection when its
-        hold time is over.
-        """
+        """Let other links of the client use free slots; close the connection if it was unused for its hold time."""
         if self._scope is not None:
             self._scope.serve(now)
         if self._hold == math.inf or self._transport is None or self._is_used() or self.session.deadline() is not None:
@@ -546,7 +564,7 @@ class AsyncLinkDriver:
         self._life.released(now, reason)
 
     def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
-        """Log a connection event, such as connected or lost, and report it to the user's callback."""
+        """Handle an event of the connection: log ``news`` unless empty, and call ``told`` and the observers."""
         if news:
             # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
@@ -602,13 +620,13 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _not_connected(self, failure: LinkDown) -> None:
-        """Handle a failed attempt to connect: the calls that waited for it fail."""
+        """Handle a failed attempt to connect: the calls that waited for a connection fail with ``failure``."""
         self._connecting = None
         self._life.failed(self._clock(), failure)
         self._wake()
 
     def _wake(self) -> None:
-        """Wake the callers that wait for calls which are complete now."""
+        """Wake the callers of all calls that have ended, and call `watch`."""
         session = self.session
         finished = session.finished[:]
         session.finished.clear()
@@ -667,7 +685,10 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _on_line_timer(self, now: float) -> float:
-        """Send waiting frames exactly at the end of a silent time; while a frame is being sent, record when it ends."""
+        """Do what the timer is for on a line: with ``precise_timing``, send a frame exactly when it is due.
+
+        Also tells the session if the port still holds characters of the last frame. Returns the time after that.
+        """
         if self._spin and now < self._timer_at <= now + 2 * self._spin:
             self._pump(self._timer_at)  # preparing the frame takes a tenth of a millisecond
             now = self._clock()
@@ -682,7 +703,7 @@ class AsyncLinkDriver:
 
 
 def _clock_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
-    """Return the function that tells the time of an event loop; ``time.monotonic`` itself for asyncio's own loops."""
+    """Return the clock of an event loop; ``time.monotonic`` for asyncio's own loops, because it is faster to call."""
     is_plain = getattr(loop.time, "__func__", None) is asyncio.BaseEventLoop.time
     return time.monotonic if is_plain else loop.time
 

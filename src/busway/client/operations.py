@@ -57,7 +57,7 @@ def read_values(
         order: order of bytes and registers in values, such as ``ABCD``.
         count: number of values; None: one.
         split: whether several requests may be used if one cannot hold all values.
-        width: bytes of one register in replies: 2, but 4 or 8 on some devices.
+        width: bytes of one register in replies, 2…12; more than 2 only for special devices.
 
     Raises:
         InvalidRequest: an argument is invalid or too large. Nothing was sent.
