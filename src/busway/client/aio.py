@@ -627,8 +627,8 @@ def open_link(
             connection (explicit connection management), at most ``max_connections`` for one endpoint.
         select: open no connection, but send each request on a connection that another link has open to the endpoint:
             ``first``: that of the link made first; ``oldest``: the one open longest (Messaging on TCP/IP V1.0b
-            §4.2.1.2). That connection has its settings already, so only ``timeout``, ``retries`` and ``deadline`` may
-            be given as well. None: the link has its own or a shared connection.
+            §4.2.1.2). That connection has its settings already, so only ``timeout``, ``retries``, ``deadline`` and
+            ``register_width`` may be given as well. None: the link has its own or a shared connection.
         ssl_context: for ``tls://``, the program's own context, such as ``ssl.create_default_context()`` for the
             authorities that the system trusts. It decides what is verified, which certificate the client sends, and
             the versions and ciphers of TLS; only the TLS options ``server_name`` and ``handshake_timeout`` may be given

@@ -1,18 +1,21 @@
 """Reserve of file descriptors: the last ones that the process may open are kept for Modbus connections.
 
-Knows the system's limit; knows no socket. Page, status and metrics ask here before they keep a connection: the system
-gives the lowest free number, so a high one says that few are left.
+Knows the system's limit; knows no socket. The web page, the status and the metrics ask here before they keep a
+connection: the system gives out the lowest free number, so a high number says that few are left.
 """
 
 import sys
 from typing import Final
 
 RESERVED: Final = 128
-"""Descriptors that are for Modbus alone; where the limit is low, half of all."""
+"""Number of descriptors that are kept for Modbus connections; at most half of all that the process may open."""
 
 
 def is_reserved(descriptor: int) -> bool:
-    """Whether a new file descriptor is one of the last, kept for Modbus connections: other users must close it."""
+    """Whether a file descriptor is one of those kept for Modbus connections; any other user must close it.
+
+    ``descriptor`` is the number that the system gave to a new connection. Always False on Windows.
+    """
     if sys.platform == "win32":
         return False
     import resource

@@ -2,10 +2,10 @@
 
 Knows sockets; knows no Modbus.
 
-1. The addresses that a name has are tried one after the other; what the last one said is why there is no connection.
-2. Connections of one event loop wait together, in an `EpollSet`, where the loop can have one: a poll of eight reads
-   costs 28 µs of CPU so, and 33 with transports of asyncio.
-3. An address in digits is used as it is: to ask the system for one costs a thread.
+1. The addresses of a host name are tried one after the other; the error of the last one is raised if all fail.
+2. All connections of one event loop are watched by one `EpollSet`, if the loop allows that: a poll of eight reads costs
+   28 µs of CPU that way, and 33 µs with the transports of asyncio.
+3. A numeric address is not resolved by the event loop, which would start a thread for that.
 """
 
 import asyncio
@@ -21,7 +21,7 @@ from .epoll.watcher import EpollSet, can_watch
 Found = Sequence[tuple[Any, ...]]  # what getaddrinfo gives: family, kind, protocol, name, address of whatever family
 
 _epoll_sets: Final["WeakValueDictionary[asyncio.AbstractEventLoop, EpollSet]"] = WeakValueDictionary()
-"""By loop. A epoll set lives as long as its connections, and keeps its loop no longer than that."""
+"""The epoll set of each event loop. It lives as long as its connections, and keeps the loop alive no longer."""
 
 
 async def open_stream(
@@ -36,14 +36,15 @@ async def open_stream(
     """Open a TCP connection for an asyncio protocol and return its transport.
 
     Args:
-        protocol: makes its protocol, an `asyncio.BufferedProtocol`.
-        host, port: where to.
-        local_address: where from; None lets the system choose.
-        interface: through which one; None leaves it to the routes of the system.
-        prepare: sets the parameters of the connected socket. A peer that has gone by then is none of its business.
+        protocol: makes the protocol of the connection, an `asyncio.BufferedProtocol`.
+        host: host name or address of the peer.
+        port: its TCP port.
+        local_address: local address to connect from; None lets the system choose.
+        interface: name of the network interface to connect through; None leaves it to the routes of the system.
+        prepare: called with the connected socket, to set its options; an `OSError` that it raises is ignored.
 
     Raises:
-        OSError: no connection.
+        OSError: the host name cannot be resolved, or no address of it can be connected to.
     """
     loop = asyncio.get_running_loop()
     waits_together = can_watch(loop)
@@ -77,7 +78,10 @@ def _epoll_set_of(loop: asyncio.AbstractEventLoop) -> EpollSet:
 
 
 async def _connected(host: str, port: int, local_address: str | None, interface: str | None) -> socket.socket:
-    """Open a TCP connection and return its non-blocking socket. Raises `OSError`."""
+    """Open a TCP connection to the first address of ``host`` that accepts it; return its non-blocking socket.
+
+    Raises the `OSError` of the last address if all fail.
+    """
     loop = asyncio.get_running_loop()
     try:
         found: Found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
@@ -93,14 +97,22 @@ async def _connected(host: str, port: int, local_address: str | None, interface:
 
 
 def _with_zone(address: Any) -> Any:  # of whatever family
-    """Append the zone of a link-local IPv6 address to its host, because uvloop ignores it otherwise."""
+    """Return a socket address with the zone of a link-local IPv6 address in the host, because uvloop needs it there."""
     if len(address) == 4 and address[3]:
         return f"{address[0]}%{address[3]}", address[1]
     return address
 
 
 def dial_through(interface: str, host: str, port: int, local_address: str | None, timeout: float) -> socket.socket:
-    """Open a TCP connection through a network interface and return its blocking socket. Raises `OSError`."""
+    """Open a TCP connection through a network interface and return its blocking socket. Raises `OSError`.
+
+    Args:
+        interface: name of the network interface.
+        host: host name or address of the peer.
+        port: its TCP port.
+        local_address: local address to connect from; None lets the system choose.
+        timeout: seconds allowed for each address of the host; the socket keeps it as its timeout.
+    """
     attempts = _Attempts(interface, local_address)
     for connection, address in attempts.towards(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)):
         with attempts.noting_failure(connection):
@@ -114,7 +126,7 @@ class _Attempts:
     """Attempts to connect to the addresses of one peer, one after the other.
 
     Attributes:
-        problem: why the last one failed.
+        problem: why the last attempt failed.
     """
 
     def __init__(self, interface: str | None, local_address: str | None) -> None:
@@ -123,7 +135,10 @@ class _Attempts:
         self.problem = OSError("the host has no address")
 
     def towards(self, found: Found) -> Iterator[tuple[socket.socket, Any]]:
-        """Yield an unconnected socket, bound to the network interface, for each address of the peer."""
+        """Yield an unconnected socket, with the interface and local address set, and the address to connect it to.
+
+        ``found`` are the peer's addresses, as ``getaddrinfo`` returns them; those that cannot be used are left out.
+        """
         for family, kind, protocol, _, address in found:
             try:
                 connection = socket.socket(family, kind, protocol)
@@ -143,7 +158,10 @@ class _Attempts:
 
     @contextlib.contextmanager
     def noting_failure(self, connection: socket.socket) -> Iterator[None]:
-        """Context manager that closes the socket if its block fails, and remembers an `OSError` as the reason."""
+        """Return a context manager that closes the socket if its block fails; an `OSError` is kept in ``problem``.
+
+        An `OSError` does not leave the block; other exceptions do.
+        """
         with contextlib.ExitStack() as unless_connected:
             unless_connected.callback(connection.close)
             try:

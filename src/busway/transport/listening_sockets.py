@@ -1,11 +1,11 @@
 """Creates bound sockets for listeners, one for each address, on a named network interface if one is given.
 
-Knows sockets; knows no Modbus and no event loop. Errors are left as the system raises them: the server says what it
+Knows sockets; knows no Modbus and no event loop. Errors are left as the system raises them; the server adds what it
 could not open.
 
-1. An empty host is every address, of IPv4 and of IPv6, and both have the same port. A family that the system does not
+1. An empty host means every address, of IPv4 and of IPv6, and both get the same port. A family that the system does not
    have is left out.
-2. An IPv6 socket takes IPv6 alone: so a client has one address, however it connects.
+2. An IPv6 socket accepts IPv6 alone, so that an IPv4 client is always seen under its IPv4 address.
 """
 
 import contextlib
@@ -19,21 +19,24 @@ from ..errors import ConfigError
 
 _NO_SUCH_FAMILY: Final = frozenset({errno.EAFNOSUPPORT, errno.EADDRNOTAVAIL, errno.EPROTONOSUPPORT})
 _TRIES: Final = 16
-"""How often a free port is looked for that is free in both families."""
+"""Most attempts to find a port that is free in IPv4 and in IPv6, where the system chooses the port."""
 
 
 def bound_sockets(
     addresses: Iterable[tuple[Any, ...]], *, interface: str | None = None
 ) -> list[socket.socket]:  # Any: as getaddrinfo gives them
-    """Create a bound socket for each address of a listener.
+    """Return a bound, non-blocking socket for each address of a listener; not listening yet.
+
+    Addresses of a family that the system lacks are left out, unless no other is left. With port 0 the system chooses
+    the port, the same for all sockets.
 
     Args:
-        addresses: as ``getaddrinfo`` gives them, for one kind of socket and one port.
-        interface: name of the only interface to hear; None for all.
+        addresses: results of ``getaddrinfo``, all of one kind of socket and one port.
+        interface: name of the only network interface to listen on; None for all.
 
     Raises:
-        OSError: an address cannot be had; then none is bound.
-        ConfigError: this system cannot bind to an interface.
+        OSError: an address cannot be bound; then none is.
+        ConfigError: this system cannot bind a socket to an interface.
     """
     if interface is not None and not hasattr(socket, "SO_BINDTODEVICE"):
         raise ConfigError("this system cannot bind a socket to an interface", key="interface")

@@ -1,6 +1,6 @@
 """Sets the options of TCP sockets, and explains their errors.
 
-Knows sockets; knows no Modbus. The only place where an `OSError` of a network connection becomes ours.
+Knows sockets; knows no Modbus. The only place where an `OSError` of a network connection becomes a `LinkDown`.
 """
 
 import contextlib
@@ -16,7 +16,10 @@ from .serial.waiting import wait_ready
 
 
 def configure(connection: socket.socket, parameters: SocketParameters) -> None:
-    """Set the options of a connected TCP socket; those that the system lacks are left out."""
+    """Set the options of a connected TCP socket; options that the system lacks are left out. Raises `OSError`.
+
+    Does nothing to a socket that is not of IPv4 or IPv6.
+    """
     if connection.family not in (socket.AF_INET, socket.AF_INET6):
         return
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, parameters.no_delay)
@@ -34,7 +37,10 @@ def configure(connection: socket.socket, parameters: SocketParameters) -> None:
 
 
 def set_buffers(connection: socket.socket, parameters: SocketParameters) -> None:
-    """Set the buffer sizes of a TCP socket; connections inherit those of their listening socket."""
+    """Set the buffer sizes of a socket, if the parameters give any.
+
+    Set on a listening socket, they hold for the connections that it accepts.
+    """
     if parameters.receive_buffer is not None:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, parameters.receive_buffer)
     if parameters.send_buffer is not None:
@@ -45,7 +51,7 @@ def discard_on_close(connection: Any) -> None:
     """Make a later close reset the TCP connection, so that bytes the peer has not accepted are dropped.
 
     Args:
-        connection: a socket, what a transport gives for one, or None.
+        connection: a socket, or what ``get_extra_info("socket")`` of a transport returns; None does nothing.
     """
     if connection is not None:
         with contextlib.suppress(OSError):  # it has ended already
@@ -53,7 +59,10 @@ def discard_on_close(connection: Any) -> None:
 
 
 def takes_bytes(connection: Any) -> bool:
-    """Whether a TCP connection would accept bytes to send now; ``connection`` as in `discard_on_close`."""
+    """Whether a TCP connection would accept bytes to send now.
+
+    ``connection`` is a socket, or what ``get_extra_info("socket")`` of a transport returns; for None it is False.
+    """
     if connection is None:
         return False
     try:
@@ -65,7 +74,7 @@ def takes_bytes(connection: Any) -> bool:
 def peer_has_ended(connection: Any) -> bool:  # Any: a socket, or what a transport gives for one
     """Whether the peer has closed the TCP connection or its sending side, and nothing is left to read.
 
-    Looks, and takes nothing. False where the system does not tell: it is Linux that does.
+    Reads no bytes. Only Linux tells this; on other systems it is always False.
     """
     if sys.platform != "linux":
         return False
@@ -82,7 +91,7 @@ def peer_has_ended(connection: Any) -> bool:  # Any: a socket, or what a transpo
 
 
 _ENDED = frozenset({7, 8})
-"""TCP_CLOSE and TCP_CLOSE_WAIT of the kernel's tcp_states.h: reset, or the peer's FIN is there."""
+"""TCP_CLOSE and TCP_CLOSE_WAIT of the kernel's tcp_states.h: reset, or the peer's FIN has come."""
 
 
 def _set_if_known(connection: socket.socket, name: str, value: int) -> None:
@@ -125,11 +134,11 @@ _KINDS: dict[int, LinkDownKind] = {
     errno.ENOBUFS: "local",
 }
 _TLS_ERRORS = frozenset({"SSLError", "TlsFailure"})
-"""Told by their names: a program without TLS does not import them."""
+"""Names of the error classes of TLS; compared by name, so that a program without TLS does not import them."""
 
 
 def network_kind(error: BaseException) -> LinkDownKind:
-    """Return a network error as the kind of a `LinkDown`."""
+    """Return the kind of `LinkDown` for a network error, such as ``refused`` or ``timeout``."""
     if isinstance(error, socket.gaierror):
         return "unresolved"
     if any(one.__name__ in _TLS_ERRORS for one in type(error).__mro__):
@@ -141,7 +150,7 @@ def network_kind(error: BaseException) -> LinkDownKind:
 
 
 def network_reason(error: BaseException) -> str:
-    """Return a network error as text for an operator."""
+    """Return the reason of a network error as text for an operator, such as "the host cannot be reached"."""
     if isinstance(error, socket.gaierror):
         return f"the host name cannot be resolved ({error.strerror})"
     if isinstance(error, TimeoutError) and not getattr(error, "errno", None):
@@ -153,7 +162,13 @@ def network_reason(error: BaseException) -> str:
 
 
 def link_down(error: BaseException, *, endpoint: str, sent: bool = False) -> LinkDown:
-    """Return the `LinkDown` for a network error, which becomes its cause."""
+    """Return a `LinkDown` for a network error, with that error as its cause.
+
+    Args:
+        error: the network error.
+        endpoint: URL of the peer.
+        sent: whether bytes of a request may have gone out.
+    """
     down = LinkDown(f"no connection: {network_reason(error)}", kind=network_kind(error), sent=sent, endpoint=endpoint)
     down.__cause__ = error
     return down

@@ -1,11 +1,12 @@
 """UDP sockets of clients, for asyncio and for blocking links.
 
-Knows sockets; knows no Modbus. The user of a socket says which datagrams are whole; others are dropped and counted.
+Knows sockets; knows no Modbus. The user of a socket says which datagrams are whole frames; others are dropped and
+counted.
 
 1. A lost datagram is not sent again: callers that wait for an answer have a timeout.
-2. An ICMP error (no listener at the other end) ends nothing: the next datagram may be answered, and any host can send
-   such a message.
-3. A client takes datagrams from the address it sends to alone.
+2. An ICMP error (no listener at the other end) does not end the connection: the next datagram may be answered, and any
+   host can send such a message.
+3. A client receives datagrams only from the address to which it sends.
 """
 
 import asyncio
@@ -18,14 +19,14 @@ from ..options.sockets import SocketParameters
 from .tcp import link_down, set_buffers
 
 MAX_DATAGRAM = 2048
-"""More than any frame: what is longer is cut by the system, and is then no whole frame."""
+"""Bytes of a datagram that are received: more than any frame has. Of a longer datagram the system drops the rest."""
 
 
 class DatagramConnection(asyncio.DatagramProtocol):
     """A client's UDP socket under asyncio, with the methods of a stream transport. Created by `open_datagram`.
 
     Attributes:
-        dropped: datagrams that were not whole.
+        dropped: number of datagrams that were dropped because they are not one whole frame.
     """
 
     def __init__(self, whole: Callable[[bytes], bool], received: Callable[[bytes], None]) -> None:
@@ -48,7 +49,7 @@ class DatagramConnection(asyncio.DatagramProtocol):
             self.dropped += 1
 
     def error_received(self, exc: Exception) -> None:
-        """Ignore an error of the socket, such as a refused port (rule 2)."""
+        """Ignore an error that the network reports, such as a refused port: the next datagram may be answered."""
 
     # What a link calls.
 
@@ -58,26 +59,26 @@ class DatagramConnection(asyncio.DatagramProtocol):
             self._transport.sendto(data)
 
     def close(self) -> None:
-        """Close the UDP socket."""
+        """Close the UDP socket after the datagrams that wait are sent."""
         if self._transport is not None:
             self._transport.close()
 
     def abort(self) -> None:
-        """Close the UDP socket at once."""
+        """Close the UDP socket at once; datagrams that wait are dropped."""
         if self._transport is not None:
             self._transport.abort()
 
     def get_write_buffer_size(self) -> int:
-        """Number of bytes in datagrams that the system has not accepted yet."""
+        """Return the number of bytes in datagrams that the system has not accepted yet."""
         transport: Any = self._transport  # each loop's has it, although the abstract class does not
         return 0 if transport is None else int(transport.get_write_buffer_size())
 
     def get_extra_info(self, name: str) -> Any:  # Any: as the transport has it
-        """Return a detail of the UDP transport, such as its socket."""
+        """Return a detail of the UDP transport, such as ``socket``; None if the transport does not have it."""
         return None if self._transport is None else self._transport.get_extra_info(name)
 
     def is_closing(self) -> bool:
-        """Whether the UDP socket is closed."""
+        """Whether the UDP socket is closed or about to be."""
         return self._transport is None or self._transport.is_closing()
 
 
@@ -90,10 +91,18 @@ async def open_datagram(
     whole: Callable[[bytes], bool],
     received: Callable[[bytes], None],
 ) -> DatagramConnection:
-    """Open a client's UDP socket to ``host:port``; ``received`` gets the datagrams that ``whole`` accepts.
+    """Open a client's UDP socket to a host and port, under asyncio. Nothing is sent.
+
+    Args:
+        host: host name or address of the peer.
+        port: its UDP port.
+        parameters: buffer sizes, local address, and the time allowed to resolve the name.
+        endpoint: URL of the peer, for the error.
+        whole: returns whether a datagram is one whole frame.
+        received: called with each datagram that is.
 
     Raises:
-        LinkDown: the name cannot be resolved, or no socket be had. Nothing was sent.
+        LinkDown: the name cannot be resolved, or no socket can be opened.
     """
     loop = asyncio.get_running_loop()
     try:
@@ -110,16 +119,16 @@ async def open_datagram(
 
 
 class BlockingDatagramSocket:
-    """A client's UDP socket for blocking programs, with the methods of a stream socket.
+    """A client's UDP socket for blocking programs, with the methods of a non-blocking stream socket.
 
     Attributes:
-        dropped: datagrams that were not whole.
+        dropped: number of datagrams that were dropped because they are not one whole frame.
     """
 
     def __init__(
         self, host: str, port: int, parameters: SocketParameters, *, endpoint: str, whole: Callable[[bytes], bool]
     ) -> None:
-        """Open the UDP socket; arguments and errors as of `open_datagram`."""
+        """Open the UDP socket; arguments and errors are those of `open_datagram`."""
         self._whole = whole
         self.dropped: int = 0
         try:
@@ -142,7 +151,10 @@ class BlockingDatagramSocket:
         return self._socket.fileno()
 
     def recv_into(self, buffer: bytearray) -> int:
-        """Receive the next datagram that is a whole frame. Raises `BlockingIOError` if there is none."""
+        """Receive the next datagram that is a whole frame into ``buffer``, and return its size.
+
+        Raises `BlockingIOError` if no such datagram has come.
+        """
         while True:
             try:
                 data = self._socket.recv(MAX_DATAGRAM)
@@ -154,7 +166,7 @@ class BlockingDatagramSocket:
             self.dropped += 1
 
     def send(self, data: bytes) -> int:
-        """Send one frame as a UDP datagram."""
+        """Send one frame as a UDP datagram, and return its size. Raises `OSError`."""
         with contextlib.suppress(ConnectionRefusedError):
             self._socket.send(data)
             return len(data)
