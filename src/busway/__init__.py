@@ -4,8 +4,8 @@
 >>> with busway.connect("tcp://10.0.0.5") as link:          # doctest: +SKIP
 ...     link.unit(1).read_holding_registers(0, count=10)
 
-Names are imported when they are used, so ``import busway`` costs little. What is listed in ``__all__`` is the public
-interface; everything else may change.
+A name's module is imported when the name is first used, so ``import busway`` costs little. The names in ``__all__`` are
+the public interface; everything else may change.
 """
 
 from importlib import import_module

@@ -1,22 +1,24 @@
 """Codes and limits of the specification: function, sub-function and exception codes, and sizes on the wire.
 
-Knows numbers and their sections; knows nothing that does anything with them.
+Knows numbers and the sections that define them; knows no message, and executes nothing.
 """
 
 from enum import Enum, IntEnum
 from typing import TYPE_CHECKING, Final
 
 PDU_LIMIT: Final = 253
-"""Bytes of a PDU, function code included (Application Protocol V1.1b3 §4.1)."""
+"""Largest number of bytes of a PDU, function code included (Application Protocol V1.1b3 §4.1)."""
 TCP_ADU_LIMIT: Final = 260
-"""7 bytes of MBAP header and a PDU (Messaging on TCP/IP V1.0b §3.1.3)."""
+"""Largest number of bytes of a frame on TCP: 7 of MBAP header, and the PDU (Messaging on TCP/IP V1.0b §3.1.3)."""
 RTU_ADU_LIMIT: Final = 256
-"""Address, PDU, two bytes of CRC (Serial Line V1.02 §2.5.1)."""
+"""Largest number of bytes of an RTU frame: address, PDU, two bytes of CRC (Serial Line V1.02 §2.5.1)."""
 ASCII_ADU_LIMIT: Final = 513
-"""``:``, two characters for each byte of address, PDU and LRC, CR LF (Serial Line V1.02 §2.5.2)."""
+"""Largest number of characters of an ASCII frame: ``:``, two for each byte of address, PDU and LRC, then CR LF
+(Serial Line V1.02 §2.5.2).
+"""
 
 TABLE_SIZE: Final = 65_536
-"""Items of each of the four tables (Application Protocol V1.1b3 §4.3)."""
+"""Number of addresses in each of the four tables, 0…65535 (Application Protocol V1.1b3 §4.3)."""
 
 MAX_READ_BITS: Final = 2000
 MAX_WRITE_BITS: Final = 1968
@@ -27,9 +29,11 @@ MAX_FIFO_REGISTERS: Final = 31
 MAX_FILE_RECORD_NUMBER: Final = 9999
 
 BROADCAST_UNIT: Final = 0
-"""On a serial line every server executes it and none answers (Serial Line V1.02 §2.1)."""
+"""Unit identifier of a broadcast: every server on the serial line executes the request, and none of them answers
+(Serial Line V1.02 §2.1).
+"""
 TCP_DEVICE_UNIT: Final = 255
-"""A device that sits on TCP itself (Messaging on TCP/IP V1.0b §4.4.1.2)."""
+"""Unit identifier of a device that is itself on TCP, not behind a gateway (Messaging on TCP/IP V1.0b §4.4.1.2)."""
 FIRST_SERIAL_UNIT: Final = 1
 LAST_SERIAL_UNIT: Final = 247
 
@@ -147,12 +151,12 @@ EXCEPTION_MEANING: Final[dict[int, str]] = {
 
 
 def exception_meaning(code: int) -> str:
-    """The meaning of an exception code in words; codes outside the specification are named as such."""
+    """Return the meaning of an exception code in words; for codes outside the specification, a text that says so."""
     return EXCEPTION_MEANING.get(code, "an exception code outside the specification")
 
 
 def function_name(code: int) -> str:
-    """A function code with its name, ``3 (read holding registers)``."""
+    """Return a function code with its name: ``3 (read holding registers)``; without one in hex: ``65 (0x41)``."""
     try:
         return f"{code} ({FunctionCode(code).name.lower().replace('_', ' ')})"
     except ValueError:

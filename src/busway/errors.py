@@ -4,23 +4,24 @@
 
     ModbusError
     ├─ InvalidRequest (ValueError)      the caller's mistake; nothing was sent
-    ├─ ExceptionReply                   the device refused, or took it for later (05)
+    ├─ ExceptionReply                   the device refused, or accepted and needs time (05)
     ├─ BadReply                         the peer broke the protocol
     ├─ NoAnswer                         one of those below: the device has not answered
-    │  ├─ NoReply (TimeoutError)        nothing | partial | late
-    │  │  └─ UnitSuspended              not asked: the unit's breaker is open
-    │  ├─ WriteOutcomeUnknown           a write left this host and no answer came
+    │  ├─ NoReply (TimeoutError)        no usable reply came in time
+    │  │  └─ UnitSuspended              not asked: the circuit breaker of the unit is open
+    │  ├─ WriteOutcomeUnknown           a write left this host and no valid answer came
     │  └─ LinkDown (ConnectionError)    the connection could not be opened, or ended
     │     └─ LinkClosed                 the program itself has closed the link
-    ├─ Overloaded                       the queue was full; nothing was sent
+    ├─ Overloaded                       a limit for waiting calls or links is reached; nothing was sent
     └─ ConfigError (ValueError)         a setting, URL or file is invalid
        └─ MissingExtra (ImportError)    a required package is not installed
 
 Rules:
 
-1. Each error carries where and what as fields (`Where`); ``str()`` is one sentence for an operator.
-2. An error ends one request. What must be counted and survived is an event, not an error.
-3. The code that raises fills in the fields it knows; the drivers complete the rest with `ModbusError.at`.
+1. Each error holds what is known of its request as fields (endpoint, unit, function …); ``str()`` is one sentence for
+   an operator.
+2. An error ends one request. What is only counted, while work goes on (such as a damaged frame), is an event.
+3. The code that raises an error fills in the fields it knows; the code around it adds the others with `ModbusError.at`.
 """
 
 from typing import Literal, Self, TypeAlias
@@ -32,13 +33,13 @@ class ModbusError(Exception):
     """Base of all errors of this library.
 
     Attributes (each ``None`` where it does not apply or is not known):
-        endpoint: URL of the peer.
+        endpoint: URL of the device, line or server that was asked.
         unit: unit identifier, 0…255.
         function: function code of the request, 1…127.
-        address: first item that the request names, 0-based.
-        attempt: number of the attempt that ended with this error, from 1.
-        elapsed: seconds from the call to the error.
-        raw: bytes that were received and could not be used; empty if none.
+        address: address of the first coil or register in the request, 0-based.
+        attempt: number of the attempt that ended with this error; the first is 1.
+        elapsed: seconds from the application's call to the error.
+        raw: bytes that were received and could not be used; ``b""`` (not ``None``) if there are none.
     """
 
     def __init__(
@@ -73,7 +74,10 @@ class ModbusError(Exception):
         attempt: int | None = None,
         elapsed: float | None = None,
     ) -> Self:
-        """Fill in those fields of the error (endpoint, unit, …) that are still unknown, and return it."""
+        """Set those fields of this error that are still ``None`` to the arguments, and return this error.
+
+        Fields with a value keep it.
+        """
         self.endpoint = endpoint if self.endpoint is None else self.endpoint
         self.unit = unit if self.unit is None else self.unit
         self.function = function if self.function is None else self.function
@@ -109,17 +113,17 @@ class ModbusError(Exception):
 
 
 class InvalidRequest(ModbusError, ValueError):
-    """The request is invalid: a quantity, address, value or unit is out of range. Nothing was sent."""
+    """Error: the request is invalid, because a quantity, address, value or unit is out of range. Nothing was sent."""
 
 
 class ExceptionReply(ModbusError):
-    """The device answered with an exception code (Application Protocol V1.1b3 §7).
+    """Error: the device answered with an exception code (Application Protocol V1.1b3 §7).
 
-    Code 05 (acknowledge) is an acceptance: the device took the request and needs time.
+    Code 05 (acknowledge) is no refusal: the device has accepted the request and needs time to execute it.
 
     Attributes:
-        code: the exception code, 0…255; codes outside the specification are reported as they came.
-        from_gateway: whether a gateway answered (0A, 0B) and not the device.
+        code: the exception code, 0…255; codes outside the specification are kept as they came.
+        from_gateway: whether the code is 0A or 0B, which a gateway sends in place of the device.
     """
 
     def __init__(
@@ -156,7 +160,7 @@ class ExceptionReply(ModbusError):
 
 
 BadReplyKind: TypeAlias = Literal["stream", "protocol", "unit", "function", "content", "value", "other"]
-"""What is wrong with a reply: the values of `BadReply.kind`."""
+"""The values of `BadReply.kind`, which say what is wrong with a reply; `BadReply` explains each."""
 LinkDownKind: TypeAlias = Literal[
     "unresolved",
     "refused",
@@ -170,19 +174,19 @@ LinkDownKind: TypeAlias = Literal[
     "local",
     "other",
 ]
-"""Why there is no connection: the values of `LinkDown.kind`."""
+"""The values of `LinkDown.kind`, which say why there is no connection; `LinkDown` explains each."""
 
 
 class BadReply(ModbusError):
-    """The peer broke the protocol: another function, a wrong length, a wrong echo. ``raw`` holds the bytes.
+    """Error: a reply breaks the protocol: another function, a wrong length, a wrong echo. ``raw`` holds its bytes.
 
     Attributes:
-        reason: what is wrong with them, in words.
-        kind: the same for a program. ``"stream"``: a length field that no message can have, after which nothing can be
-            decoded; ``"protocol"``: the protocol identifier is not 0; ``"unit"``: another unit answered;
-            ``"function"``: it answers another function; ``"content"``: its length, echo or a field does not fit the
-            request; ``"value"``: its registers hold no value of the type that was asked for; ``"other"``: a reply that
-            is not Modbus.
+        reason: what is wrong with the reply, in words.
+        kind: what is wrong with the reply, for a program to compare. ``"stream"``: its length field has a value that no
+            message can have, and what follows on the connection cannot be decoded; ``"protocol"``: its protocol
+            identifier is not 0; ``"unit"``: another unit answered; ``"function"``: it has the code of another function;
+            ``"content"``: its length, echo or a field does not fit the request; ``"value"``: its registers hold no
+            value of the type that was asked for; ``"other"``: it is not Modbus.
     """
 
     def __init__(
@@ -215,11 +219,11 @@ class BadReply(ModbusError):
 class NoAnswer(ModbusError):
     """Base of the errors for a device that has not answered: silence, no connection, or an unknown write outcome.
 
-    Catch it where the difference does not matter; it is never raised itself. It does not cover a device that refused or
-    broke the protocol, which is an answer (`ExceptionReply`, `BadReply`), nor requests that were never sent for a
-    reason in this program (`InvalidRequest`, `Overloaded`, `ConfigError`).
+    Catch this class where the difference does not matter; only its subclasses are raised. A device that refused or
+    broke the protocol has answered and raises other errors (`ExceptionReply`, `BadReply`). So does a request that this
+    program did not send for a reason of its own (`InvalidRequest`, `Overloaded`, `ConfigError`).
 
-    Code that repeats a call on this error repeats writes too: catch `WriteOutcomeUnknown` first.
+    Code that catches this error and repeats the call repeats writes too: catch `WriteOutcomeUnknown` before.
     """
 
 
@@ -227,11 +231,12 @@ class NoReply(NoAnswer, TimeoutError):
     """Error: no usable reply came in time.
 
     Attributes:
-        kind: ``"nothing"`` came, ``"partial"`` (some bytes, no whole frame), ``"late"`` (a unit known to answer after
-            the timeout; ``observed_delay`` says how late its last reply was), ``"early"`` (a frame that began before
-            the request had left is no reply to it), or ``"in doubt"`` (nothing was sent, because the unit owes replies
-            that could be taken for the one to this request).
-        observed_delay: seconds from request to reply that this unit needed lately, if it was seen.
+        kind: what came, for a program to compare. ``"nothing"``: no reply; ``"partial"``: only a part of a frame, or a
+            damaged frame; ``"late"``: no reply, but an earlier reply of this unit came after its timeout (see
+            ``observed_delay``); ``"early"``: only a frame that began too early to be the reply (on a line: before t3.5
+            had passed since the request); ``"in doubt"``: nothing was sent, because the unit owes earlier replies, and
+            one of them could be taken for the reply to this request.
+        observed_delay: seconds from request to reply for the last late reply of this unit; None if none was seen.
     """
 
     def __init__(
@@ -263,10 +268,10 @@ class NoReply(NoAnswer, TimeoutError):
 
 
 class UnitSuspended(NoReply):
-    """The unit did not answer several times in a row and is not asked now. Nothing was sent.
+    """Error: the unit did not answer several times in a row and is not asked now. Nothing was sent.
 
     Attributes:
-        next_probe: seconds until a request may probe it again.
+        next_probe: seconds until the next request to the unit is sent, as a test whether it answers again.
     """
 
     def __init__(
@@ -284,13 +289,14 @@ class UnitSuspended(NoReply):
 
 
 class Overloaded(ModbusError):
-    """Error: a bounded queue was full. Nothing was sent."""
+    """Error: a limit of this program is reached, such as calls that wait on a link. Nothing was sent."""
 
 
 class WriteOutcomeUnknown(NoAnswer):
-    """A write left this host and no valid answer came: it may have been executed or not. Not repeated automatically.
+    """Error: a write left this host and no valid answer came, so the device may or may not have executed it.
 
-    ``__cause__`` holds what happened (`NoReply`, `LinkDown`, `BadReply`, or `ExceptionReply` 0B of a gateway).
+    The write is not repeated automatically. ``__cause__`` holds what happened instead of an answer (`NoReply`,
+    `LinkDown`, `BadReply`, or `ExceptionReply` 0B of a gateway).
     """
 
 
@@ -299,12 +305,13 @@ class LinkDown(NoAnswer, ConnectionError):
 
     Attributes:
         sent: whether bytes of the request may have left this host.
-        kind: why, for a program. ``"unresolved"``: the host name has no address; ``"refused"``: nothing listens there;
-            ``"unreachable"``: no way to the host; ``"timeout"``: no connection in time, or a port takes no bytes;
-            ``"tls"``: the handshake or a certificate failed; ``"missing"``: there is no such port or file;
-            ``"taken"``: another program holds the port; ``"lost"``: the connection or port ended; ``"closed"``: this
-            program closed the link; ``"local"``: this host does not allow it (rights, limits, a local address);
-            ``"other"``: none of these.
+        kind: the cause, for a program to compare. ``"unresolved"``: the host name has no address; ``"refused"``:
+            nothing listens at the address; ``"unreachable"``: there is no network path to the host; ``"timeout"``: no
+            connection in time, or the port accepts no bytes; ``"tls"``: the handshake or a certificate failed;
+            ``"missing"``: there is no such serial port or file; ``"taken"``: another program holds the serial port;
+            ``"lost"``: an open connection or serial port ended; ``"closed"``: this program closed the link;
+            ``"local"``: this host does not allow the connection (rights, limits, a local address); ``"other"``: none
+            of these.
     """
 
     def __init__(
@@ -336,9 +343,9 @@ class LinkDown(NoAnswer, ConnectionError):
 
 
 class LinkClosed(LinkDown):
-    """The program closed this link before the call. Nothing was sent; retrying does not help: open another link.
+    """Error: this program closed the link before the call. Nothing was sent; the link cannot be used again.
 
-    Its ``kind`` is always ``"closed"``.
+    Open another link instead of repeating the call. ``kind`` is always ``"closed"``.
     """
 
     def __init__(
@@ -354,12 +361,12 @@ class LinkClosed(LinkDown):
 
 
 class ConfigError(ModbusError, ValueError):
-    """A setting, URL or configuration file is invalid.
+    """Error: a setting, URL or file is invalid, or a file that a setting names cannot be used.
 
     Attributes:
-        file: path of the file, if one is at fault.
-        line: 1-based line in it, if known.
-        key: the key or option at fault, dotted.
+        file: path of the file at fault; None if no file is.
+        line: line at fault in ``file``, 1-based; None if not known.
+        key: key or option at fault, dotted: ``server.port``; None if not known.
     """
 
     def __init__(
@@ -379,11 +386,11 @@ class ConfigError(ModbusError, ValueError):
 
 
 class MissingExtra(ConfigError, ImportError):
-    """A required package is not installed; the message ends with the command that installs it.
+    """Error: an optional package is needed and not installed; the message ends with the command that installs it.
 
     Attributes:
-        package: the package that is missing.
-        extra: the extra of busway that brings it: ``serial``, ``cli``, ``files`` …
+        package: import name of the missing package.
+        extra: the extra of busway that installs the package: ``serial``, ``cli``, ``files`` …
     """
 
     def __init__(self, package: str, extra: str, *, purpose: str, key: str | None = None) -> None:

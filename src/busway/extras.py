@@ -1,6 +1,6 @@
-"""Optional packages: checks that one is installed, and the error that says how to install it.
+"""Optional packages: the check that a package is installed, and the error that says how to install it.
 
-Knows which extra of busway brings which package (pyproject.toml declares them); imports none of them.
+Knows which extra of busway installs which package (pyproject.toml declares the extras); imports none of the packages.
 """
 
 from importlib.util import find_spec
@@ -33,16 +33,16 @@ EXTRA_OF: Final = {
     "polars": "frames",
     "modbus_connection": "modbus_connection",
 }
-"""The extra that brings a package, by the name it is imported by."""
+"""The extra of busway that installs a package (``busway[serial]``), by the package's import name."""
 
 
 def require(package: str, purpose: str, *, key: str | None = None) -> None:
-    """Raise `MissingExtra` unless ``package`` can be imported; it is looked for, not imported.
+    """Raise `MissingExtra` unless ``package`` is installed; the package is not imported.
 
     Args:
-        package: one of `EXTRA_OF`.
-        purpose: what needs it, as the subject of the sentence: ``a serial port``.
-        key: the option that asked for it, if one did.
+        package: import name of the package, a key of `EXTRA_OF`.
+        purpose: what needs the package, as the subject of the error message: ``a serial port``.
+        key: the option for which the package is needed, for the error; None if no option is.
     """
     try:
         is_there = find_spec(package) is not None
@@ -53,7 +53,7 @@ def require(package: str, purpose: str, *, key: str | None = None) -> None:
 
 
 def missing_extra(error: ImportError) -> MissingExtra | None:
-    """The error for the user if a failed import was that of an optional package; None otherwise."""
+    """Return the error for the user if ``error`` is the failed import of an optional package; None otherwise."""
     package = (error.name or "").partition(".")[0]
     if package not in EXTRA_OF:
         return None

@@ -2,18 +2,18 @@
 
 Knows the interpreter; knows nothing of busway.
 
-Stores, queues and caches here rely on operations of built-in types that are one step under the interpreter's lock. A
-build without that lock (PEP 703) would read halves of a write now and then, and no test has ever run there.
+Stores, queues and caches of busway rely on the interpreter's lock (GIL), which makes operations of built-in types
+atomic. On a build without that lock (PEP 703) a read could see half of a write, and no test has ever run on one.
 """
 
 import sys
 
 
 def refuse_free_threading() -> None:
-    """Refuse an interpreter that was built to run without the global interpreter lock, whether or not it is on now.
+    """Refuse an interpreter built to run without the global interpreter lock, even if the lock is enabled now.
 
     Raises:
-        ImportError: it is one; the sentence says what to use.
+        ImportError: the interpreter is such a build; the message says which build to use.
     """
     is_enabled = getattr(sys, "_is_gil_enabled", None)
     if (is_enabled is not None and not is_enabled()) or "t" in getattr(sys, "abiflags", ""):

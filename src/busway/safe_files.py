@@ -1,13 +1,13 @@
-"""Opens files that a configuration names safely: only regular files of limited size, not through links of other users.
+"""Safe opening of files that a configuration names: only regular files, and not through links of other users.
 
-Knows names and kinds of files; knows nothing of what stands in them.
+Knows names and kinds of files; knows nothing of their contents.
 
-1. Only a regular file is opened. A pipe, a device or a directory is refused with a sentence, and nothing waits for one.
-2. A symbolic link is followed if it belongs to the user who runs the program or to root, wherever in the path it
-   stands. One of another user is refused: he could let it point anywhere (CWE-59). The last step is taken by a call
-   that follows no link, so one that is put there meanwhile is refused too.
-3. What is replaced must be recognised by its first bytes. Another file is never overwritten because
-   its name was written down by mistake.
+1. Only a regular file is opened. A pipe, a device or a directory is refused with an error, without waiting for data.
+2. A symbolic link anywhere in the path is followed if it belongs to root or to the user who runs the program. A link
+   of another user is refused, because that user could let it point to any file (CWE-59). The resolved path is opened
+   by a call that follows no link, so a link that is put there meanwhile is refused too.
+3. A file is replaced only if its first bytes show that it is of the kind to be written. So no other file is lost where
+   its name was given by mistake.
 """
 
 import os
@@ -20,28 +20,28 @@ from typing import Final
 from .errors import ConfigError
 
 HEAD: Final = 256
-"""Bytes from the beginning of a file that identify it."""
+"""Number of bytes at the beginning of a file by which `IsOurs` recognises its kind."""
 _MOST_LINKS: Final = 40
-"""As many links does Linux follow in one path."""
+"""Symbolic links that are followed in one path, at most; Linux has the same limit."""
 _ALWAYS: Final = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 _NO_WAIT: Final = getattr(os, "O_NONBLOCK", 0)
 _NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
 _ROOT: Final = 0
 
 IsOurs = Callable[[bytes], bool]
-"""Takes the first `HEAD` bytes of a file, and says whether it may be replaced."""
+"""A function that takes the first `HEAD` bytes of a file and returns whether the file may be replaced."""
 
 
 def read_safely(path: str | os.PathLike[str], *, most: int) -> bytes:
-    """Return the contents of a regular file, which must not be a device, a pipe or another user's link.
+    """Return the contents of a regular file.
 
     Args:
-        path: the file.
-        most: bytes that it may have.
+        path: path of the file.
+        most: largest allowed size in bytes.
 
     Raises:
-        ConfigError: it cannot be read, is no regular file, is larger, or is reached by a link of another user; names
-            the file.
+        ConfigError: the file cannot be read, is no regular file, has more than ``most`` bytes, or is reached through a
+            link of another user. ``file`` holds the path.
     """
     handle = _opened(path, os.O_RDONLY)
     with os.fdopen(handle, "rb") as file:
@@ -55,35 +55,36 @@ def read_safely(path: str | os.PathLike[str], *, most: int) -> bytes:
 
 
 def open_to_read(path: str | os.PathLike[str]) -> int:
-    """Open a regular file of any size for reading, and return its descriptor.
+    """Open a regular file of any size for reading, and return its file descriptor.
 
     Raises:
-        ConfigError: it cannot be opened, is no regular file, or is reached by a link of another user; names the file.
+        ConfigError: the file cannot be opened, is no regular file, or is reached through a link of another user.
     """
     return _opened(path, os.O_RDONLY)
 
 
 def open_to_append(path: str | os.PathLike[str], *, mode: int = 0o600) -> int:
-    """Open a regular file for appending, and return its descriptor; created with ``mode`` if it is missing.
+    """Open a regular file for appending, and return its file descriptor. A missing file is created with ``mode``.
 
     Raises:
-        ConfigError: it cannot be opened, is no regular file, or is reached by a link of another user; names the file.
+        ConfigError: the file cannot be opened, is no regular file, or is reached through a link of another user.
     """
     return _opened(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, mode)
 
 
 def open_to_replace(path: str | os.PathLike[str], *, is_ours: IsOurs, kind: str, mode: int = 0o666) -> int:
-    """Open a regular file with its contents removed, and return its descriptor; created if it is missing.
+    """Empty a regular file and return its file descriptor, open for reading and writing. A missing file is created.
 
     Args:
-        path: the file.
-        is_ours: says by the first bytes of the old content whether it may go. Not asked about an empty file.
-        kind: what is written, for the sentence: ``capture``.
-        mode: rights of a file that is made, before the umask.
+        path: path of the file.
+        is_ours: called with the first bytes of the old contents, unless the file is empty; returns whether they may be
+            deleted.
+        kind: what is going to be written, for the error: ``capture``.
+        mode: access rights of a file that is created, before the umask.
 
     Raises:
-        ConfigError: it cannot be opened, is no regular file, is reached by a link of another user, or holds something
-            else, and is as it was then; names the file.
+        ConfigError: the file cannot be opened, is no regular file, is reached through a link of another user, or
+            ``is_ours`` returned False. The contents are unchanged then.
     """
     handle = _opened(path, os.O_RDWR | os.O_CREAT, mode)
     try:
@@ -101,10 +102,13 @@ def open_to_replace(path: str | os.PathLike[str], *, is_ours: IsOurs, kind: str,
 
 
 def check_replaceable(path: str | os.PathLike[str], *, is_ours: IsOurs, kind: str) -> str:
-    """Check that a file may be replaced by renaming another one to it, or is missing. Returns its path without links.
+    """Check that a file is missing, or may be replaced by renaming another file to its path.
+
+    Returns the absolute path with all links resolved. The arguments are those of `open_to_replace`.
 
     Raises:
-        ConfigError: as of `open_to_replace`.
+        ConfigError: the file is there and cannot be read, is no regular file, or ``is_ours`` returned False for its
+            first bytes; or the path leads through a link of another user.
     """
     found = past_links(path)
     if not os.path.lexists(found):
@@ -122,16 +126,17 @@ def check_replaceable(path: str | os.PathLike[str], *, is_ours: IsOurs, kind: st
 
 
 def write_whole(path: str | os.PathLike[str], text: str, *, like: os.stat_result | None = None) -> None:
-    """Replace a file, or make it: after a crash or a power failure it is as before or as after, never between.
+    """Replace or create a file; after a crash or a power failure it has its old or its new contents, never a part.
 
     Args:
-        path: the file; a link there is replaced itself.
-        text: the new contents.
-        like: the file gets the owner, group and rights of this one, as far as they can be given; None for the owner's
-            rights alone (0600).
+        path: path of the file. If it is a symbolic link, the link itself is replaced.
+        text: the new contents, written as UTF-8.
+        like: status of the file whose owner, group and access rights the new file gets, as far as the user may set
+            them; None for access by the owner alone (0600).
 
     Raises:
-        OSError: the file is as it was.
+        OSError: the file could not be written. If only the folder could not be synchronised to the disk, the file has
+            its new contents already; otherwise it is as it was.
     """
     target = Path(path)
     fresh = target.with_name(f"{target.name}.{os.getpid()}.new")
@@ -156,7 +161,11 @@ def write_whole(path: str | os.PathLike[str], text: str, *, like: os.stat_result
 
 
 def _give_rights(handle: int, like: os.stat_result) -> None:
-    """Copy the access rights of an open file to another one, except rights that a different group would gain."""
+    """Give an open file the owner, group and access rights in ``like``.
+
+    Where the owner cannot be set, only the group is. Where the group cannot be set either, its members get no more
+    rights than all users.
+    """
     mode = stat.S_IMODE(like.st_mode)
     own = os.fstat(handle)
     try:
@@ -171,9 +180,11 @@ def _give_rights(handle: int, like: os.stat_result) -> None:
 
 
 def past_links(path: str | os.PathLike[str]) -> str:
-    """An absolute path to the same file with all links resolved.
+    """Return the absolute path of a file with all symbolic links resolved; the file itself may be missing.
 
-    The file itself need not be there. Raises `ConfigError` where a link belongs to another user, or leads in a circle.
+    Raises:
+        ConfigError: a link in the path belongs to another user, there are more than 40 links (they may form a circle),
+            or a step of the path cannot be examined.
     """
     given = os.fspath(path)
     try:
@@ -220,7 +231,16 @@ def _refuse_foreign(link: Path, facts: os.stat_result, given: str) -> None:
 
 
 def _opened(path: str | os.PathLike[str], flags: int, mode: int = 0o666) -> int:
-    """Open a regular file and return its descriptor; raises for any other kind of file."""
+    """Open a regular file and return its file descriptor.
+
+    Args:
+        path: path of the file; links are resolved by `past_links`.
+        flags: flags of `os.open`.
+        mode: access rights of a file that is created, before the umask.
+
+    Raises:
+        ConfigError: as of `open_to_read`.
+    """
     name = past_links(path)
     try:
         handle = os.open(name, flags | _ALWAYS | _NO_WAIT | _NO_LINK, mode)
@@ -262,7 +282,7 @@ def _refusal(path: str | os.PathLike[str], what: str, error: OSError | ValueErro
 
 
 def size_text(size: int) -> str:
-    """A number of bytes in the largest binary unit that holds it whole: ``4 MiB``."""
+    """Return a number of bytes as text, in the largest binary unit in which it is a whole number: ``4 MiB``."""
     for unit, name in ((1 << 30, "GiB"), (1 << 20, "MiB"), (1 << 10, "KiB")):
         if size >= unit and size % unit == 0:
             return f"{size // unit} {name}"
