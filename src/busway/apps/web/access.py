@@ -1,21 +1,23 @@
-"""Access control of a web page: checks host, origin, caller and size of every request before the application.
+"""Access control of a web page: checks host, origin, caller and size of a request before the application gets it.
 
-Knows headers, roles and sizes; knows no resource. It wraps the whole application, HTTP and WebSocket.
+Knows headers, roles and sizes; knows no resource. The check wraps the whole application, HTTP and WebSocket.
 
 1. On loopback no token is needed, but the ``Host`` must be a loopback name: a foreign name that resolves to 127.0.0.1
    (DNS rebinding) is refused.
-2. Pages of another origin are refused, by ``Origin`` and by ``Sec-Fetch-Site``. Requests that change something must be
-   JSON, which such a page cannot send without asking first.
-3. Elsewhere each request to the API carries the token, in ``Authorization: Bearer …``; a WebSocket, for which a browser
-   sets no such header, as its subprotocol ``bearer.…``. It is never part of a URL, which would end up in logs.
-   The page itself holds no secret and needs no token.
-4. Tokens are kept as digests, and compared in constant time with every one that there is. They are never logged.
-5. A caller has a role: that of the token, or else that of the subject of the TLS client certificate, or else that of
-   callers without either. A wrong token is refused, and never taken for none.
-6. What changes something needs at least the role `Role.OPERATE`, also where a route forgets to say so; routes that need
-   more say it with `require`.
-7. A WebSocket outlives this check: what serves it asks `current_caller` before it sends, and closes it once the answer
-   is another.
+2. Requests from pages of another origin are refused, by ``Origin`` and by ``Sec-Fetch-Site``. The body of a request
+   that changes something must be JSON or TOML, which such a page cannot send before this server has allowed it (CORS).
+3. On other addresses each request to the API carries a token, in ``Authorization: Bearer …``. A browser cannot set this
+   header for a WebSocket, so a WebSocket carries the token as its subprotocol ``bearer.…``. A token is never part of a
+   URL, because URLs end up in logs. The files of the page hold no secret and need no token.
+4. Tokens are kept as digests. A token that is shown is compared with all of them, in constant time. Tokens are never
+   logged.
+5. A caller has a role: the role of the token; without a token, the role of the subject of the TLS client certificate;
+   without either, the role for such callers. Where the page has tokens, a request with a wrong one is refused,
+   whatever its certificate.
+6. A request that changes something needs at least the role `Role.OPERATE`, also where a route forgets to say so; routes
+   that need more say it with `require`.
+7. A WebSocket outlives this check. The code that serves it calls `current_caller` before it sends, and closes the
+   WebSocket once the caller is refused or has another role.
 """
 
 import functools
@@ -43,23 +45,23 @@ Send = Callable[[Message], Awaitable[None]]
 Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 BODY_LIMIT: Final = 4 * 1024 * 1024
-"""Bytes of a request: room for a hundred thousand values."""
+"""Most bytes in the body of a request: room for a hundred thousand values."""
 BEARER_PROTOCOL: Final = "bearer."
 POLICY_VIOLATION: Final = 1008
 """Close code of a WebSocket that is refused (RFC 6455 §7.4.1)."""
 CHANGING: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
-"""The methods of requests that change something."""
+"""The HTTP methods of requests that change something."""
 CERTIFICATE_SUBJECT: Final = "certificate_subject"
-"""Key in the ``state`` of a connection: the subject of the client's certificate, which was verified (RFC 4514)."""
+"""Key in the ``state`` of an ASGI scope: its value is the subject of the client's verified certificate (RFC 4514)."""
 _BODY_KINDS: Final = ("application/json", "application/toml")
-"""Types of bodies. A page of another origin can send neither without asking first."""
+"""Media types that a body may have. A page of another origin can send neither before this server has allowed it."""
 _CALLER: Final = "busway.caller"
 _FIND_CALLER: Final = "busway.find_caller"
 _log = logging.getLogger("busway.apps.web")
 
 
 class Role(IntEnum):
-    """Roles of callers of a web page; each role may do what those before it may."""
+    """What a caller of a web page may do; each role includes the roles before it."""
 
     VIEW = 1
     """See values, history and states."""
@@ -70,12 +72,12 @@ class Role(IntEnum):
 
     @property
     def label(self) -> str:
-        """The role as a word in files, messages and sentences, such as ``operate``."""
+        """The word for the role in files, messages and sentences, such as ``operate``."""
         return self.name.lower()
 
 
 ROLES: Final = MappingProxyType({role.label: role for role in Role})
-"""Roles by their words."""
+"""Roles by their labels, such as ``operate``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,7 @@ class Caller:
     """The sender of a request to a web page: name and role.
 
     Attributes:
-        name: name of the token, subject of the certificate, or ``loopback``; for records of what was changed.
+        name: name of the token, subject of the certificate, or ``loopback``; it is recorded with each change.
         role: what the caller may do.
     """
 
@@ -96,7 +98,7 @@ class AccessToken:
     """A token that gives a caller access to a web page; only its digest is kept.
 
     Attributes:
-        caller: the caller that it identifies, with the role.
+        caller: name and role of the caller that shows this token.
         digest: SHA-256 of the token.
     """
 
@@ -105,20 +107,21 @@ class AccessToken:
 
     @classmethod
     def of(cls, token: str, name: str, role: Role) -> "AccessToken":
-        """Create an access token for a web page from its plain text."""
+        """Return the access token with this plain text, for a caller with this name and role."""
         return cls(Caller(name, role), _digest(token))
 
 
 @dataclass(frozen=True, slots=True)
 class PageAccessRules:
-    """Which hosts, origins and callers may use a web page on one address.
+    """Which callers and hosts may use a web page on one address.
 
     Attributes:
-        tokens: gives all that are taken now, which may be none; None for a page that has no tokens: one that is shown
-            there means nothing.
-        subjects: role by the subject of a client certificate, as RFC 4514 writes it: ``CN=anna,O=plant``.
-        without_token: role of callers that show neither; None where they are refused.
-        is_loopback: whether it can be reached from this host alone.
+        tokens: called for each check; returns the tokens that are valid now, possibly none. None: the page has no
+            tokens, and a token in a request is ignored.
+        subjects: role by the subject of a client certificate, in the form of RFC 4514: ``CN=anna,O=plant``.
+        without_token: role of callers that show neither a token nor a certificate of ``subjects``; None: they are
+            refused.
+        is_loopback: whether only this host can reach the page; then the header ``Host`` must be a loopback name.
     """
 
     tokens: "Callable[[], Sequence[AccessToken]] | None" = None
@@ -128,27 +131,27 @@ class PageAccessRules:
 
 
 class Refused(HTTPException):
-    """Error that the page answers with an HTTP status and a sentence."""
+    """A request is refused: answered with this HTTP status and sentence (a WebSocket: closed with code 1008)."""
 
 
 @dataclass(frozen=True, slots=True)
 class RequiredRole:
-    """FastAPI dependency of a route: refuses callers with too low a role, and gives the caller to the route.
+    """FastAPI dependency that refuses callers whose role is too low, and passes the caller to the route.
 
     Attributes:
-        role: the least role.
+        role: the lowest role that may use the route.
     """
 
     role: Role
 
     async def __call__(self, connection: HTTPConnection) -> Caller:
-        """Return the caller of a request if its role suffices. Raises `Refused`."""
+        """Return the caller of a request. Raises `Refused` (403) if its role is too low, (401) if it is not known."""
         return _permitted(caller_of(connection.scope), self.role)
 
 
 @functools.cache
 def require(role: Role) -> RequiredRole:
-    """Dependency of a FastAPI route that only callers of at least this role may use::
+    """Return the FastAPI dependency for a route that needs at least this role::
 
     async def confirm(key: str, caller: Annotated[Caller, Depends(require(Role.OPERATE))]) -> Answer: ...
     """
@@ -156,7 +159,7 @@ def require(role: Role) -> RequiredRole:
 
 
 def caller_of(scope: Scope) -> Caller:
-    """Return the caller of a request that `PageAccess` has accepted. Raises `Refused` for any other."""
+    """Return the caller of a request that `PageAccess` has accepted. Raises `Refused` (401) for any other request."""
     found = scope.get(_CALLER)
     if not isinstance(found, Caller):
         raise Refused(401, "the caller is not known")
@@ -164,7 +167,7 @@ def caller_of(scope: Scope) -> Caller:
 
 
 def current_caller(scope: Scope) -> Caller | None:
-    """Return the caller of an accepted request, by the tokens valid now; None if it would be refused now."""
+    """Return the caller of a request accepted earlier, by the tokens valid now; None if it would now be refused."""
     found: Caller | None = scope[_FIND_CALLER]()
     return found
 
@@ -179,9 +182,9 @@ class PageAccess:
     """ASGI middleware that refuses requests which break the access rules.
 
     Args:
-        inner: the application.
-        rules: rules of the listener.
-        is_open: whether a path needs no token.
+        inner: the ASGI application that gets the accepted requests.
+        rules: who may use the page on this address.
+        is_open: called with the path of a request; returns True if the path needs no caller, as for the page's files.
     """
 
     def __init__(self, inner: Application, rules: PageAccessRules, is_open: Callable[[str], bool]) -> None:
@@ -191,7 +194,7 @@ class PageAccess:
         self._wrong_tokens = Repeats()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check one HTTP request or WebSocket, and pass it on to the application."""
+        """Check one HTTP request or WebSocket; pass it on to the application, or answer that it is refused."""
         if scope["type"] not in ("http", "websocket"):
             await self._inner(scope, receive, send)
             return
@@ -225,7 +228,10 @@ class PageAccess:
                 raise Refused(415, f"the body must be {' or '.join(_BODY_KINDS)}")
 
     def _caller(self, scope: Scope, headers: dict[str, list[str]]) -> Caller:
-        """Return the caller of a request, and store how to find it again while the request lasts (rule 7)."""
+        """Return the caller of a request. Raises `Refused` (401).
+
+        Stores in ``scope`` the function with which `current_caller` finds the caller again later (rule 7).
+        """
         given = _token(scope, headers)
         digest = None if given is None or self._rules.tokens is None else _digest(given)
         subject = scope.get("state", {}).get(CERTIFICATE_SUBJECT, "")
@@ -242,7 +248,10 @@ class PageAccess:
         raise Refused(401, "the token is wrong")
 
     def _find(self, digest: bytes | None, subject: str) -> Caller | None:
-        """Return the caller by token, by certificate or by neither (rule 5); None if it is refused."""
+        """Return the caller by the digest of its token, or without one by its certificate, or the default (rule 5).
+
+        Returns None if the caller is refused: the token is wrong, or callers without token and certificate are refused.
+        """
         if digest is not None and self._rules.tokens is not None:
             found: Caller | None = None
             for token in self._rules.tokens():  # all of them: the time says nothing about which one it was
@@ -280,7 +289,10 @@ def _names_loopback(host: str) -> bool:
 
 
 def _token(scope: Scope, headers: dict[str, list[str]]) -> str | None:
-    """Return the access token in a request; None if there is none."""
+    """Return the token in a request (subprotocol of a WebSocket, or ``Authorization``); None if it has neither.
+
+    Returns an empty text, which is a wrong token, if ``Authorization`` has another scheme than ``Bearer``.
+    """
     if scope["type"] == "websocket":
         for protocol in scope.get("subprotocols", ()):
             if protocol.startswith(BEARER_PROTOCOL):
@@ -297,7 +309,10 @@ def _has_body(headers: dict[str, list[str]]) -> bool:
 
 
 def _bounded(receive: Receive, headers: dict[str, list[str]]) -> Receive:
-    """Limit the received body of a request to `BODY_LIMIT` bytes, announced or not."""
+    """Return a ``receive`` that raises `Refused` (413) once a body exceeds `BODY_LIMIT` bytes.
+
+    Raises `Refused` (413) at once if ``Content-Length`` announces more.
+    """
     announced = _single(headers, "content-length")
     if announced and (not announced.isdecimal() or int(announced) > BODY_LIMIT):
         raise Refused(413, f"the body exceeds {BODY_LIMIT} bytes")

@@ -1,7 +1,7 @@
 """What the requests and responses of all pages have in common: their base classes, errors, and values as JSON.
 
-A number that JSON does not have is a text: ``"NaN"``, ``"Infinity"``, ``"-Infinity"``. So is an integer that a browser
-cannot hold (beyond 2**53).
+A number that JSON cannot represent is sent as a text: ``"NaN"``, ``"Infinity"``, ``"-Infinity"``. An integer that a
+browser cannot hold exactly (beyond ±2**53) is sent as a text, too.
 """
 
 import math
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Scalar = bool | int | float | str | None
 Plain = Scalar | list[Scalar]
-"""The value of a point: one thing, or a list of them."""
+"""The value of a point as JSON: a single value, or a list of single values."""
 
 _LARGEST_EXACT: Final = 2**53
 
@@ -33,7 +33,10 @@ class Failure(Answer):
 
 
 def plain_value(value: Any) -> Plain:
-    """Return a value as JSON can represent it (`Plain`)."""
+    """Return a value in a form that JSON can represent (`Plain`).
+
+    NaN, infinities and integers beyond ±2**53 become texts, bytes hexadecimal text.
+    """
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return value
     if isinstance(value, int):

@@ -1,8 +1,10 @@
 """The FastAPI application of a page's API: how errors are answered, and its OpenAPI document.
 
-Knows FastAPI, JSON and HTTP; knows no simulation. FastAPI makes routes, checks and document from functions of `api`.
+Knows FastAPI, JSON and HTTP; knows no simulation and no collector. FastAPI derives the routes, the checks of requests
+and the document from the signatures of the functions that are added to the application.
 
-1. Every error is answered as `Failure`, a sentence; a body that does not fit is answered with the key that is wrong.
+1. Every error is answered with a `Failure`, which holds a sentence. For an invalid body the sentence names the wrong
+   keys.
 """
 
 from collections.abc import Callable, Coroutine, Mapping
@@ -20,7 +22,7 @@ from ...version import __version__
 from .messages import Failure
 
 _MOST_PROBLEMS: Final = 5
-"""Problems of one body that are named."""
+"""Most problems of one body that are named in the response; the others are counted."""
 _NO_JSON: Final = "the body is no JSON"
 _RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
     401: {"model": Failure, "description": "The token is missing or wrong."},
@@ -32,7 +34,13 @@ ErrorHandler = Callable[[Request, Any], Coroutine[Any, Any, Response]]  # Any: t
 
 
 def new_application(title: str, description: str, handlers: Mapping[Any, ErrorHandler]) -> FastAPI:
-    """Return a FastAPI application without routes. ``handlers`` answer further exceptions, by class."""
+    """Return a FastAPI application without routes that answers invalid requests and `ModbusError` with a `Failure`.
+
+    Args:
+        title: title of the OpenAPI document.
+        description: description in the OpenAPI document.
+        handlers: functions that answer further exceptions, by class of the exception.
+    """
     return FastAPI(
         title=title,
         version=__version__,
@@ -51,14 +59,19 @@ def new_application(title: str, description: str, handlers: Mapping[Any, ErrorHa
 
 
 def secure_document(application: FastAPI) -> None:
-    """Add to the OpenAPI document how requests are authorized, which FastAPI cannot know: `access` does it."""
+    """Add to the OpenAPI document that a token may be needed. FastAPI does not know it, as `access` checks tokens."""
     document = application.openapi()
     document["components"]["securitySchemes"] = {"token": _TOKEN}
     document["security"] = [{"token": []}, {}]
 
 
 def failed(status: int, sentence: str) -> Response:
-    """Return the response for a failed request; characters that are no Unicode in a client's text are escaped."""
+    """Return the response for a failed request: a `Failure` as JSON.
+
+    Args:
+        status: the HTTP status.
+        sentence: what is wrong. Lone surrogates from a client's text, which UTF-8 cannot encode, are escaped.
+    """
     sentence = sentence.encode("utf-8", "backslashreplace").decode()
     return Response(Failure(error=sentence).model_dump_json(), status, media_type="application/json")
 
@@ -88,5 +101,9 @@ async def _not_possible(request: Request, error: ModbusError) -> Response:
 
 
 def _place(path: tuple[int | str, ...]) -> str:
-    """Return the key in a request that an error of FastAPI is about, without FastAPI's prefix."""
+    """Return the key that a validation error of FastAPI is about, such as ``schedule.after``; else ``the body``.
+
+    Args:
+        path: the location in the error; its first item (``body``, ``query``, …) is left out.
+    """
     return ".".join(str(part) for part in path[1:]) or "the body"

@@ -1,4 +1,4 @@
-"""The file with the access tokens of a page: created at the first start, for its owner alone, and read again when it
+"""The file with the access tokens of a page: created at the first start, readable by its owner alone, read anew when it
 changes.
 
 Knows the file and its lines; knows no request.
@@ -10,11 +10,12 @@ Knows the file and its lines; knows no request.
     operate   9fQx…
     operate   Zw0a…   anna
 
-1. A new file has one random token for each role. It is never written over: lines are added and removed by hand.
-2. A file that others can read is refused, and so is one with a line that cannot be; the sentence has the line's number
+1. A new file has one random token for each role. The program never changes the file afterwards: lines are added and
+   removed by hand.
+2. A file that other users can read is refused, and so is a file with an invalid line; the error has the line's number
    and never its token.
-3. While a page runs, a file that has become wrong is logged, and adds no token. A token that no longer stands in it, or
-   whose file is gone, is no longer taken.
+3. A file that becomes invalid while a page runs is logged, and adds no token. A token that is no longer in the file, or
+   whose file is gone, is no longer accepted.
 """
 
 import logging
@@ -29,9 +30,9 @@ from ...safe_files import read_safely
 from .access import ROLES, AccessToken, Role
 
 TOKEN_FILE: Final = "page-tokens"
-"""The file in the store."""
+"""Name of the file in the folder of the store."""
 SHORTEST_TOKEN: Final = 16
-"""Characters of a token that is given."""
+"""Least number of characters of a token that a user chooses."""
 MOST_TOKENS: Final = 100
 _TOKEN_BYTES: Final = 24
 _LONGEST_FILE: Final = 64 * 1024
@@ -51,13 +52,13 @@ def is_token(text: str) -> bool:
 
 
 class KeptTokens:
-    """The access tokens of a web page, read from a file, and again when the file changes.
+    """The access tokens of a web page, read from a file and read anew when the file changes.
 
     Args:
-        path: the file; where there is none it is made, with a token for each role.
+        path: the file. If it does not exist, it is created with a new token for each role.
 
     Raises:
-        ConfigError: it cannot be made or read, others can read it, or it holds something else.
+        ConfigError: the file cannot be created or read, other users can read it, or a line is invalid.
     """
 
     def __init__(self, path: Path) -> None:
@@ -67,7 +68,10 @@ class KeptTokens:
         self._tokens = read_tokens(path)
 
     def current(self) -> tuple[AccessToken, ...]:
-        """Return the access tokens in the file now; never raises."""
+        """Return the access tokens that are valid now; never raises.
+
+        If the file has become invalid, these are the tokens known before that are still in it (rule 3).
+        """
         state = self._look()
         if state != self._state:
             self._state = state
@@ -79,7 +83,7 @@ class KeptTokens:
         return self._tokens
 
     def _left(self) -> tuple[AccessToken, ...]:
-        """Return the tokens that are still written in a file that has become invalid (rule 3)."""
+        """Return the tokens known before that an invalid file still has; empty if it cannot be read (rule 3)."""
         try:
             text = read_safely(self.path, most=_LONGEST_FILE).decode("utf-8", "replace")
         except ConfigError:
@@ -97,7 +101,12 @@ class KeptTokens:
 
 
 def read_tokens(path: Path) -> tuple[AccessToken, ...]:
-    """Read the access tokens from a file. Raises `ConfigError`."""
+    """Return the access tokens in a file, in the order of its lines.
+
+    Raises:
+        ConfigError: the file cannot be read, other users can read it, a line is invalid, or it has no token or too many
+            (more than `MOST_TOKENS`).
+    """
     text = read_safely(path, most=_LONGEST_FILE).decode("utf-8", "replace")
     if os.name != "nt" and path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         raise ConfigError("holds tokens and can be read by others; chmod 600 it", file=str(path))
