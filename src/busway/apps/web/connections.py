@@ -1,17 +1,18 @@
 """Limits the HTTP connections of a page: their number, and the time each has to send a request.
 
 Knows connections of uvicorn and their limits; knows no request. uvicorn limits neither the number of connections that
-have sent nothing, nor the time of a head, so that is here.
+have sent nothing, nor the time in which a head must arrive; this module does.
 
-1. From its beginning, or from the first byte of a further request, a connection has `HEAD_SECONDS` to the end of the
-   head. Before that it is not known who the client is.
-2. There are at most `MOST` connections, WebSockets included. One too many replaces the oldest that has not sent its
-   request; if all have, it is closed.
-3. The last descriptors of the process are for Modbus: a connection that was given one of them is closed.
-4. Events that repeat are logged once a minute, with their number.
-5. A stream of any page has the limits that stand here; `simulation_stream` and `collector_stream` keep them.
-6. A TLS handshake counts as a connection that has not sent its request, and has the same time. The subject of a
-   client's certificate that was verified goes with the connection, for the rules of access.
+1. A client has `HEAD_SECONDS` to send the head of a request completely, from the beginning of the connection or, for a
+   further request, from its first byte. Until then it is not known who the client is.
+2. There are at most `MOST` connections, WebSockets included. When there is one more, the oldest connection that has not
+   sent its request is closed; if all others have sent theirs, the new connection is closed.
+3. The last file descriptors of the process are reserved for Modbus: a connection that was given one of them is closed.
+4. Events that repeat are logged once a minute, with the number of messages left out.
+5. The limits for the WebSockets of all pages are constants of this module; `simulation_stream` and `collector_stream`
+   apply them.
+6. A connection in its TLS handshake counts as one that has not sent its request, and the handshake must end within
+   `HEAD_SECONDS`. The subject of a verified client certificate is stored with the connection, for `access`.
 """
 
 import asyncio
@@ -32,24 +33,24 @@ from .access import CERTIFICATE_SUBJECT
 HEAD_SECONDS: Final = 5.0
 MOST: Final = 100
 CLIENTS: Final = 16
-"""Viewers that have a stream (WebSocket) of a page at once."""
+"""Most viewers that have a WebSocket (``/stream``) of one page at the same time."""
 SEND_SECONDS: Final = 20.0
-"""Seconds that a viewer has to take one message."""
+"""Seconds in which a viewer must take a message; then its WebSocket is closed."""
 PROTOCOL: Final = "busway"
-"""The subprotocol of a stream; a browser may offer its token beside it."""
+"""WebSocket subprotocol of ``/stream``; a browser that has a token offers ``bearer.TOKEN`` as well."""
 
 _log = logging.getLogger("busway.apps.web")
 
 
 class Throttle(logging.Filter):
-    """Log filter that passes each message once a minute, with the number of those it dropped."""
+    """Log filter that passes equal messages once a minute, and appends how many it has dropped since."""
 
     def __init__(self) -> None:
         super().__init__()
         self._repeats = Repeats()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether a log message is written now or left out as a repetition."""
+        """Whether a log message is written now; False: it is dropped as a repetition."""
         sentence = record.getMessage()
         repeated = self._repeats.again(sentence, time.monotonic())
         if repeated is None:
@@ -59,15 +60,15 @@ class Throttle(logging.Filter):
 
 
 _http_log = logging.getLogger("busway.apps.web.http")
-"""Log of the HTTP server; a client that sends nonsense makes it repeat itself."""
+"""Log of the HTTP server. A client that sends invalid requests causes many equal messages, which the filter drops."""
 _http_log.addFilter(Throttle())
 
 
 class SharedConnections:
-    """What all HTTP connections of one page share: limits and counts.
+    """What all HTTP connections of one page share: their limits, and the list of those that have sent no request.
 
     Attributes:
-        waiting: connections that have not sent their request, the oldest first.
+        waiting: keys are the connections that have not sent their request, the oldest first; values are unused.
     """
 
     def __init__(self) -> None:
@@ -78,12 +79,19 @@ class SharedConnections:
         """Return the factory that uvicorn calls for each accepted connection of the page.
 
         Args:
-            tls: gives the TLS context of a connection that begins; None for connections without TLS.
+            tls: called for each new connection; returns its TLS context. None for connections without TLS.
         """
         return partial(PageConnection, self) if tls is None else partial(SecuringConnection, self, tls)
 
     def admits(self, transport: asyncio.Transport, connections: "set[Any]") -> bool:
-        """Whether an accepted HTTP connection of the page (one of ``connections``) may stay; else it is closed."""
+        """Whether a new connection of the page may stay; otherwise it has been closed.
+
+        To make room, an older connection that has sent no request may be closed (rule 2).
+
+        Args:
+            transport: the new connection.
+            connections: all connections of the page, with the new one.
+        """
         accepted = transport.get_extra_info("socket")
         if accepted is not None and is_reserved(accepted.fileno()):
             self.say("a connection to the page is closed: the last file descriptors are reserved for Modbus")
@@ -100,7 +108,12 @@ class SharedConnections:
         return True
 
     def say(self, sentence: str, *arguments: object) -> None:
-        """Log an event of the page that may repeat, once a minute."""
+        """Log an event of the page as a warning. If it repeats, it is logged once a minute.
+
+        Args:
+            sentence: format of the message, which also tells events apart.
+            arguments: values for the format.
+        """
         repeated = self._repeats.again(sentence, time.monotonic())
         if repeated is not None:
             _log.warning(f"{sentence}%s", *arguments, so_often(repeated))
@@ -110,8 +123,8 @@ class PageConnection(H11Protocol):
     """An HTTP connection of the page, until it becomes a WebSocket.
 
     Args:
-        shared: state shared with the other connections.
-        given: arguments of uvicorn.
+        shared: state shared with the other connections of the page.
+        given: arguments that uvicorn gives to a protocol.
     """
 
     def __init__(self, shared: SharedConnections, **given: Any) -> None:
@@ -121,7 +134,7 @@ class PageConnection(H11Protocol):
         self._timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Keep an accepted connection if the page's limit allows it."""
+        """Keep a new connection if the limits of the page allow it, else close it. Called by asyncio."""
         super().connection_made(transport)
         secured = transport.get_extra_info("ssl_object")
         if secured is not None:
@@ -130,7 +143,7 @@ class PageConnection(H11Protocol):
             self._wait()
 
     def data_received(self, data: bytes) -> None:
-        """Process bytes that the connection has received."""
+        """Process bytes that the connection has received. Called by asyncio."""
         super().data_received(data)
         if self.transport.is_closing() or self.conn.their_state is not h11.IDLE:
             self._heard()
@@ -138,17 +151,17 @@ class PageConnection(H11Protocol):
             self._wait()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Pass an HTTP connection of the page on to the WebSocket code."""
+        """Hand an HTTP connection of the page over to the WebSocket protocol of uvicorn."""
         self._heard()
         super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Forget a connection of the page that has ended."""
+        """Forget a connection of the page that has ended. Called by asyncio."""
         self._heard()
         super().connection_lost(exc)
 
     def close_unheard(self) -> None:
-        """Close a connection of the page that has not sent its request in time."""
+        """Close a connection that has not sent its request: its time is over, or a new connection needs its place."""
         self._heard()
         self.connections.discard(self)
         self.transport.abort()
@@ -169,12 +182,12 @@ class PageConnection(H11Protocol):
 
 
 class SecuringConnection(asyncio.Protocol):
-    """A connection to the page during its TLS handshake, after which a `PageConnection` replaces it.
+    """A connection to the page during its TLS handshake; a `PageConnection` replaces it after the handshake.
 
     Args:
-        shared: state shared with the other connections.
-        tls: gives the context.
-        given: arguments of uvicorn.
+        shared: state shared with the other connections of the page.
+        tls: returns the TLS context for this connection.
+        given: arguments that uvicorn gives to a protocol, for the `PageConnection`.
     """
 
     def __init__(self, shared: SharedConnections, tls: Callable[[], ssl.SSLContext], **given: Any) -> None:
@@ -189,7 +202,7 @@ class SecuringConnection(asyncio.Protocol):
         self._handshake: asyncio.Task[None] | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Begin the TLS handshake of an accepted connection if the page's limit allows it."""
+        """Begin the TLS handshake of a new connection if the limits of the page allow it, else close it."""
         assert isinstance(transport, asyncio.Transport)
         self._transport = transport
         self._connections.add(self)
@@ -222,7 +235,7 @@ class SecuringConnection(asyncio.Protocol):
                 page.data_received(b"".join(self._early))
 
     def data_received(self, data: bytes) -> None:
-        """Keep bytes that arrived right after the TLS handshake, for the `PageConnection`."""
+        """Keep decrypted bytes that arrive right after the TLS handshake, for the `PageConnection`."""
         self._early.append(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -232,7 +245,7 @@ class SecuringConnection(asyncio.Protocol):
         self._connections.discard(self)
 
     def close_unheard(self) -> None:
-        """Close a connection whose TLS handshake has not ended in time."""
+        """Close the connection during its handshake: a new connection needs its place, or the page is being stopped."""
         if self._handshake is not None:
             self._handshake.cancel()
         self.connection_lost(None)
@@ -240,12 +253,18 @@ class SecuringConnection(asyncio.Protocol):
             self._transport.abort()
 
     def shutdown(self) -> None:
-        """Close the connection, because the page is being stopped."""
+        """Close the connection. Called by uvicorn when the page is being stopped."""
         self.close_unheard()
 
 
 def subject_of(certificate: bytes | None) -> str:
-    """Return the subject of a certificate in DER as RFC 4514 writes it: ``CN=anna,O=plant``; empty without one."""
+    """Return the subject of a certificate in the form of RFC 4514, such as ``CN=anna,O=plant``.
+
+    Returns an empty text if there is no certificate, or if its subject cannot be read.
+
+    Args:
+        certificate: the certificate in DER; None or empty if the client has none.
+    """
     if not certificate:
         return ""
     from cryptography import x509

@@ -2,9 +2,10 @@
 
 Knows sockets, the files of the page and the HTTP server; knows no resource.
 
-1. On loopback no token is needed. Elsewhere one is made unless it is given; it stands behind ``#`` in the URL of the
-   page, which a browser does not send.
-2. The page consists of files of this package alone: its policy (CSP) allows nothing else, and no script within HTML.
+1. On a loopback address no token is needed. On other addresses a token is created unless the user gives one. It is
+   behind ``#`` in the URL of the page, a part that a browser does not send.
+2. The page consists of files of this package alone: its content security policy (CSP) allows no other files, and no
+   script within HTML.
 3. Everything has a limit: connections, bytes of a request and of a message, seconds of an idle connection.
 """
 
@@ -45,13 +46,15 @@ from .simulation_subject import PageSubject
 from .simulation_traffic import Traffic
 
 _errors = logging.getLogger("busway.apps.web.errors")
-"""Logged once a minute: a request that fails can be repeated at will."""
+"""Log of requests that failed with an unexpected error. Each message is logged at most once a minute, as a client can
+repeat such a request without limit.
+"""
 _errors.addFilter(Throttle())
 
 DEFAULT_ADDRESS: Final = "127.0.0.1:8502"
 KEY: Final = "api"
 _WISH_LIMIT: Final = 256 * 1024
-"""Bytes of a WebSocket message from a browser."""
+"""Most bytes of a WebSocket message from a browser."""
 _KEEP_ALIVE: Final = 15
 _STOP_SECONDS: Final = 1
 _FILES: Final = {
@@ -66,7 +69,7 @@ _FILES: Final = {
     for name in ("app", "link", "points", "trends", "traffic", "faults", "status", "dom")
 }
 FilesByPath = Mapping[str, tuple[str, str]]
-"""Name below the folder of the page, and type, by path."""
+"""Static files of a page: by URL path, the file's name below the folder ``page`` and its content type."""
 SHARED_FILES: Final[FilesByPath] = {
     path: _FILES[path]
     for path in (
@@ -79,7 +82,7 @@ SHARED_FILES: Final[FilesByPath] = {
         "/dom.js",
     )
 }
-"""What every page has."""
+"""The files that every page has."""
 _HEADERS: Final = (
     (
         b"content-security-policy",
@@ -96,7 +99,7 @@ _HEADERS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class _File:
-    """One static file of the web page: its bytes and content type."""
+    """One static file of the web page: its bytes, content type and HTTP ``ETag``."""
 
     content: bytes
     kind: str
@@ -104,17 +107,18 @@ class _File:
 
 
 class HostedPage(ABC):
-    """Base of web pages with an API: serves them while the ``async with`` block lasts.
+    """Base class of web pages with an API; the page is served while the ``async with`` block lasts.
 
     Args:
-        at: host and port; port 0 takes a free one.
-        token: token that every request to the API must carry. None: none on loopback, a new one elsewhere.
-        key: the option that ``at`` comes from.
+        at: host and port to listen on; port 0 takes a free port.
+        token: token that every request to the API must carry. None: no token is needed on a loopback address, and a new
+            token is created on other addresses.
+        key: name of the option that ``at`` comes from, for errors.
         tls: certificate and key for HTTPS, and the authority of clients' certificates; None for HTTP.
 
     Attributes:
-        url: URL of the page, without the token; empty while stopped.
-        token: required token; empty if none is needed.
+        url: URL of the page, without the token; empty while the page is stopped.
+        token: token that requests must carry; empty if no token is needed.
 
     Raises:
         ConfigError: the address is invalid, or the token is too short.
@@ -136,24 +140,31 @@ class HostedPage(ABC):
 
     @abstractmethod
     def application(self, rules: PageAccessRules) -> Application:
-        """Return the ASGI application of page and API, with these access rules."""
+        """Return the ASGI application that serves page and API under these access rules; called by `start`."""
 
     def _lasting(self) -> contextlib.AbstractContextManager[object]:
-        """Context manager that a page may override to keep something open while it answers requests."""
+        """Return a context manager that is entered while the page is served; a subclass may override it."""
         return contextlib.nullcontext()
 
     @property
     def page_url(self) -> str:
-        """Return the URL of the page for people, including the token that gives access, if there is one."""
+        """The URL to open in a browser, with the token behind ``#`` if a token is needed."""
         return f"{self.url}#token={self.token}" if self.token else self.url
 
     @property
     def announced_url(self) -> str:
-        """Return the page's URL for logs: with the token only if it was created here and is stored nowhere."""
+        """The URL of the page for logs. It has a token that was created here, and no token that the user gave."""
         return self.url if self._given is not None else self.page_url
 
     def _rules(self, *, local: bool) -> PageAccessRules:
-        """Return who may use the page: by default every caller on loopback, else those with the one token."""
+        """Return who may use the page. A subclass may override it.
+
+        By default, these are callers with the page's token; all callers if no token was given and the address is a
+        loopback address. Each of them may do everything.
+
+        Args:
+            local: whether the page listens on a loopback address.
+        """
         self.token = self._given if self._given is not None else "" if local else new_token()
         if not self.token:
             return PageAccessRules(without_token=Role.CONFIGURE, is_loopback=local)
@@ -161,7 +172,7 @@ class HostedPage(ABC):
         return PageAccessRules(lambda: tokens, is_loopback=local)
 
     async def start(self) -> None:
-        """Begin to serve the page and its API.
+        """Begin to serve the page and its API; does nothing if the page is being served already.
 
         Raises:
             LinkDown: the address cannot be bound.
@@ -191,7 +202,7 @@ class HostedPage(ABC):
             self._opened = unless_started.pop_all()
 
     async def stop(self) -> None:
-        """Stop serving the page and close all connections."""
+        """Stop serving the page and close all connections; does nothing if the page is stopped."""
         task, self._task = self._task, None
         if task is not None and self._server is not None:
             self._server.should_exit = True
@@ -215,23 +226,25 @@ class HostedPage(ABC):
 
 
 class ControlPage(HostedPage):
-    """The API and the page of a simulation while the ``async with`` block lasts::
+    """The web page of a simulation with its API; it is served while the ``async with`` block lasts::
 
         async with ControlPage(simulation) as page:
             print(page.url)
 
     Args:
         subject: the running simulation.
-        at: host and port; port 0 takes a free one.
-        token: token that every request to the API must carry. None: none on loopback, a new one elsewhere.
-        name: name of the simulation, for the page.
+        at: host and port to listen on; port 0 takes a free port.
+        token: token that every request to the API must carry. None: no token is needed on a loopback address, and a new
+            token is created on other addresses.
+        name: name of the simulation, which the page shows.
 
     Attributes:
-        api: the resources.
-        streams: the WebSockets.
+        traffic: the latest Modbus frames of the simulation; recorded while the page is served.
+        api: the HTTP API of the simulation.
+        streams: the WebSockets of the open pages.
 
     Raises:
-        ConfigError: the address is invalid, the token is too short, or traffic is already recorded.
+        ConfigError: the address is invalid, the token is too short, or (from `start`) traffic is already recorded.
     """
 
     def __init__(
@@ -256,7 +269,7 @@ class ControlPage(HostedPage):
             self.traffic.stop()
 
     def application(self, rules: PageAccessRules) -> Application:
-        """Return the ASGI application of the simulation's page and API, with these access rules."""
+        """Return the ASGI application that serves the simulation's page and API under these access rules."""
         inner = page_application(
             "busway simulator",
             "Values, faults and traffic of a simulated plant. The WebSocket /stream reports events as they happen.",
@@ -271,12 +284,23 @@ class ControlPage(HostedPage):
 
 
 def page_application(title: str, description: str) -> FastAPI:
-    """Return a FastAPI application without routes that logs errors which it cannot answer."""
+    """Return a FastAPI application without routes. Unexpected errors of its routes are logged and answered with 500.
+
+    Args:
+        title: title of the OpenAPI document.
+        description: description in the OpenAPI document.
+    """
     return new_application(title, description, {Exception: _failed})
 
 
 def guarded(inner: FastAPI, shown: FilesByPath, rules: PageAccessRules) -> Application:
-    """Return an application with the files of its page added, under access rules."""
+    """Return the ASGI application of a page: an API, the files of the page, access rules and common HTTP headers.
+
+    Args:
+        inner: application with the routes of the API; routes for the files are added to it.
+        shown: the files of the page; requests for them need no token.
+        rules: who may use the page.
+    """
     page = _read_files(shown)
 
     async def show_file(request: Request) -> Response:
@@ -292,7 +316,11 @@ def guarded(inner: FastAPI, shown: FilesByPath, rules: PageAccessRules) -> Appli
 
 
 class _Server(uvicorn.Server):
-    """The HTTP server of the page (uvicorn), changed to leave signals to the program and to report when it listens."""
+    """The HTTP server of the page (uvicorn), changed to leave signals to the program and to report when it listens.
+
+    Attributes:
+        answering: set once the server listens.
+    """
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
@@ -300,7 +328,7 @@ class _Server(uvicorn.Server):
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Handle no signals, such as Ctrl-C: the program does."""
+        """Handle no signals, such as Ctrl-C: the program handles them."""
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -310,10 +338,10 @@ class _Server(uvicorn.Server):
 
 
 class _HiddenTokens(logging.Filter):
-    """Log filter that hides the headers that can carry an access token, which the library logs at DEBUG."""
+    """Log filter that hides the values of headers that can carry a token: uvicorn logs all headers at DEBUG."""
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return True: every record is logged, some with ``***`` for the value of a header."""
+        """Return True, so that every record is logged. In a record of such a header, ``***`` replaces its value."""
         if isinstance(record.args, tuple) and len(record.args) == 2 and str(record.args[0]).lower() in _TOKEN_HEADERS:
             record.args = (record.args[0], "***")
         return True
@@ -343,7 +371,7 @@ def _configured(application: Application, context: WatchedContext | None) -> uvi
 
 
 def _read_files(shown: FilesByPath) -> dict[str, _File]:
-    """Return the static files of a web page by path."""
+    """Return the static files of a web page, by URL path."""
     place = files(__package__) / "page"
     found = {}
     for path, (name, kind) in shown.items():
@@ -353,7 +381,7 @@ def _read_files(shown: FilesByPath) -> dict[str, _File]:
 
 
 def _with_headers(inner: Application) -> Application:
-    """Return an application that adds the page's common HTTP headers to each response."""
+    """Return an ASGI application that passes requests to ``inner`` and adds the page's common HTTP headers."""
 
     async def application(scope: Scope, receive: Receive, send: Send) -> None:
         async def send_more(message: Message) -> None:
@@ -375,6 +403,6 @@ async def _failed(request: Request, error: Exception) -> Response:
 
 
 def _reachable_name(bound: socket.socket) -> str:
-    """Return host and port for a browser's URL: this machine's name if the page listens on all addresses."""
+    """Return ``HOST:PORT`` of a socket for a browser's URL; the machine's name if it is bound to all addresses."""
     host, port = bound.getsockname()[:2]
     return f"{socket.gethostname()}:{port}" if host in ("0.0.0.0", "::") else bound_name(bound)

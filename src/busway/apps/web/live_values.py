@@ -1,13 +1,15 @@
 """The last committed value of each point, and what changed between two ticks as one JSON text for all viewers.
 
-Knows commits and places of points; knows no request and no WebSocket. `LiveValues.update` is called by the thread of
-the store, everything else by any other.
+A tick is a numbered moment at which changes are made visible to viewers. Knows commits and the positions of points in
+the list of points; knows no request and no WebSocket. The thread of the store calls `LiveValues.update`; any other
+thread may call the rest.
 
-1. A commit costs one entry for each read, with or without viewers. Points are looked at once a tick.
-2. A viewer that has seen tick 7 gets all that changed since tick 7, however many ticks it missed: nothing is queued.
-3. A device that is not read (suspended, without connection, in maintenance) has bad values for that reason from then
-   on, until each point is read again.
-4. Neighbouring points are told together: those read at one time in three numbers, changed values as a run.
+1. A commit costs one entry for each read, with or without viewers. The points in it are looked at once a tick.
+2. A viewer that has seen tick 7 gets all changes since tick 7, however many ticks it missed: nothing is queued.
+3. While a device is not read (suspended, without connection, in maintenance), its points have the quality bad, with
+   that as the reason, until each point is read again.
+4. Points that are neighbours in the list are sent together: points read at the same time as three numbers, changed
+   values as a run.
 """
 
 import json
@@ -21,20 +23,22 @@ from ..collector.store.writer import Commit
 from .messages import plain_value
 
 MOST_WAITING: Final = 10_000
-"""Reads that are kept apart between two ticks; with more, the thread of the store makes a tick."""
+"""Most groups of points whose latest samples wait for the next tick; with more, `LiveValues.update` begins a tick."""
 _MILLION: Final = 1_000_000
 
 
 class LiveValues:
-    """The last stored values of all points of a collector, by their positions in the list of points.
+    """The last stored values of all points of a collector, by the position of each point in the list of points.
 
     Args:
-        points: device and name of each point, in the order in which viewers have them.
-        intervals: by device, the last time in which it was not read.
+        points: device and name of each point, in the order of ``/api/points``.
+        intervals: by device, the latest interval in which it was not read.
 
     Attributes:
         tick: number of the last tick; 0 before the first.
-        values, reasons, times: of each point; times are milliseconds since 1970 UTC, 0 for a point that was not read.
+        values: the last value of each point; None for a point that was not read yet, or whose last sample has no value.
+        reasons: the reason code of each point's quality; 0 without a reason.
+        times: when each point was read, milliseconds since 1970 UTC; 0 for a point that was not read yet.
     """
 
     def __init__(self, points: Sequence[tuple[str, str]], intervals: Mapping[str, StateInterval] | None = None) -> None:
@@ -56,7 +60,7 @@ class LiveValues:
         self._texts: dict[int, str] = {}
 
     def update(self, commit: Commit) -> None:
-        """Take over the samples of a commit, as soon as they are stored."""
+        """Take over the samples of a commit. Called by the thread of the store for each commit, once it is stored."""
         with self._lock:
             for batch in commit.last_values:
                 self._waiting[batch.group] = batch
@@ -68,7 +72,7 @@ class LiveValues:
                 self._advance()
 
     def advance(self) -> bool:
-        """Begin a new tick (change number) with the samples stored since the last; returns False if there are none."""
+        """Begin a new tick with what was stored since the last tick. Returns False if there is nothing new."""
         with self._lock:
             if not self._waiting and not self._unapplied:
                 return False
@@ -86,7 +90,11 @@ class LiveValues:
             self._apply(self._intervals[device])
 
     def _apply(self, interval: StateInterval) -> None:
-        """Change last values by the samples of a commit (rule 3)."""
+        """Give the points of a device that was not read its reason for that (rule 3).
+
+        Points that were read since the interval began, or are bad already, keep their reason, except in a maintenance
+        that still lasts.
+        """
         always = interval.end is None and interval.reason == Reason.MAINTENANCE
         begin = interval.begin // _MILLION
         for place in self._by_device.get(interval.device, ()):
@@ -117,16 +125,18 @@ class LiveValues:
         return found
 
     def columns(self) -> tuple[list[Value | None], list[int], list[int]]:
-        """Return current values, reasons and times of all points as columns."""
+        """Return values, reasons and times of all points as three new lists, after a new tick."""
         self.advance()
         with self._lock:
             return self.values.copy(), self.reasons.copy(), self.times.copy()
 
     def since(self, seen: int) -> str:
-        """Return the changes since a tick, as JSON without its outer braces; encoded once for all open pages.
+        """Return all changes since tick ``seen``, as a JSON object without its braces; -1 returns all points.
 
-        ``read`` has a first place, a number of places and a time for each run of points; ``changed`` a first place, and
-        values and reasons of a run; ``reasons`` the quality and text of the reasons among them.
+        The text is encoded once for all open pages that have seen the same tick. It has three keys. ``read``: one flat
+        list, with three numbers for each run of neighbouring points read at the same time: first position, number of
+        points, time. ``changed``: for each run of neighbouring points, a list of first position, values and reasons (a
+        single number if all are equal). ``reasons``: by reason code, quality and text of the reasons in ``changed``.
         """
         with self._lock:
             text = self._texts.get(seen)
@@ -150,8 +160,9 @@ class LiveValues:
         return {"read": read, "changed": changed, "reasons": {str(reason): reason_shown(reason) for reason in used}}
 
     def _runs(self, seen: int) -> tuple[list[Any], set[int]]:
-        """Return changed points grouped by adjacent positions: first position, values and reasons (one if all are
-        equal).
+        """Return the points changed since tick ``seen``, as runs of neighbouring points, and the reason codes used.
+
+        A run is a list of first position, values and reasons; a single number replaces reasons that are all equal.
         """
         runs: list[Any] = []
         used: set[int] = set()
@@ -174,5 +185,5 @@ class LiveValues:
 
 
 def reason_shown(reason: int) -> list[str]:
-    """Return quality and reason of a sample as texts."""
+    """Return two texts for a reason code: the quality, and the reason (empty for code 0)."""
     return [quality_of(reason).label, reason_text(reason) if reason else ""]
