@@ -1,6 +1,6 @@
 """The alarms of a collector and the maintenance of its devices, over HTTP.
 
-Knows a running collector and shapes of answers; who may do what is known by `access`.
+Knows a running collector and the shapes of responses. `access` decides who may do what.
 """
 
 from typing import Annotated, Final
@@ -100,7 +100,7 @@ class AlarmApi:
         self._collector = collector
 
     def add_to(self, application: FastAPI) -> None:
-        """Add the routes for alarms and maintenance to an application."""
+        """Add the routes for alarms and maintenance to a FastAPI application."""
         add = application.add_api_route
         refused = {"model": Failure, "description": "There is no such alarm or device, or the store cannot be written."}
         add("/api/alarms", self.list_alarms, methods=["GET"], summary="Alarms, and the newest lines of the journal")
@@ -121,7 +121,7 @@ class AlarmApi:
         )
 
     async def list_alarms(self, limit: Annotated[int, Query(ge=0, le=MOST_EVENTS)] = 100) -> AlarmsAnswer:
-        """Return the alarms that are active or not acknowledged, and the newest alarm events."""
+        """Return the alarms that are active or not acknowledged, and the newest alarm events; newest first in both."""
         alarms = self._collector.alarms
         return AlarmsAnswer(
             active=[_alarm(each, alarms.reason(each.key)) for each in reversed(alarms.active())],
@@ -131,7 +131,10 @@ class AlarmApi:
     async def acknowledge(
         self, question: AcknowledgementQuestion, caller: Annotated[Caller, Depends(require(Role.OPERATE))]
     ) -> AlarmEventAnswer:
-        """Acknowledge an alarm; the alarm journal has it when the response comes."""
+        """Acknowledge an alarm, and return the alarm event of it, which is stored when the response comes.
+
+        404: there is no such alarm to acknowledge; 503: the store cannot be written.
+        """
         try:
             event = await self._collector.alarms.acknowledge(
                 question.device, question.point, question.limit, caller.name
@@ -143,13 +146,16 @@ class AlarmApi:
         return _event(event)
 
     async def list_maintenance(self) -> list[MaintenanceAnswer]:
-        """Return the devices in maintenance: since when, by whom, and why."""
+        """Return the devices in maintenance: since when, who began it, and why."""
         return [self._maintenance_of(device) for device in self._collector.in_maintenance()]
 
     async def set_maintenance(
         self, device: str, question: MaintenanceQuestion, caller: Annotated[Caller, Depends(require(Role.OPERATE))]
     ) -> MaintenanceAnswer:
-        """Begin the maintenance of a device, so that it is not polled, or end it."""
+        """Begin or end the maintenance of a device, and return whether it is in maintenance.
+
+        A device in maintenance is not polled. 404: unknown device; 503: the store cannot be written.
+        """
         if device not in self._collector.configuration.devices:
             raise HTTPException(404, f"there is no device {device}")
         try:

@@ -1,12 +1,14 @@
 """HTTP API of the collector's page for commands (arm, confirm, write, list) and for the configuration file.
 
-Knows a running collector and the roles of callers; judges no value.
+A command writes a value to a point. Knows a running collector and the roles of callers; judges no value.
 
-1. Nothing is sent by `arm_command`. `confirm_command` sends it once; the same again gives the result of the first time.
-2. An answer says what became of a command, also where it was refused; what cannot be a command at all is 422, and a
-   point or key that is not there 404.
-3. A configuration is refused as a whole, with all that is wrong, or holds when the answer comes. It names the revision
-   that it is a change of, where it has one, so that no change of someone else is lost.
+1. `arm_command` sends nothing to a device. `confirm_command` sends the command once; confirming it again returns the
+   first result.
+2. The response says what became of a command, also if it was refused. A request that cannot be a command at all is
+   answered with 422, an unknown point or key with 404.
+3. A new configuration is in force when the response comes, or it is refused as a whole, with all its errors. A request
+   can name the revision that it was edited from; it is refused if another one is in force by now, so that no change
+   of another person is lost.
 """
 
 from typing import Annotated, Any, Final
@@ -123,13 +125,13 @@ class ProblemsAnswer(Failure):
 
 
 class CommandsApi:
-    """Routes of the collector's page for commands and the configuration."""
+    """Routes of the collector's page for commands, which write points, and for the configuration."""
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector
 
     def add_to(self, application: FastAPI) -> None:
-        """Add the routes for commands and the configuration to an application."""
+        """Add the routes for commands and the configuration to a FastAPI application."""
         add = application.add_api_route
         missing: dict[int | str, dict[str, Any]] = {
             404: {"model": Failure, "description": "There is no such point or command."}
@@ -173,7 +175,10 @@ class CommandsApi:
         )
 
     async def arm_command(self, asked: NewCommand, caller: Operator) -> ArmedAnswer:
-        """Check a command against the rule of its point, and keep it for a minute until it is confirmed."""
+        """Check a command against the writing rule of its point, and keep it for a minute. Sends nothing.
+
+        The command must be confirmed within that time. 404: unknown point; 503: too many commands wait.
+        """
         value = _given(asked.value)
         try:
             armed = self._collector.commands.arm(asked.device, asked.point, value, by=caller.name, origin="page")
@@ -193,14 +198,14 @@ class CommandsApi:
         )
 
     async def confirm_command(self, key: Annotated[str, InPath(max_length=100)], caller: Operator) -> CommandAnswer:
-        """Send a command that was checked before to its device, and wait for the result."""
+        """Send a checked command to its device, and return the result. A second time returns the same result."""
         try:
             return _answer(await self._collector.commands.confirm(key, by=caller.name))
         except NoSuchCommand as error:
             raise HTTPException(404, error.message) from error
 
     async def send_command(self, asked: DirectCommand, caller: Operator) -> CommandAnswer:
-        """Check a command, send it to its device, and wait for the result."""
+        """Check a command, send it to its device, and return the result. A key that was used before sends nothing."""
         try:
             result = await self._collector.write(
                 asked.device,
@@ -218,11 +223,11 @@ class CommandsApi:
     async def list_commands(
         self, caller: Viewer, limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100
     ) -> CommandsAnswer:
-        """Return the results of recorded commands, the newest first."""
+        """Return the results of the latest commands, the newest first."""
         return CommandsAnswer(commands=[_answer(each) for each in await self._collector.commands.newest(limit)])
 
     async def get_configuration(self, caller: Configurer) -> ConfigurationAnswer:
-        """Return the text of the configuration in force, and its revision."""
+        """Return the text of the configuration in force (TOML), and its revision."""
         return ConfigurationAnswer(revision=self._collector.revision, text=self._collector.configuration.text)
 
     async def replace_configuration(
@@ -233,7 +238,11 @@ class CommandsApi:
             str | None, Query(max_length=64, description="Of the text that it is a change of; none: any.")
         ] = None,
     ) -> Response | ReplacedAnswer:
-        """Replace the configuration file; links that are the same in both miss no polling round."""
+        """Replace the configuration file by the body (TOML), and return its revision and what changed.
+
+        Links that are the same in both configurations miss no polling round. An invalid configuration changes nothing,
+        and is answered with 422 and all errors.
+        """
         try:
             text = (await request.body()).decode("utf-8")
         except UnicodeDecodeError as error:

@@ -3,9 +3,11 @@
 Knows `logging`; knows no request. Records come from any thread.
 
 1. The last `MOST_LINES` messages of level INFO and above are kept, each cut at `LONGEST_LINE` characters.
-2. Characters of devices and certificates that are not visible are escaped, so that no name forges a line.
-3. The handler is there while the page is; the levels of the loggers stay as they were, save that INFO is let through.
-4. A program without handlers shows warnings on stderr (`logging.lastResort`); it still does.
+2. Invisible characters in texts from devices and certificates are escaped, so that no name can forge a line.
+3. The handler is installed only while the page is served. Meanwhile the logger ``busway`` lets INFO through, also if
+   its level was higher; its level is restored afterwards.
+4. In a program without log handlers Python writes warnings to stderr (`logging.lastResort`). They are still written
+   there, although this handler exists.
 """
 
 import logging
@@ -24,7 +26,7 @@ _NUMBERS: Final = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logg
 
 
 class CollectorLog(logging.Handler):
-    """Log handler that keeps the latest messages while its ``with`` block lasts."""
+    """Log handler that keeps the latest messages of busway's loggers; installed while its ``with`` block lasts."""
 
     def __init__(self) -> None:
         super().__init__(logging.INFO)
@@ -49,7 +51,7 @@ class CollectorLog(logging.Handler):
         logger.setLevel(self._level_before)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep a log message for the page. A warning that nothing else would show still reaches stderr (rule 4)."""
+        """Keep a log message for the page. In a program without log handlers, warnings also go to stderr (rule 4)."""
         if not logging.getLogger().handlers and logging.lastResort and record.levelno >= logging.lastResort.level:
             logging.lastResort.handle(record)
         try:
@@ -69,12 +71,13 @@ class CollectorLog(logging.Handler):
             self._kept.append(line)
 
     def lines(self, limit: int, level: LogLevel, search: str) -> LogAnswer:
-        """Return the kept log messages, the newest first.
+        """Return the kept log messages that match, the newest first, and how many messages are no longer kept.
 
         Args:
-            limit: how many at most.
-            level: the least level.
-            search: words that each line has, in whatever case.
+            limit: most messages to return.
+            level: the lowest level wanted.
+            search: words separated by spaces; a message must contain all of them, in upper or lower case. Empty: all
+                messages match.
         """
         with self._guard:
             kept, count = list(self._kept), self._count

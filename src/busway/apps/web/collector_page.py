@@ -2,10 +2,11 @@
 
 Knows a running collector, its store and HTTP; asks no device.
 
-1. What is shown was committed: values come from commits, history from the store.
-2. A trend has at most `MOST_BUCKETS` buckets, and at most `MOST_QUERIES` are read at a time.
-3. Without a token callers of loopback may view, and others nothing; no caller writes without a role. The tokens are
-   made once, and kept in the folder of the store, in a file that only its owner can read.
+1. Only stored samples are shown: values come from commits, history from the store.
+2. A trend has at most `MOST_BUCKETS` buckets, and at most `MOST_QUERIES` trends are read from the store at once.
+3. On a loopback address callers without a token may view; on other addresses they are refused. No caller writes without
+   a role for it. The tokens are created once, in a file that only its owner can read, by default in the folder
+   of the store.
 """
 
 import asyncio
@@ -64,9 +65,9 @@ PERCENTILES: Final = (0.5, 0.9, 0.99)
 MOST_BUCKETS: Final = 2000
 MOST_QUERIES: Final = 2
 MOST_READS: Final = 2000
-"""Reads that the view of links shows at most."""
+"""Most planned reads that ``/api/links`` lists; the others are counted."""
 _PLAN_SECONDS: Final = 30.0
-"""How long a plan is shown before it is made anew."""
+"""Seconds for which ``/api/links`` shows the same read plan; then it is computed anew."""
 _LONGEST: Final = 366 * 86_400.0
 _MILLION: Final = 1_000_000
 _SCRIPTS: Final = (
@@ -81,17 +82,19 @@ _FILES: Final = {
 
 
 class CollectorPage(HostedPage):
-    """The web page of a running collector with its API, while the ``async with`` block lasts.
+    """The web page of a running collector with its API; it is served while the ``async with`` block lasts.
 
-    Tokens, TLS and subjects of client certificates are those of ``[page_access]`` in its file.
+    Tokens, TLS and subjects of client certificates are those of ``[page_access]`` in the collector's file.
 
     Args:
         collector: the running collector.
-        at: host and port; port 0 takes a free one.
-        fleet: the routes of its fleet; None for a collector of its own.
+        at: host and port to listen on; port 0 takes a free port.
+        fleet: the route that shows the collector's fleet; None for a collector outside a fleet.
 
     Attributes:
-        token_path: the file of its tokens.
+        token_path: the file with the page's tokens; created by `start` if it does not exist.
+        api: the routes that only read.
+        commands: the routes for commands and the configuration.
 
     Raises:
         ConfigError: the address is invalid, or the tokens cannot be read or made.
@@ -120,7 +123,7 @@ class CollectorPage(HostedPage):
         return self.api.log
 
     def resources(self) -> FastAPI:
-        """Return the page's HTTP API as an application without access rules."""
+        """Return the page's HTTP API as a FastAPI application, without the page's files and access rules."""
         inner = page_application("busway collector", "Last values, history, links, devices and sinks of a collector.")
         self.api.add_to(inner)
         self.commands.add_to(inner)
@@ -130,12 +133,12 @@ class CollectorPage(HostedPage):
         return inner
 
     def application(self, rules: PageAccessRules) -> Application:
-        """Return the ASGI application of the collector's page and API, with these access rules."""
+        """Return the ASGI application that serves the collector's page and API under these access rules."""
         return guarded(self.resources(), _FILES, rules)
 
 
 def _tls_of(configuration: CollectorConfiguration) -> TlsParameters | None:
-    """Return certificate, key and authority of the page; None for HTTP."""
+    """Return the TLS files of the page, by ``[page_access]``; None if it has no certificate, so that HTTP is used."""
     access = configuration.file.page_access
     if access.certificate is None:
         return None
@@ -153,7 +156,16 @@ def _tls_of(configuration: CollectorConfiguration) -> TlsParameters | None:
 
 
 class CollectorApi:
-    """Routes of the collector's page that only read: points, values, devices, links, sinks, log, trends."""
+    """Routes of the collector's page that only read: points, values, devices, links, sinks, log, trends.
+
+    Args:
+        collector: the running collector.
+        is_in_fleet: whether the collector belongs to a fleet; the page then shows it.
+
+    Attributes:
+        stream: the WebSockets of the open pages.
+        log: the latest log messages; installed while the page is served.
+    """
 
     def __init__(self, collector: Collector, *, is_in_fleet: bool = False) -> None:
         self._collector, self._is_in_fleet = collector, is_in_fleet
@@ -169,7 +181,7 @@ class CollectorApi:
         self._newest = commit.number
 
     def add_to(self, application: FastAPI) -> None:
-        """Add the routes that only read to an application."""
+        """Add these routes and the WebSocket ``/stream`` to a FastAPI application."""
         add = application.add_api_route
         add("/api/caller", self.get_caller, methods=["GET"], summary="The caller and its role")
         add("/api/collector", self.get_collector, methods=["GET"], summary="The collector and its store")
@@ -189,11 +201,11 @@ class CollectorApi:
         )
 
     async def get_caller(self, caller: Annotated[Caller, Depends(require(Role.VIEW))]) -> CallerAnswer:
-        """Return who asks, and what that role may do."""
+        """Return name and role of the caller."""
         return CallerAnswer(name=caller.name, role=caller.role.label)
 
     async def get_collector(self) -> CollectorAnswer:
-        """Return name, size and store of the collector."""
+        """Return name, number of devices and store of the collector, its last error, and whether it needs a restart."""
         configuration, store = self._collector.configuration, self._collector.store_status()
         return CollectorAnswer(
             name=Path(configuration.name).stem,
@@ -209,7 +221,10 @@ class CollectorApi:
         )
 
     async def list_points(self) -> CollectedPoints:
-        """Return all points, without values: name, unit of measure, type. The order is that of `list_values`."""
+        """Return all collected points, without values: device, name, unit of measure, kind, names of values.
+
+        The order is that of the configuration; the columns of ``/api/values`` have the same order.
+        """
         self.stream.refresh()
         return CollectedPoints(
             revision=self.stream.revision,
@@ -229,7 +244,10 @@ class CollectorApi:
         )
 
     async def list_values(self) -> CollectedValues:
-        """Return last values in columns with an entry for each point; null for one not read since the start."""
+        """Return the last values as columns, which have an entry for each point in the order of ``/api/points``.
+
+        For a point that was not read since the start, value and time are null.
+        """
         values, reasons, times = await asyncio.to_thread(self.stream.refresh().columns)
         return CollectedValues(
             now=time.time_ns() // _MILLION,
@@ -242,7 +260,7 @@ class CollectorApi:
         )
 
     async def list_devices(self) -> CollectedDevices:
-        """Return the status of each device."""
+        """Return the status of each device: state, numbers of reads and failures, last error, and what was learnt."""
         return CollectedDevices(
             now=time.time_ns() // _MILLION,
             devices=[
@@ -262,7 +280,7 @@ class CollectorApi:
         )
 
     async def list_links(self) -> LinksAnswer:
-        """Return the planned and the real load of each link, and its reads with what each costs."""
+        """Return the planned and the real load of each link, and the planned reads with the estimated time of each."""
         planned, real = await self._plan(), self._collector.loads()
         latencies, silent = self._collector.latencies(PERCENTILES), self._silent()
         devices = self._collector.configuration.devices
@@ -313,7 +331,7 @@ class CollectorApi:
             return self._planned[1]
 
     async def list_sinks(self) -> SinksAnswer:
-        """Return the status of each sink."""
+        """Return the status of each sink: how far behind it is, what was sent and lost, and its last error."""
         return SinksAnswer(
             sinks=[
                 SinkAnswer(
@@ -335,7 +353,7 @@ class CollectorApi:
         level: Annotated[LogLevel, Query(description="The least level.")] = "info",
         search: Annotated[str, Query(max_length=200)] = "",
     ) -> LogAnswer:
-        """Return the latest log messages of a level or above that contain all of the searched words."""
+        """Return the latest log messages of a level or above that contain all searched words, the newest first."""
         return self.log.lines(limit, level, search)
 
     async def get_trend(
@@ -345,7 +363,10 @@ class CollectorApi:
         seconds: Annotated[float, Query(ge=1, le=_LONGEST, description="How far back.")] = 3600.0,
         buckets: Annotated[int, Query(ge=10, le=MOST_BUCKETS)] = 600,
     ) -> TrendAnswer:
-        """Return minimum, maximum and mean of a point for each bucket; null where nothing is known."""
+        """Return minimum, maximum and mean of a point in each bucket of time; null where nothing is known.
+
+        A bucket is at least 1 ms long. An unknown point is answered with 404.
+        """
         configuration = self._collector.configuration
         known = configuration.devices.get(device)
         if known is None or all(each.name != point for each in known.points):
@@ -374,9 +395,15 @@ def _read(folder: str, point: str, since: int, bucket: float) -> BucketTable:
 
 
 def _trend(table: BucketTable, now: int, seconds: float, longest: float, held: float = math.inf) -> TrendAnswer:
-    """Return columns for a chart, with a gap between times further apart than ``longest`` seconds.
+    """Return the columns of a chart from the buckets of a point.
 
-    Between times further apart than twice ``held``, the value before holds until ``held`` seconds before the next.
+    Args:
+        table: the buckets that have samples.
+        now: end of the chart, nanoseconds since 1970.
+        seconds: length of the chart.
+        longest: between times further apart than this, in seconds, the chart has a gap (nulls).
+        held: seconds. Between times further apart than twice this, the earlier value is repeated ``held`` seconds
+            before the later time, so that the chart shows a step. Infinite: no value is repeated.
     """
     answer = TrendAnswer(
         begin=now / NANOSECONDS - seconds, end=now / NANOSECONDS, time=[], minimum=[], maximum=[], mean=[]
@@ -392,7 +419,15 @@ def _trend(table: BucketTable, now: int, seconds: float, longest: float, held: f
 
 
 def _held_trend(answer: TrendAnswer, last: tuple[Value | None, int, int] | None) -> TrendAnswer:
-    """Extend the last value of a point, of which the store keeps only changes, until the point was read last."""
+    """Extend a chart until the point was read last, with its last value. Changes ``answer`` and returns it.
+
+    For points of which the store keeps only changes.
+
+    Args:
+        answer: the chart.
+        last: value, reason code and time (nanoseconds since 1970) of the point's last sample; None without a sample. A
+            value that is bad or no number extends nothing.
+    """
     value, reason, time = last or (None, 0, 0)
     if isinstance(value, int | float) and math.isfinite(value) and quality_of(reason) is not Quality.BAD:
         if not answer.time:  # no change, no gap

@@ -1,14 +1,17 @@
 """``/stream`` of a collector's page: a WebSocket that sends changed values, alarms and commands to all viewers.
 
-Knows viewers and what they look at; knows no store. Values come from `live_values`.
+A viewer is one open page. Knows viewers and which points they show; knows no store. Values come from `live_values`.
 
-1. At most two ticks a second. What changed is looked for and encoded once, in a worker thread, for all viewers that saw
-   the same tick. A viewer that is still taking the last message gets the next one with all that it missed.
-2. A viewer says which points it shows, at most `MOST_SHOWN`. Their registers are sent to it alone, and those that are
-   read rarely are leased: read every `LEASED_PERIOD` seconds before all classes, unless their link has no time for it.
-3. Everything has a limit: viewers, points, events that wait, seconds that a viewer takes for a message.
-4. A viewer is told who it is and what it may do. Once its token is removed, or permits something else, it is closed
-   within a tick and gets nothing after that; its page then asks anew.
+1. There are at most two ticks a second; each sends what has changed. Changes are searched and encoded once, in a worker
+   thread, for all viewers that saw the same tick. A viewer that is still taking its last message is left out; its next
+   message has all that it missed.
+2. A viewer says which points it shows, at most `MOST_SHOWN`. The registers of these points are sent to it alone. Those
+   that are read rarely are read every `LEASED_PERIOD` seconds, with priority over regular polling, as long as they are
+   shown, unless their link has no time for it.
+3. Everything has a limit: the viewers, the points that each shows, the events that wait, the seconds in which a viewer
+   must take a message.
+4. A viewer is sent its name and role first. Once its token is removed or has another role, its WebSocket is closed
+   within a tick, and nothing is sent to it after that; the page then connects anew.
 """
 
 import asyncio
@@ -35,10 +38,10 @@ from .live_values import LiveValues
 from .messages import Asked, plain_value
 
 TICK: Final = 0.5
-"""Seconds between two messages, at least."""
+"""Seconds between two ticks: least time between two messages with values to the same viewer."""
 MOST_SHOWN: Final = 200
 MOST_EVENTS: Final = 256
-"""Events that wait for a viewer; the oldest are dropped, and it asks anew where it needs them."""
+"""Most events that wait to be sent to a viewer. With more, the oldest are dropped; the page can ask for lists anew."""
 LEASED_PERIOD: Final = 1.0
 LEASE_SECONDS: Final = 10.0
 _LEASE_EVERY: Final = 4.0
@@ -57,7 +60,20 @@ class Shown(Asked):
 
 
 class Viewer:
-    """One collector page open in a browser: its caller, what it was sent, and which points it shows."""
+    """One collector page open in a browser: its caller, what it was sent, and which points it shows.
+
+    Attributes:
+        caller: name and role, as they were when the WebSocket was opened.
+        seen: the tick whose changes were sent last; -1: nothing of the present list of points was sent yet.
+        revision: the revision of the list of points that the viewer was sent; -1 before the first message.
+        shown: positions of the points that the page shows.
+        told: by position of a shown point, its registers as sent last.
+        alarms: the numbers of active and of unacknowledged alarms, as sent last.
+        events: events that wait to be sent, as JSON texts.
+        message: the message with values that waits to be sent; empty if there is none.
+        is_sending: whether a message with values waits or is being sent; no other is made meanwhile.
+        wake: set to make the sender look for messages and events.
+    """
 
     def __init__(self, caller: Caller) -> None:
         self.caller: Caller = caller
@@ -80,9 +96,9 @@ class CollectorStream:
         collector: the running collector.
 
     Attributes:
-        values: its last values.
-        revision: names the list of its points: another number after each change, and after each start of the collector.
-        points: device and name of each point, by place.
+        values: the last values of its points.
+        revision: number of the list of points; another number after each change of the list and after each start.
+        points: device and name of each point, in the order of ``/api/points``.
     """
 
     def __init__(self, collector: Collector) -> None:
@@ -104,7 +120,7 @@ class CollectorStream:
         self.values.update(commit)
 
     def refresh(self) -> LiveValues:
-        """Return the last values of all points; a new object after a reload has changed the points."""
+        """Return the last values of all points; a new object if a reload has changed the list of points."""
         if self._collector.configuration is not self._configuration:
             self._configuration = self._collector.configuration
             points = _points_of(self._collector)
@@ -115,7 +131,12 @@ class CollectorStream:
         return self.values
 
     def tell(self, kind: str, content: Mapping[str, Any]) -> None:  # Any: JSON
-        """Send an event, such as ``command``, to all open pages. Call it in the event loop's thread."""
+        """Queue an event for all open pages. Call it in the event loop's thread.
+
+        Args:
+            kind: the kind of event, such as ``command``; the key of the JSON message.
+            content: the event, the value of that key.
+        """
         if self._viewers:
             text = json.dumps({kind: content}, ensure_ascii=False, separators=(",", ":"))
             for viewer in self._viewers:
@@ -138,7 +159,7 @@ class CollectorStream:
         )
 
     def _tell_alarms(self) -> None:
-        """Send the number of alarms to all open pages if it has changed, and to new ones."""
+        """Queue the numbers of active and unacknowledged alarms for each open page that was not sent these yet."""
         counts = self._collector.alarms.counts()
         content = {"alarms": {"active": counts[0], "unacknowledged": counts[1]}}
         for viewer in self._viewers:
@@ -148,7 +169,7 @@ class CollectorStream:
                 viewer.wake.set()
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve the WebSocket of one open page until it ends."""
+        """Serve the WebSocket of one open page until it ends; close it at once if there are `CLIENTS` already."""
         if len(self._viewers) >= CLIENTS:
             await socket.close(_TRY_AGAIN_LATER, f"there are {CLIENTS} already")
             return
@@ -223,7 +244,10 @@ class CollectorStream:
     # What is shown.
 
     def _raw(self, viewer: Viewer) -> dict[int, str]:
-        """Return the registers of the points that a page shows, if they differ from those it was sent."""
+        """Return the registers of shown points that differ from those sent last: hexadecimal text by position.
+
+        They count as sent from now on.
+        """
         found: dict[int, str] = {}
         for device, places in self._by_device(viewer.shown).items():
             try:
@@ -248,7 +272,10 @@ class CollectorStream:
         return found
 
     def _lease(self) -> None:
-        """Ask the collector to read points that open pages show more often (rule 2); repeated every few seconds."""
+        """Have the collector read rarely read points every second while open pages show them (rule 2).
+
+        Called each tick; it asks the collector anew every few seconds, and links without time for it are left out.
+        """
         now = time.monotonic()
         if now - self._leased_at < _LEASE_EVERY:
             return

@@ -1,6 +1,8 @@
-"""The fleet on the page of one of its collectors, and over HTTP: owners, epochs, load, lag and holes of a zone.
+"""The fleet on the page of one of its collectors, and over HTTP.
 
-Knows what the coordinator shows of the zone and shapes of answers; asks no collector.
+A zone is a group of collectors that share the links of a plant; a shard is a group of links that one collector owns and
+polls. Shown are owners, epochs (numbers of ownerships), loads, how far sinks are behind, and holes (times without an
+owner). Knows what the coordinator says of the zone, and the shapes of responses; asks no collector.
 """
 
 import time
@@ -70,17 +72,24 @@ class FleetAnswer(Answer):
 
 
 class FleetApi:
-    """The route of a collector's page that shows its zone."""
+    """The route of a collector's page that shows its zone: the collectors that share the links of a plant.
+
+    Args:
+        watch: what the coordinator says of the zone, kept up to date.
+    """
 
     def __init__(self, watch: ZoneWatch) -> None:
         self._watch = watch
 
     def add_to(self, application: FastAPI) -> None:
-        """Add the route to an application."""
+        """Add the route to a FastAPI application."""
         application.add_api_route("/api/fleet", self.get_fleet, methods=["GET"], summary="The zone of the fleet")
 
     async def get_fleet(self) -> FleetAnswer:
-        """Return collectors, owners of shards, holes and sinks of the zone."""
+        """Return the collectors of the zone, the owner of each shard, times without an owner, and the sinks.
+
+        At most `MOST_SHARDS` shards are listed.
+        """
         status = self._watch.status()
         return FleetAnswer(
             now=time.time_ns() // 1_000_000,
