@@ -24,11 +24,12 @@
 `collector_alarms`     The alarms of a collector and the maintenance of its devices, over HTTP
 =====================  =================================================================================================
 
-1. It needs the extra ``web``, and is imported only when the page is started.
-2. It runs in the event loop of the simulation or collector, so it never reads a state that is half changed.
+1. This package needs the extra ``web``, and is imported only when a page is started.
+2. A page runs in the event loop of its simulation or collector, so it never reads a state that is half changed.
 
-Where it is decided: who may call, with which role, from which host and origin: `access`. How many connections, and for
-how long: `connections`. The tokens: `page_tokens`. How an error is answered: `operations`. What a viewer of a collector
-is sent, and when: `live_values`, `collector_stream`; of a simulation: `simulation_stream`. How long a viewer has to
-take a message: `connections`. What a command from the page needs: `collector_commands`.
+Where it is decided: who may call, with which role, from which host and origin: `access`. How many connections there may
+be, and how long each may wait: `connections`. Which tokens are valid: `page_tokens`. How an error is answered:
+`operations`. What a viewer of a collector is sent, and when: `live_values`, `collector_stream`; of a simulation:
+`simulation_stream`. In which time a viewer must take a message: `connections`. What a command from the page needs:
+`collector_commands`.
 """

@@ -1,6 +1,7 @@
 """Responses of the HTTP API of a collector's page, as data classes.
 
-Knows shapes alone. Times of samples are milliseconds since 1970 UTC, those of trends seconds, as the chart has them.
+Knows the shapes of responses alone. Times of samples are milliseconds since 1970 UTC. Times of trends are seconds since
+1970 UTC, as the chart of the page needs them.
 """
 
 from typing import Literal

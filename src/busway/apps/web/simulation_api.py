@@ -2,8 +2,8 @@
 
 Knows a simulation by `busway.apps.web.simulation_subject`; knows no socket and no page.
 
-1. The last writer of a point that was set by the API is ``api``.
-2. Many values are set one by one, in order: a refused one is reported and does not prevent the others.
+1. A point that is set over the API has ``api`` as its last writer.
+2. Many values are set one by one, in order: a refused value is reported and does not prevent the others.
 """
 
 import time
@@ -62,10 +62,10 @@ class Api:
 
     Attributes:
         subject: the simulation.
-        traffic: the last frames.
+        traffic: the latest Modbus frames of the simulation.
         name: name of the simulation.
-        order: its points in order, as the stream numbers them.
-        places: the number of each point by its key.
+        order: the points of the simulation; a position in this list is the number of the point in ``/stream``.
+        places: by key (``UNIT/NAME``), the position of the point in ``order``.
     """
 
     subject: PageSubject
@@ -122,11 +122,11 @@ class Api:
     # The simulation.
 
     async def get_simulation(self) -> SimulationAnswer:
-        """Name, size, time and speed of the simulation."""
+        """Return name, size, simulated time and speed of the simulation."""
         return self.simulation()
 
     def simulation(self) -> SimulationAnswer:
-        """Return name, size, time and speed of the simulation."""
+        """Return name, size, simulated time and speed of the simulation, as for ``/api/simulation``."""
         subject = self.subject
         status = self.server.status()
         return SimulationAnswer(
@@ -143,7 +143,7 @@ class Api:
         )
 
     async def change_simulation(self, wanted: SimulationChange) -> SimulationAnswer:
-        """Change the speed of the simulation; pause or resume it."""
+        """Change the speed of the simulation, pause or resume it. Returns its state after that."""
         subject = self.subject
         if wanted.speed is not None:
             subject.change_speed(wanted.speed)
@@ -157,7 +157,7 @@ class Api:
     # Units and points.
 
     async def list_units(self) -> Units:
-        """All units of the simulation, with the number of their points."""
+        """Return all units of the simulation, each with the number of its points."""
         return Units(
             units=[
                 UnitAnswer(unit=number, name=unit.name, points=len(unit.points))
@@ -166,7 +166,7 @@ class Api:
         )
 
     async def list_points(self, query: Annotated[PointsQuery, Query()]) -> PointsMessage:
-        """The points of the simulation that pass the filters."""
+        """Return the points of the simulation that match the filters, from ``skip`` on, and the number of matches."""
         found = list(self._chosen(query))
         return PointsMessage(
             points=[self.shown(index) for index in found[query.skip : query.skip + query.limit]], total=len(found)
@@ -182,7 +182,7 @@ class Api:
                 yield index
 
     def shown(self, index: int) -> PointAnswer:
-        """Return a message for the page about the point with this index."""
+        """Return the description and the value of the point at a position in ``order``."""
         point = self.order[index]
         return PointAnswer(
             index=index,
@@ -216,27 +216,27 @@ class Api:
         return place
 
     async def get_point(self, unit: str, name: str) -> PointAnswer:
-        """One point of the simulation and its value."""
+        """Return one point of the simulation and its value."""
         return self.shown(self._place(unit, name))
 
     async def set_point(self, unit: str, name: str, new: NewValue) -> PointAnswer:
-        """Set the value of a point; the point stops following its behaviour until it is released."""
+        """Set the value of a point, which then ignores its behaviour until it is released. Returns the point."""
         place = self._place(unit, name)
         self.subject.set(self.order[place].key, given_value(new.value), WHO)
         return self.shown(place)
 
     async def release_point(self, unit: str, name: str) -> PointAnswer:
-        """Let a point that was set follow its behaviour again."""
+        """Let a point that was set follow its behaviour again. Returns the point."""
         place = self._place(unit, name)
         self.subject.release(self.order[place].key)
         return self.shown(place)
 
     async def get_values(self) -> Values:
-        """The values of all points of the simulation, by key."""
+        """Return the values of all points of the simulation, by key (``UNIT/NAME``)."""
         return Values(values={point.key: plain_value(point.value) for point in self.order})
 
     async def set_values(self, new: NewValues) -> Written:
-        """Set the values of many points; a refused one does not prevent the others."""
+        """Set the values of many points. A refused value, returned with the reason, does not prevent the others."""
         refused: dict[str, str] = {}
         for key, value in new.values.items():
             if key not in self.places:
@@ -256,19 +256,19 @@ class Api:
         return self.subject.board
 
     def faults(self) -> list[FaultAnswer]:
-        """All faults that were added to the simulation."""
+        """Return all faults that were added to the simulation, in the order in which they are applied."""
         return all_faults(self.board)
 
     async def list_faults(self) -> FaultsMessage:
-        """The faults that were added to the simulation, and the fault profiles that can be."""
+        """Return the faults that were added to the simulation, and the fault profiles of which faults can be added."""
         return FaultsMessage(faults=self.faults(), fault_profiles=all_fault_profiles(self.board))
 
     async def add_fault(self, new: NewFault) -> FaultAnswer:
-        """Add a fault to the simulated devices."""
+        """Add a fault to the simulated devices, and return it."""
         return add_fault_to(self.board, new)
 
     async def switch_fault(self, name: str, switch: Switch) -> FaultAnswer:
-        """Switch a fault of the simulated devices on or off."""
+        """Switch a fault of the simulated devices on or off, and return it."""
         self.board.switch(self._fault(name), on=switch.on)
         return fault_named(self.board, name)
 
@@ -285,15 +285,15 @@ class Api:
     # The server.
 
     async def list_connections(self) -> Connections:
-        """The open Modbus connections to the simulation."""
+        """Return the open Modbus connections to the simulation, the oldest first."""
         return Connections(connections=plain(self.server.status().connections))
 
     async def list_lines(self) -> LinesMessage:
-        """The listeners of the simulation with their status indicators."""
+        """Return the listeners of the simulation with their status indicators."""
         return LinesMessage(lines=plain(self.server.status().listeners))
 
     async def get_counters(self) -> CountersMessage:
-        """The counters of the simulation's Modbus server."""
+        """Return the counters of the simulation's Modbus server, since its start or the last reset."""
         return CountersMessage(counters=plain(self.server.status().counters))
 
     async def reset_counters(self) -> Nothing:
@@ -302,7 +302,7 @@ class Api:
         return Nothing()
 
     def status(self) -> dict[str, Any]:  # Any: JSON
-        """State of server and simulation, which the page shows once a second."""
+        """Return the state of server and simulation as JSON; ``/stream`` sends it to each open page once a second."""
         status = self.server.status()
         return {
             "time": time.time(),
@@ -315,7 +315,7 @@ class Api:
     # Traffic.
 
     async def list_traffic(self, query: Annotated[TrafficQuery, Query()]) -> TrafficMessage:
-        """The latest Modbus frames, or those after a number."""
+        """Return the latest Modbus frames, or those after a number; and how many after it are no longer kept."""
         tail = self.traffic
         after = 0 if query.after is None else query.after
         frames = [tail.shown(one) for one in tail.after(after, query.limit)]

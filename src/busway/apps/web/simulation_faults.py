@@ -1,6 +1,6 @@
 """Faults of a simulation as its HTTP API shows and changes them.
 
-Knows a board of faults and the fault profiles they are made of; knows no HTTP.
+Knows the faults of a simulation (`Board`) and the fault profiles that they are made of; knows no HTTP.
 """
 
 from dataclasses import fields
@@ -15,12 +15,12 @@ from .simulation_subject import Board
 
 
 def all_faults(board: Board) -> list[FaultAnswer]:
-    """Return all faults that were added to a simulation, in the order in which they act."""
+    """Return all faults that were added to a simulation, in the order in which they are applied."""
     return [_fault(one) for one in board.list()]
 
 
 def all_fault_profiles(board: Board) -> list[FaultyAnswer]:
-    """Return all fault profiles that can be added to a simulation."""
+    """Return all fault profiles of which faults can be added to a simulation."""
     return [_fault_profile(one) for one in board.fault_profiles.values()]
 
 
@@ -30,7 +30,7 @@ def fault_named(board: Board, name: str) -> FaultAnswer:
 
 
 def add_fault_to(board: Board, wanted: NewFault) -> FaultAnswer:
-    """Add a fault to a simulation. Raises `ConfigError` for an invalid name, parameter or address range."""
+    """Add a fault to a simulation, and return it. Raises `ConfigError` for an invalid name, parameter or address."""
     name = board.add(
         wanted.fault_profile,
         name=wanted.name,
@@ -70,7 +70,7 @@ def _addresses(first: int | None, last: int | None) -> range | None:
 
 
 def _selection(selection: Selection) -> dict[str, Any]:  # Any: values of several types
-    """Return the filters of a fault, without those that select everything."""
+    """Return the filters and the schedule of a fault as JSON, without the keys that have their defaults."""
     shown: dict[str, Any] = {}
     if selection.units is not None:
         shown["units"] = sorted(selection.units)

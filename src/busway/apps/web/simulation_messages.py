@@ -1,6 +1,7 @@
-"""Requests and responses of a simulation's HTTP API, as data classes. Durations are seconds; times since 1970.
+"""Requests and responses of a simulation's HTTP API, as data classes.
 
-Knows shapes; knows no simulation. Requests are strict: an unknown key is refused. Responses may gain keys.
+Durations are in seconds, times in seconds since 1970. Knows the shapes of messages; knows no simulation. Requests are
+strict: an unknown key is refused. Responses may gain keys in later versions.
 """
 
 from collections.abc import Mapping
@@ -269,12 +270,10 @@ class SimulationChange(Asked):
 
 
 def plain_values(values: Mapping[str, Any]) -> dict[str, Plain]:
-    """Return several values as JSON can represent them (`Plain`)."""
+    """Return values by name in a form that JSON can represent (`Plain`)."""
     return {str(name): plain_value(value) for name, value in values.items()}
 
 
 def given_value(value: Plain) -> Plain:
-    """Return the value in a request; texts for infinities and NaN, which JSON cannot represent, become
-    those numbers.
-    """
+    """Return a value of a request, with ``"NaN"``, ``"Infinity"`` and ``"-Infinity"`` turned into those numbers."""
     return float(value) if isinstance(value, str) and value in _NOT_IN_JSON else value

@@ -1,12 +1,13 @@
 """``/stream`` of a simulation's page: a WebSocket that sends changes to viewers as JSON texts.
 
-Knows clients and what they subscribed to; knows no page.
+A client is one open page. Knows clients and what they subscribed to; knows no page.
 
-1. A client sends what it wants (`Wish`) as often as it likes, and first gets the present state of that. So it
-   reconnects by asking again.
-2. It gets at most ten messages a second. A point that changed several times is sent once, with its present value.
-3. Frames come from the tail of the traffic. Those that a client is too slow for are skipped and counted, so no
-   queue grows. A client that takes nothing at all is closed.
+1. A client sends what it wants (`Wish`), as often as it likes. It is first sent the present state of what it wants. So
+   after a lost connection it asks again, and misses nothing.
+2. A client is sent at most ten messages a second. A point that changed several times is sent once, with its present
+   value.
+3. Modbus frames come from the latest ones that are kept (`simulation_traffic`). Frames that come faster than a client
+   takes them are skipped and counted, so no queue grows. A client that takes nothing at all is closed.
 4. The simulation is watched only while there are clients.
 """
 
@@ -30,9 +31,11 @@ INTERVAL: Final = 0.1
 """Least seconds between two messages to one client."""
 STATUS_INTERVAL: Final = 1.0
 POINTS_AT_ONCE: Final = 4000
-"""Points of one message; the rest comes with the next."""
+"""Most points in one message; the others come with the next message."""
 MOST_POINTS: Final = 5000
-"""Points that one client may follow: a page shows fewer, and following a whole large simulation would slow it down."""
+"""Most points that one client may follow. A page shows fewer; to follow all points of a large simulation would slow the
+simulation down.
+"""
 FRAMES_AT_ONCE: Final = 50
 _TRY_AGAIN_LATER: Final = 1013
 _UNSUPPORTED: Final = 1003
@@ -55,7 +58,11 @@ class Wish(Asked):
 
 
 class Client:
-    """One open page's WebSocket: what the page wants, and the changes that it was not sent yet."""
+    """One open page's WebSocket: what the page wants, and the changes that it was not sent yet.
+
+    Attributes:
+        skipped: number of Modbus frames that were not sent because the page was too slow.
+    """
 
     def __init__(self, api: Api) -> None:
         self._api = api
@@ -70,7 +77,7 @@ class Client:
         self.skipped: int = 0
 
     def wish(self, wish: Wish) -> str:
-        """Apply the message in which a page says what it wants. Returns why that is impossible, or an empty text."""
+        """Apply a message in which the page says what it wants. Returns why it is refused; empty if it is not."""
         count = len(self._api.order)
         if wish.points == "all":
             if count > MOST_POINTS:
@@ -98,7 +105,11 @@ class Client:
     # What happens, told by the hub.
 
     def changed(self, indices: Sequence[int]) -> None:
-        """Queue changed points to be sent to the open page."""
+        """Queue changed points to be sent to the page, as far as it follows them.
+
+        Args:
+            indices: numbers of the points, as ``/api/points`` gives them.
+        """
         if self._wants_all:
             self._changed.update(dict.fromkeys(indices))
         else:
@@ -108,19 +119,19 @@ class Client:
             self._wake.set()
 
     def passed(self) -> None:
-        """Queue a Modbus frame to be sent to the open page."""
+        """Note that a Modbus frame was recorded, so that it is sent to the page if it wants frames."""
         if self._wants_traffic:
             self._wake.set()
 
     def switched(self) -> None:
-        """Queue for the open page that a fault was added, removed or switched."""
+        """Note that a fault was added, removed or switched, so that all faults are sent to the page."""
         self._has_switched = True
         self._wake.set()
 
     # What is sent.
 
     async def next(self) -> dict[str, Any]:  # Any: JSON
-        """Wait for the next message to send to the open page, and return it."""
+        """Wait until there is something to send to the page, and return that message."""
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(self._status_due - time.monotonic(), 0.0)):
@@ -172,10 +183,10 @@ class Client:
 
 
 class Streams:
-    """The WebSockets of all open pages of a simulation.
+    """The WebSockets of all open pages of a simulation; watches the simulation while there are any.
 
     Args:
-        api: the simulation's HTTP API.
+        api: the simulation's HTTP API, which gives the values that are sent.
     """
 
     def __init__(self, api: Api) -> None:
@@ -189,7 +200,7 @@ class Streams:
         return len(self._clients)
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve the WebSocket of one viewer of the page until it ends."""
+        """Serve the WebSocket of one open page until it ends; close it at once if there are `CLIENTS` already."""
         if len(self._clients) >= CLIENTS:
             await socket.close(_TRY_AGAIN_LATER, f"there are {CLIENTS} already")
             return
@@ -270,7 +281,10 @@ class Streams:
         self._tell(Client.switched)
 
     def _tell(self, say: Callable[[Client], None]) -> None:
-        """Call a function for the WebSocket of each open page, in the event loop's thread."""
+        """Call a function with each open page's `Client`, in the event loop's thread.
+
+        From another thread, the call is only scheduled.
+        """
         if threading.get_ident() == self._thread:
             self._say(say)
         elif self._loop is not None and not self._loop.is_closed():

@@ -1,6 +1,6 @@
 """The interface of a simulation, as its page and HTTP API use it.
 
-Knows the shape of a simulation; knows no implementation. `busway.apps.simulator.simulation` has it.
+Knows the interface alone; `busway.apps.simulator.simulation` implements it.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -58,7 +58,7 @@ class ShownPoint(Protocol):
 
 
 class PageUnit(Protocol):
-    """Interface of a simulated device as the page shows it."""
+    """Interface of a simulated device as the page shows it: unit number, name, and points by name."""
 
     @property
     def unit(self) -> int: ...
@@ -81,7 +81,7 @@ class ServedUnits(Protocol):
 
     @property
     def endpoints(self) -> list[str]:
-        """URLs of the server's listeners as they are bound."""
+        """URLs of the server's listeners, with the ports that are really bound."""
 
     def status(self) -> ServerStatus:
         """Return the state of the server: listeners, connections, counters."""
@@ -129,11 +129,11 @@ class PageSubject(Protocol):
 
     @property
     def units(self) -> Mapping[int, PageUnit]:
-        """The simulated devices by unit number."""
+        """The simulated devices, by unit number."""
 
     @property
     def points(self) -> Mapping[str, Any]:  # Any: `ShownPoint`
-        """The simulated points by key."""
+        """The simulated points (`ShownPoint`), by key (``UNIT/NAME``)."""
 
     @property
     def server(self) -> ServedUnits:
@@ -144,13 +144,22 @@ class PageSubject(Protocol):
         """The faults of the simulation."""
 
     def set(self, key: str, value: Any, who: str) -> Any:  # Any: what the point's type says
-        """Set a point; it keeps the value, whatever its behaviour, until `release`. Raises `InvalidRequest`."""
+        """Set the value of a point; its behaviour does not change it until `release`.
+
+        Args:
+            key: key of the point: ``UNIT/NAME``.
+            value: the value, in the unit of measure.
+            who: name recorded as the point's last writer.
+
+        Raises:
+            InvalidRequest: there is no such point, or it cannot have this value.
+        """
 
     def release(self, key: str) -> Any:
-        """Let a point that was set follow its behaviour again."""
+        """Let a point that was set follow its behaviour again. ``key``: ``UNIT/NAME``."""
 
     def watch(self, callback: Watcher) -> Any:
-        """Register a function that gets each group of changed values. Returns a function that unregisters it."""
+        """Register a function that is called with each list of changes. Returns a function that unregisters it."""
 
     # Time.
 

@@ -1,12 +1,12 @@
-"""Keeps the latest Modbus frames of a simulation for its page; they are explained only when shown.
+"""Keeps the latest Modbus frames of a simulation for its page; frames are explained only when they are shown.
 
-Knows frames and times; knows no page. It takes the place of a capture file (`busway.observe.trace`), and passes
-everything on to the file if there is one.
+Knows frames and times; knows no page. `Traffic` registers with `busway.observe.trace` in place of a capture file, and
+passes everything on to the capture file if there is one.
 
-1. Keeping a frame costs 8 µs and holds its bytes; dissecting it costs ten times as much, and is done once, for frames
-   that are shown.
-2. Frames are numbered, so a client asks for those after a number, and learns how many are no longer kept.
-3. Frames of client connections of this program are left out.
+1. To keep a frame costs 8 µs and the memory for its bytes. To explain it costs ten times as much, so that is done once,
+   and only for frames that are shown.
+2. Frames are numbered. A client asks for the frames after a number, and learns how many of them are no longer kept.
+3. Frames of the client connections of this program are left out.
 """
 
 import time
@@ -29,22 +29,26 @@ if TYPE_CHECKING:
     from ...observe.trace import ConnectionRecorder, LineRecorder, Recorder
 
 KEPT: Final = 2000
-"""Frames of the tail."""
+"""Number of the latest frames that are kept, by default."""
 _ASKED: Final = 16
-"""Requests of a connection that wait for their replies; more are not allowed anyway."""
+"""Most unanswered requests that are remembered for a connection; a server accepts no more anyway."""
 
 
 class Passed:
     """One recorded Modbus frame, or recorded damaged bytes.
 
     Attributes:
-        number: counts up by one.
-        at: seconds since 1970.
-        is_reply: whether it is a reply; None where a line does not tell.
+        number: number of the frame, counted from 1.
+        at: when it was recorded, seconds since 1970.
+        peer: the other end of the connection, or the name of the line.
+        is_reply: True for a reply, or for damaged bytes that were sent; else False.
         pdu: the PDU, or the damaged bytes.
-        asked: for a reply, the PDU of its request if that is known.
-        seconds: for a reply, seconds since its request.
-        reason: why the bytes are damaged; empty if they are not.
+        unit: unit number; None for damaged bytes.
+        transaction: transaction identifier; None for damaged bytes and on lines.
+        asked: for a reply, the PDU of its request; empty if the request is not known.
+        seconds: for a reply, seconds since its request; None if the request is not known.
+        reason: why the bytes are damaged; empty for a frame.
+        shown: the frame explained for the page; None until it is shown for the first time.
     """
 
     __slots__ = (
@@ -87,16 +91,17 @@ class Passed:
 
 
 class Traffic:
-    """Records the latest Modbus frames, from `start` to `stop`.
+    """Records the latest Modbus frames of a server, from `start` to `stop`.
 
     Args:
-        ports: returns the ports that the server listens on; called for each new connection.
-        kept: number of frames kept.
-        functions: the table of functions.
+        ports: called for each new connection; returns the ports that the server listens on. Connections to other local
+            ports are not recorded.
+        kept: number of the latest frames that are kept.
+        functions: the table of functions with which PDUs are explained.
         clock: returns seconds since 1970.
 
     Attributes:
-        last: number of the last frame; 0 before the first.
+        last: number of the latest frame; 0 before the first.
     """
 
     def __init__(
@@ -134,7 +139,10 @@ class Traffic:
             TRACE.capture_into(below)
 
     def watch(self, passed: Callable[[], None]) -> Callable[[], None]:
-        """Register a function that is called after each recorded frame. Returns a function that unregisters it."""
+        """Register a function that is called after each recorded frame. Returns a function that unregisters it.
+
+        It is called in the thread that recorded the frame.
+        """
         self._watchers = (*self._watchers, passed)
 
         def unwatch() -> None:
@@ -145,7 +153,7 @@ class Traffic:
     # What was seen.
 
     def after(self, number: int, limit: int) -> list[Passed]:
-        """Return the latest recorded frames above a number, at most ``limit``, the oldest first."""
+        """Return the kept frames with a greater number, the oldest first; only the latest ``limit`` of them."""
         found: list[Passed] = []
         for one in reversed(self._tail):
             if one.number <= number or len(found) == limit:
@@ -155,11 +163,11 @@ class Traffic:
 
     @property
     def first(self) -> int:
-        """Return the number of the oldest recorded frame; one more than the last if there is none."""
+        """Number of the oldest frame that is kept; ``last`` + 1 if none is kept."""
         return self._tail[0].number if self._tail else self.last + 1
 
     def shown(self, passed: Passed) -> FrameAnswer:
-        """Return a recorded frame, explained field by field, for the page."""
+        """Return a recorded frame as the page shows it, explained field by field. Explained once, then remembered."""
         if passed.shown is None:
             passed.shown = self._described(passed)
         return passed.shown
@@ -167,7 +175,10 @@ class Traffic:
     # The interface of a recorder of the trace.
 
     def connection(self, ends: SocketAddresses) -> "ConnectionRecorder":
-        """Return a recorder for a Modbus connection between these addresses."""
+        """Return the recorder for the bytes of a new Modbus connection. Called by `busway.observe.trace`.
+
+        A connection that is not to the server's ports, or opened after `stop`, is passed to the capture file alone.
+        """
         onward = None if self._before is None else self._before.connection(ends)
         local = ends.local
         port = local[1] if isinstance(local, tuple) and len(local) > 1 else None
@@ -176,7 +187,13 @@ class Traffic:
         return _Connection(self, peer_name(ends.peer), onward)
 
     def line(self, name: str) -> "LineRecorder":
-        """Return a recorder for a serial line, or for a connection with serial framing."""
+        """Return the recorder for the frames of a serial line, or of a connection with serial framing.
+
+        Called by `busway.observe.trace`. After `stop`, frames are passed to the capture file alone.
+
+        Args:
+            name: name of the line, shown as the peer of its frames.
+        """
         onward = None if self._before is None else self._before.line(name)
         if not self._is_on:
             return onward if onward is not None else _NOTHING
@@ -193,7 +210,17 @@ class Traffic:
         reason: str = "",
         at: float | None = None,
     ) -> Passed:
-        """Add one Modbus frame to the recording for the page."""
+        """Record one Modbus frame, or damaged bytes, and tell the watchers.
+
+        Args:
+            peer: the other end of the connection, or the name of the line.
+            pdu: the PDU, or the damaged bytes.
+            is_reply: whether it is a reply; for damaged bytes, whether they were sent.
+            unit: unit number; None for damaged bytes.
+            transaction: transaction identifier; None for damaged bytes and on lines.
+            reason: why the bytes are damaged; empty for a frame.
+            at: seconds since 1970; None for now.
+        """
         self.last += 1
         passed = Passed(
             self.last,
@@ -251,7 +278,7 @@ class Traffic:
 
 
 class _Requests:
-    """The unanswered requests of one connection, which explain its replies."""
+    """The unanswered requests of one connection or line, by which its replies are explained and timed."""
 
     __slots__ = ("_asked",)
 
@@ -271,7 +298,7 @@ class _Requests:
 
 
 class _Connection:
-    """Records the frames of one Modbus connection over TCP, TLS or UDP."""
+    """Records the frames of one Modbus connection over TCP, TLS or UDP, for `Traffic` and the capture file."""
 
     __slots__ = ("_incoming", "_onward", "_outgoing", "_peer", "_requests", "_traffic")
 
@@ -312,7 +339,7 @@ class _Connection:
 
 
 class _Line:
-    """Records the frames of one serial line, or of a connection with serial framing."""
+    """Records the frames of a line, or of a connection with serial framing, for `Traffic` and the capture file."""
 
     __slots__ = ("_onward", "_peer", "_requests", "_traffic")
 
@@ -323,7 +350,13 @@ class _Line:
         self._requests = _Requests()
 
     def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
-        """Record a frame or damaged bytes of the line."""
+        """Record a frame or damaged bytes of the line.
+
+        Args:
+            found: the frame or the damaged bytes.
+            at: seconds since 1970; None for now.
+            is_outgoing: whether they were sent by this program; then a frame is a reply.
+        """
         if self._onward is not None:
             self._onward.heard(found, at=at, is_outgoing=is_outgoing)
         if isinstance(found, Damaged):
@@ -339,18 +372,18 @@ class _Line:
 
 
 class _Nothing:
-    """Recorder that ignores everything, used once recording has stopped."""
+    """Recorder that ignores everything, for connections that are recorded neither for the page nor in a file."""
 
     __slots__ = ()
 
     def received(self, data: bytes) -> None:
-        """Ignore received bytes, because recording has stopped."""
+        """Ignore received bytes, because nothing is recorded."""
 
     def sent(self, data: bytes) -> None:
-        """Ignore sent bytes, because recording has stopped."""
+        """Ignore sent bytes, because nothing is recorded."""
 
     def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
-        """Ignore a frame or damaged bytes, because recording has stopped."""
+        """Ignore a frame or damaged bytes, because nothing is recorded."""
 
 
 _NOTHING: Final = _Nothing()
