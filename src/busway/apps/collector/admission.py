@@ -4,8 +4,8 @@ Pure: knows plans and periods; knows no clock and no socket.
 
 1. The load of a link is the seconds that its reads take in each second. Above `MOST_LOAD` rounds will be late, because
    silent devices, repetitions and writes need the rest.
-2. A class whose period is not longer than its own reads, the longest other read and one timeout may miss rounds even
-   on a quiet link. A device that is alone on its link waits for no other.
+2. A poll class whose period is not longer than its own reads, the longest read of another device and one timeout
+   together may miss rounds even on a quiet link. A device that is alone on its link waits for no other.
 3. Each class is counted by itself, as if no reads were shared. So the real load is that or less.
 """
 
@@ -16,7 +16,7 @@ from typing import Final
 from .plan_cache import PlanBook
 
 MOST_LOAD: Final = 0.85
-"""Seconds of reads in each second that a link may be planned for."""
+"""Seconds of reads in each second that a link may be planned for, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,10 +24,10 @@ class LinkLoad:
     """The computed load of a link: the part of its time that polling its devices takes.
 
     Attributes:
-        link: its name.
-        load: seconds of reads in each second.
-        by_class: the same for each class.
-        problems: what does not fit, each as a sentence that says what to change; none where all fits.
+        link: name of the link.
+        load: seconds of reads in each second, all poll classes together.
+        by_class: seconds of reads in each second, by poll class.
+        problems: the poll periods that cannot be kept, each as a sentence that says what to change; empty if none.
     """
 
     link: str
@@ -37,17 +37,17 @@ class LinkLoad:
 
     @property
     def fits(self) -> bool:
-        """Whether the link can poll every poll class of its devices within its period."""
+        """Whether the link can keep the poll periods of all its devices."""
         return not self.problems
 
 
 def admit(link: str, devices: Iterable[tuple[str, PlanBook, Mapping[str, float]]], timeout: float) -> LinkLoad:
-    """Compute whether a collector's link can keep the poll periods of its devices.
+    """Compute the load of a link, and whether it can keep the poll periods of its devices.
 
     Args:
-        link: its name.
-        devices: name, plans and periods (seconds by class) of each device.
-        timeout: seconds that a silent read takes.
+        link: name of the link.
+        devices: for each device its name, its read plans and its poll periods (seconds by poll class).
+        timeout: seconds that a read without a reply takes.
     """
     load: dict[str, float] = {}
     own: dict[str, tuple[float, str]] = {}  # by class, the longest round and whose it is
@@ -105,6 +105,6 @@ def _too_fast(
 
 
 def _rounded(value: float) -> str:
-    """Return a number as text, rounded up to two digits."""
+    """Return a number as text with two significant digits, about 5 % higher, as a recommendation."""
     text = f"{value * 1.05:.2g}"
     return text if "e" not in text else f"{float(text):.0f}"

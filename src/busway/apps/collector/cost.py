@@ -19,7 +19,8 @@ TURNAROUND: Final = 0.010
 ROUND_TRIP: Final = 0.005
 """Seconds of a read over a network, until they are learnt."""
 NETWORK_REGISTER: Final = 0.16e-6
-"""Seconds of a register over a network: two bytes at 100 Mbit/s. Not zero: of two equal plans the narrower one wins."""
+"""Seconds of a register over a network: two bytes at 100 Mbit/s. Not zero, so that of two plans with as many reads the
+one with fewer registers wins."""
 
 _RTU_CHARACTERS: Final = 13  # request: unit, function, address 2, count 2, CRC 2; reply: unit, function, length, CRC 2
 _ASCII_CHARACTERS: Final = 28  # request: ':', 7 bytes in 14, CR LF; reply: ':', 4 bytes in 8, CR LF
@@ -27,12 +28,15 @@ _ASCII_CHARACTERS: Final = 28  # request: ':', 7 bytes in 14, CR LF; reply: ':',
 
 @dataclass(frozen=True, slots=True)
 class ReadCost:
-    """How many seconds reads of one device take: per request, per register and per bit.
+    """How many seconds reads of one device take: a base for each request, and a part for each register or bit.
 
     Attributes:
-        base: seconds of any read, above 0.
-        per_register: seconds of a register, above 0.
-        per_bit: seconds of a coil or discrete input, above 0.
+        base: seconds that each read takes whatever its width, above 0.
+        per_register: seconds that each register adds, above 0.
+        per_bit: seconds that each coil or discrete input adds, above 0.
+
+    Raises:
+        ValueError: a cost is not above 0.
     """
 
     base: float
@@ -44,15 +48,15 @@ class ReadCost:
             raise ValueError(f"costs are above 0, not {self.base}, {self.per_register} and {self.per_bit}")
 
     def per_item(self, table: Table) -> float:
-        """Return the seconds that one register or bit adds to a read."""
+        """Return the seconds that one register or bit of a table adds to a read."""
         return self.per_bit if table.holds_bits else self.per_register
 
     def of(self, table: Table, width: int) -> float:
-        """Return the seconds that a read of ``width`` registers or bits takes."""
+        """Return the seconds that a read of ``width`` registers or bits of a table takes."""
         return self.base + self.per_item(table) * width
 
     def with_base(self, base: float) -> "ReadCost":
-        """Return a copy with another base, for another device on the same line."""
+        """Return a copy with another base (seconds of each request), for another device on the same line."""
         return replace(self, base=base)
 
 
@@ -62,7 +66,7 @@ def line_cost(
     """Return what reads on a serial line cost, in seconds: per request, per register and per bit.
 
     Args:
-        timing: characters and silences of the line; a character takes time.
+        timing: how long characters and silences take on the line.
         framing: RTU has two silences for each read; ASCII has none, and twice the characters for each byte.
         turnaround: seconds that the device takes before it answers.
         gap: seconds between a reply and the next request where that is longer than the silence.
@@ -78,10 +82,16 @@ def line_cost(
 
 
 def network_cost(round_trip: float = ROUND_TRIP) -> ReadCost:
-    """Return what reads over a network cost: ``round_trip`` seconds each, whatever their width."""
+    """Return what reads over a network cost: ``round_trip`` seconds each, and very little for each register or bit."""
     return ReadCost(round_trip, NETWORK_REGISTER, NETWORK_REGISTER / 16)
 
 
 def baud_cost(baud: int, *, parity: Parity = Parity.EVEN, turnaround: float = TURNAROUND) -> ReadCost:
-    """Return what reads on an RTU line of ``baud`` bit/s cost, also one that a gateway connects."""
+    """Return what reads on an RTU line of ``baud`` bit/s cost, whether the line is local or behind a gateway.
+
+    Args:
+        baud: speed of the line, bit/s.
+        parity: parity of its characters.
+        turnaround: seconds that the device takes before it answers.
+    """
     return line_cost(SerialTiming.of_line(baud, parity=parity), turnaround=turnaround)

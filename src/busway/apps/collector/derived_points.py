@@ -2,10 +2,11 @@
 
 Pure: knows points and their latest readings; knows no request and no clock.
 
-1. The sample of an accumulator is its total, which goes on where the counter begins again: `busway.points.derived` says
-   when it has.
+1. The sample of an accumulator is its total, which goes on when the counter begins again: `busway.points.derived`
+   decides when a counter has begun again.
 2. Computed points get a sample at the end of each round that read one of their inputs.
-3. A member of a group whose size the device says is read while it is there, once the size is known.
+3. The size of some groups is itself a point of the device. Members of such a group are read once the size is known, and
+   only those that the device has.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,12 +20,12 @@ from .samples import NANOSECONDS, CounterState, PointGroup, SampleBatch
 
 
 class DerivedPoints:
-    """Computes totals, formulas and group sizes of one device from its reads.
+    """Computes totals of counters, values of computed points, and sizes of groups of one device, from its reads.
 
     Args:
-        device: its name.
-        points: all of it.
-        counters: the states of accumulators before a restart.
+        device: name of the device.
+        points: all points of the device.
+        counters: the states of accumulators stored before a restart; their totals go on from there.
     """
 
     def __init__(self, device: str, points: Sequence[Point], counters: Iterable[CounterState] = ()) -> None:
@@ -44,11 +45,11 @@ class DerivedPoints:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the device has no totals, formulas or groups of variable size."""
+        """Whether the device has neither totals nor computed points nor groups of variable size."""
         return not (self._accumulators or self._inputs or self._counted)
 
     def absent(self) -> list[Point]:
-        """Names of group members that the device does not have, by the group sizes read so far."""
+        """Return the points that must not be read: members of groups beyond their size, or of groups of unknown size."""
         return [point for point in self._counted if not self._is_there(point)]
 
     def _is_there(self, point: Point) -> bool:
@@ -59,7 +60,11 @@ class DerivedPoints:
         return True
 
     def take(self, batch: SampleBatch) -> tuple[SampleBatch, bool]:
-        """Add totals to the samples of a read. Returns them, and whether the size of a group has changed."""
+        """Replace the counter readings in the samples of a read by running totals, and keep what formulas need.
+
+        Returns:
+            The samples, and whether the size of a group has changed, so that `absent` gives other points.
+        """
         found = {
             name: Reading(value, reason)
             for name, value, reason in zip(batch.points, batch.values, batch.reason_column(), strict=True)
@@ -95,13 +100,18 @@ class DerivedPoints:
         return changed
 
     def failed(self, points: Sequence[str], reason: int) -> None:
-        """Mark points as unreadable for a reason, so that formulas that use them get no value."""
+        """Record that a read of points failed, so that computed points that use them get samples with this reason."""
         if self._group is not None:
             self._latest |= {name: Reading(None, reason) for name in points}
             self._touched |= set(points)
 
     def computed(self, time: int, half_width: int) -> SampleBatch | None:
-        """Return the samples of computed points after a round of reads; None if none of their inputs was read."""
+        """Return the samples of all computed points at the end of a round; None if the round read none of their inputs.
+
+        Args:
+            time: time of the samples, nanoseconds since 1970 UTC.
+            half_width: half the length of the last transaction, nanoseconds.
+        """
         touched, self._touched = self._touched, set()
         if self._group is None or not any(inputs & touched for inputs in self._inputs.values()):
             return None

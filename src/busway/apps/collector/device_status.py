@@ -13,13 +13,18 @@ class CollectedDeviceStatus:
     """The status of a polled device: whether it answers, and what its reads have brought.
 
     Attributes:
-        name, link: its name and that of its link.
-        state: ``polled``, ``silent``, ``maintenance`` or ``not asked yet``.
-        reads, failures, rounds, skipped: how many there were since the start.
-        worst_wait: the longest time in seconds that a round waited for others.
-        last_error: the last error; empty if there was none.
-        learnt: facts learnt about it, as sentences.
-        silent_since: since when its rounds have stopped, nanoseconds since 1970 UTC; None while it is polled.
+        name: name of the device.
+        link: name of its link.
+        state: ``polled``, ``silent``, ``maintenance``, ``not asked yet``, or ``nothing to read`` (no readable point).
+        reads: reads of points since the start, failed ones included.
+        failures: reads of points that failed since the start.
+        rounds: polling rounds completed since the start.
+        skipped: due times at which no round was made since the start, because the one before still waited.
+        worst_wait: the longest delay of a round by requests other than its own, in seconds.
+        last_error: the last error of a read; empty if there was none.
+        learnt: facts learnt about the device, as sentences.
+        silent_since: since when its rounds have stopped, because it is silent or in maintenance, nanoseconds since 1970
+            UTC; None while it is polled.
     """
 
     name: str
@@ -36,7 +41,12 @@ class CollectedDeviceStatus:
 
 
 def status_of(poller: LinkPoller, name: str) -> CollectedDeviceStatus:
-    """Return the status of a polled device, put together from its poller and its schedule."""
+    """Return the status of one device of a link.
+
+    Args:
+        poller: the poller of the link.
+        name: name of a device of that link.
+    """
     device, scheduled = poller.devices[name], poller.schedule.devices.get(name)
     if scheduled is None:
         state = "nothing to read"

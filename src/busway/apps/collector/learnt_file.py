@@ -1,6 +1,6 @@
 """The file beside the store in which a collector keeps what it learns about devices, over restarts.
 
-Knows one file; what is in it is known by `knowledge`.
+Knows one file; `knowledge` knows its contents.
 """
 
 from pathlib import Path
@@ -11,10 +11,10 @@ from .knowledge import Knowledge, read_knowledge
 
 
 class LearntFile:
-    """The file in which a collector keeps what it learns about devices.
+    """The file in which a collector keeps what it learns about devices, to use it after a restart.
 
     Attributes:
-        path: the path of the file.
+        path: the path of the file; it need not exist.
     """
 
     def __init__(self, path: Path) -> None:
@@ -22,14 +22,18 @@ class LearntFile:
         self._written = ""
 
     def read(self) -> Knowledge:
-        """Return what earlier runs learnt about the devices; empty if there is no file. Raises `ConfigError`."""
+        """Return what earlier runs learnt about the devices; empty if there is no file.
+
+        Raises:
+            ConfigError: the file cannot be read, or does not hold what a collector writes.
+        """
         return read_knowledge(read_text(str(self.path)), str(self.path)) if self.path.exists() else Knowledge()
 
     def write(self, text: str) -> None:
-        """Replace the file whole with `Knowledge.text`, unless that was written last. Waits for the disk.
+        """Replace the whole file by a text (`Knowledge.text`), unless that text was written last. Waits for the disk.
 
         Raises:
-            OSError: the file is as it was.
+            OSError: the file cannot be written; it is as before.
         """
         if text != self._written:
             write_whole(self.path, text)

@@ -2,9 +2,9 @@
 
 Knows the manifest, the audit log and sentences; pollers leave the devices alone.
 
-1. The manifest has it before polling stops, so a start after a crash goes on with it.
-2. It is one interval of the device, with begin and end, over restarts and files that are read again.
-3. Its begin and its end are a sentence in the log and a line of the audit log, with who and why.
+1. Maintenance is recorded in the manifest before polling stops, so it goes on after a crash and a new start.
+2. Maintenance is one interval of the device, with begin and end, over restarts and reloads.
+3. Begin and end of maintenance are a sentence in the log and a line of the audit log, with who and why.
 """
 
 import json
@@ -23,11 +23,11 @@ _log = logging.getLogger("busway.collector")
 
 
 class MaintenanceBook:
-    """The devices of a collector that are in maintenance and not polled.
+    """Records which devices of a collector are in maintenance (not polled), in manifest, log and audit log.
 
     Args:
-        manifest: the store's manifest, open for writing.
-        audit: the audit log.
+        manifest: the store's manifest, open for writing; the maintenance of earlier runs is read from it.
+        audit: the audit log; each begin and end becomes a line.
     """
 
     def __init__(self, manifest: Manifest, audit: AuditLog) -> None:
@@ -36,12 +36,22 @@ class MaintenanceBook:
 
     @property
     def devices(self) -> Mapping[str, MaintenanceRow]:
-        """The devices that are in maintenance and so not polled, by name."""
+        """The devices in maintenance now, by name, each with its begin, who began it, and why."""
         return self._rows
 
     def begin(self, device: str, at: int, by: str, why: str) -> MaintenanceRow:
-        """Record that a device is in maintenance, not polled; if it already was, its begin stays.
-        Raises `ConfigError`.
+        """Record that the maintenance of a device begins; the caller stops polling it.
+
+        A device already in maintenance keeps its begin, and gets the new ``by`` and ``why``.
+
+        Args:
+            device: name of the device.
+            at: the begin, nanoseconds since 1970 UTC.
+            by: who begins the maintenance.
+            why: the reason; may be empty.
+
+        Raises:
+            ConfigError: the store cannot be written; nothing has changed.
         """
         known = self._rows.get(device)
         row = MaintenanceRow(device, at if known is None else known.begin, by, why)
@@ -55,7 +65,17 @@ class MaintenanceBook:
         return row
 
     def end(self, device: str, at: int, by: str, why: str) -> StateInterval:
-        """End the maintenance of a device; returns its whole interval. Raises `ConfigError`."""
+        """Record that the maintenance of a device ends, and return its whole interval; the caller polls it again.
+
+        Args:
+            device: name of a device that is in maintenance.
+            at: the end, nanoseconds since 1970 UTC.
+            by: who ends the maintenance.
+            why: the reason; may be empty.
+
+        Raises:
+            ConfigError: the store cannot be written; the maintenance goes on.
+        """
         row = self._rows[device]
         try:
             self._manifest.end_maintenance(device)
@@ -77,7 +97,7 @@ class MaintenanceBook:
         return StateInterval(device, row.begin, end, Reason.MAINTENANCE)
 
     def mend(self, shift: int) -> None:
-        """Correct the begin of each maintenance that was recorded before the computer's wall clock was set."""
+        """Add ``shift`` nanoseconds to each begin of maintenance recorded before the computer's wall clock was set."""
         for row in list(self._rows.values()):
             if row.begin < EARLIEST:
                 self._rows[row.device] = replace(row, begin=row.begin + shift)

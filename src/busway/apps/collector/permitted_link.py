@@ -1,4 +1,4 @@
-"""A link that asks for permission before each transaction, for collectors that share links with others."""
+"""A link that asks for permission before it sends requests, for collectors that share links with other collectors."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,19 +9,22 @@ from .poller import PollLink
 
 
 class PermittedLink:
-    """A link that sends requests only after a function has permitted it.
+    """A link that sends requests only if a function permits it at that moment.
 
     Args:
         name: the name of the link.
         link: the link that sends the requests.
-        permit: called with the name right before each transaction; raises `LinkDown` where it may not begin.
+        permit: called with the name right before requests are sent; raises `LinkDown` if they may not be sent.
     """
 
     def __init__(self, name: str, link: PollLink, permit: Callable[[str], None]) -> None:
         self._name, self._link, self._permit = name, link, permit
 
     async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
-        """Send requests if permission is given, and return a reply or error for each; else the same error for all."""
+        """Send requests to a unit if permitted, and return a reply or an error for each, in order.
+
+        Without permission nothing is sent, and the `LinkDown` error stands for each request.
+        """
         try:
             self._permit(self._name)
         except LinkDown as error:

@@ -20,11 +20,12 @@ PointKey = tuple[str, str]
 
 @dataclass(slots=True)
 class PointNames:
-    """The names of all points that were ever described.
+    """The present names of all points of a store, and the former names that points have taken over (``was``).
 
     Attributes:
-        ids: number of the point that has a name now, by device and name.
-        taken_over: numbers of points, with names that they have taken over.
+        ids: number of each point, by its device and its present name. Points that no store has numbered have
+            negative numbers.
+        taken_over: pairs of a point's number and a former name that this point has taken over.
     """
 
     ids: dict[PointKey, int] = field(default_factory=dict)
@@ -32,7 +33,10 @@ class PointNames:
     _next: int = -1
 
     def moves(self, described: Iterable[PointDescription]) -> dict[int, PointDescription]:
-        """Return which points get another name from a new configuration: old and new name, by the points' numbers."""
+        """Return the points that a new configuration renames: by the point's number, its new description.
+
+        Changes nothing. A point whose new name another point has and keeps is left out.
+        """
         moves: dict[int, PointDescription] = {}
         for one in described:
             old = None if one.was in (None, one.point) else self.ids.get((one.device, one.was))
@@ -44,7 +48,11 @@ class PointNames:
         return moves
 
     def describe(self, described: Iterable[PointDescription]) -> Mapping[PointKey, str]:
-        """Use the point names of a new configuration; returns the new name for each device and old name."""
+        """Adopt the point names of a new configuration: rename points (``was``), and add those that are new.
+
+        Returns:
+            The new name of each renamed point, by its device and its old name.
+        """
         points = list(described)
         moves = self.moves(points)
         before = {number: key for key, number in self.ids.items() if number in moves}

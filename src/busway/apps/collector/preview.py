@@ -1,5 +1,4 @@
-"""What a collector would do, without traffic: its reads, the load of each link, undeclared registers, what was
-learnt.
+"""Computes, without traffic, what a collector would do: its reads, link loads, undeclared registers, what was learnt.
 
 Knows plans; sends nothing.
 """
@@ -16,15 +15,16 @@ from .plan import PlannedRead, undeclared
 
 @dataclass(frozen=True, slots=True)
 class PreviewedRead:
-    """One read request that a device would get from the collector.
+    """One read request that the collector would send to a device in each round of a poll class.
 
     Attributes:
-        device, poll_class: the device and the poll class that it reads.
-        first: the address of its first item.
-        count: registers or bits.
-        points: number of points it reads, also of other classes.
-        seconds: how long it takes.
-        undeclared: addresses it reads that belong to no point and no readable range: ``4x5…4x9``.
+        device: name of the device.
+        poll_class: name of the poll class.
+        first: address of the first register or bit that the request reads.
+        count: registers or bits that the request reads.
+        points: number of points that the request reads, those of other poll classes included.
+        seconds: how long the request and its reply are expected to take.
+        undeclared: the addresses in the read that belong to no point and no readable range, such as ``4x5…4x9``.
     """
 
     device: str
@@ -38,13 +38,13 @@ class PreviewedRead:
 
 @dataclass(frozen=True, slots=True)
 class CollectorPreview:
-    """What a collector would do if it were started: reads, loads, undeclared registers.
+    """What a collector would do if it were started: its reads, the load of each link, what it knows of devices.
 
     Attributes:
         reads: the reads of all devices and poll classes.
-        unreadable: points that no read may bring, each with the reason.
-        loads: the admission test of each link.
-        learnt: by device, what is known from before; and what its first reads would teach.
+        unreadable: points that no allowed read can fetch; each is device, point and reason.
+        loads: the result of the admission test for each link.
+        learnt: pairs of a device and a sentence: what earlier runs learnt about the device, or what this one would.
     """
 
     reads: tuple[PreviewedRead, ...]
@@ -54,7 +54,12 @@ class CollectorPreview:
 
 
 def preview(configuration: CollectorConfiguration, knowledge: Knowledge) -> CollectorPreview:
-    """Compute what a collector would do (reads, loads), given what was learnt about its devices. Sends nothing."""
+    """Compute the reads and link loads that a collector would have if it were started. Sends nothing.
+
+    Args:
+        configuration: the collector's configuration.
+        knowledge: what earlier runs learnt about the devices; the read plans depend on it.
+    """
     reads: list[PreviewedRead] = []
     unreadable: list[tuple[str, str, str]] = []
     learnt: list[tuple[str, str]] = []

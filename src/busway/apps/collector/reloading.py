@@ -5,10 +5,10 @@ Knows two configurations, a file and the audit log; how another configuration is
 1. Store and sinks are those of the start: another one is refused, and nothing is changed.
 2. Other settings that are read at the start alone are named, also in the log: they hold after the next start.
 3. A file is replaced whole, with the rights that it had: after a crash it is as before or as after.
-4. One change at a time. What has begun is done to its end, whatever comes of the caller.
-5. Each change, and each that was refused, is a line of the audit log.
-6. A file that was read again and refused is not what is in use; log and page name the keys until another holds. They
-   have no values: a line that is wrong may hold a secret, and many read them.
+4. One change at a time. A change that has begun is completed, even if its caller is cancelled.
+5. Each change, and each refused change, is a line of the audit log.
+6. When the file was read again and refused, log and page name its wrong keys until a configuration is accepted. They
+   show no values: a wrong line may hold a secret, and many people read log and page.
 """
 
 import asyncio
@@ -29,7 +29,8 @@ from .configuration import CollectorConfiguration, parse_collector
 _READ_AT_THE_START: Final = tuple(
     key for key in CollectorSection.model_fields if key not in ("store", "learn", "store_report")
 )
-"""Keys of ``[collector]``; another store is refused, `learn` and `store_report` hold at once."""
+"""Keys of ``[collector]`` whose changes take effect at the next start. Another `store` is refused; `learn` and
+`store_report` take effect at once."""
 _log = logging.getLogger("busway.collector")
 
 
@@ -37,13 +38,16 @@ class Reloading:
     """Replaces the configuration of a running collector, one change at a time.
 
     Args:
-        current: gives the configuration that is in use.
-        audit: gives the audit log; None while there is none.
-        apply: puts another configuration into use. Returns what changed, each as a sentence.
+        current: returns the configuration in use.
+        audit: returns the audit log; None while there is none.
+        apply: puts another configuration into use, and returns the changes, each as a sentence.
 
     Attributes:
-        waiting: keys of the file that have changed since the start, and hold after the next one.
-        refusal: where and why the file was refused when it was read last, each a sentence; empty if it is in use.
+        running: the tasks that change the configuration, or wait for their turn to do so.
+        is_ending: whether `end` was called, so that every further change is refused.
+        waiting: keys that have changed since the start and take effect at the next start.
+        refusal: the lines and keys for which the file was refused when it was read again; empty once a configuration
+            was accepted.
     """
 
     def __init__(
@@ -61,15 +65,41 @@ class Reloading:
         self.refusal: list[str] = []
 
     async def reload(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
-        """Use another configuration in the running collector; as `Collector.reload`."""
+        """Put another configuration into use, and return what changed, each as a sentence.
+
+        Args:
+            configuration: the new configuration.
+            by: who makes the change, for the audit log.
+            origin: where the change comes from, for the audit log.
+
+        Raises:
+            ConfigError: the configuration cannot be used, or the collector ends; the old one stays in use.
+        """
         return await self._to_its_end(self._use(configuration, by, origin))
 
     async def read_again(self, by: str, origin: str) -> list[str]:
-        """Read the file again and use it; as `Collector.read_again`."""
+        """Read the collector's file again, put it into use, and return what changed, each as a sentence.
+
+        The audit log is opened again before, because its file may have been renamed. Arguments as of `reload`.
+
+        Raises:
+            ConfigError: the file cannot be read or used, or the collector ends; the old configuration stays in use.
+        """
         return await self._to_its_end(self._read_again(by, origin))
 
     async def replace(self, text: str, by: str, origin: str, revision: str | None) -> list[str]:
-        """Replace the text of the file and use it; as `Collector.replace_configuration`."""
+        """Replace the contents of the collector's file, put them into use, and return what changed, each as a sentence.
+
+        Args:
+            text: the new contents of the file.
+            by: who makes the change, for the audit log.
+            origin: where the change comes from, for the audit log.
+            revision: the revision that the caller has edited; another one in use is an error. None skips this check.
+
+        Raises:
+            ConfigError: the text cannot be used, the revision is another, the file cannot be written, or the collector
+                ends; the old configuration stays in use.
+        """
         return await self._to_its_end(self._replace(text, by, origin, revision))
 
     async def end(self) -> None:
@@ -79,7 +109,7 @@ class Reloading:
             await asyncio.wait(self.running)
 
     async def _to_its_end(self, change: Coroutine[Any, Any, list[str]]) -> list[str]:
-        """Make one change of the configuration at a time, and complete it even if the caller is cancelled (rule 4)."""
+        """Run a change after those begun earlier, and complete it even if the caller is cancelled (rule 4)."""
         task = asyncio.create_task(self._in_turn(change), name="busway collector reload")
         self.running.add(task)
         task.add_done_callback(self.running.discard)
@@ -154,11 +184,11 @@ class Reloading:
 
 
 class NeedsRestart(ConfigError):
-    """Error: a key of a configuration cannot change while the collector runs."""
+    """Error: a new configuration changes a key that cannot change while the collector runs."""
 
 
 def _places(error: ConfigError) -> list[str]:
-    """Return where a file was refused, without what stands there (rule 6)."""
+    """Return the lines and keys for which a file was refused, without their values (rule 6)."""
     if isinstance(error, NeedsRestart):
         return [f"{error.key}: {error.message}"]
     problems = error.problems if isinstance(error, FileError) else [error]
@@ -169,7 +199,7 @@ def _places(error: ConfigError) -> list[str]:
 
 
 def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfiguration) -> None:
-    """Raise `NeedsRestart` if a new configuration has another store or other sinks."""
+    """Raise `NeedsRestart` if a new configuration has another store or other sinks than the old one."""
     if new.file.sink != old.file.sink:
         raise NeedsRestart("sinks cannot change while the collector runs: restart it", file=new.name, key="sink")
     if new.store != old.store:
@@ -179,7 +209,7 @@ def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfigu
 
 
 def left_for_the_next_start(started: CollectorConfiguration, new: CollectorConfiguration) -> list[str]:
-    """Return the keys of a configuration whose changes take effect only at the next start."""
+    """Return the keys that differ from the configuration of the start, and take effect only at the next start."""
     before, after = started.file.collector, new.file.collector
     keys = [f"[collector] {key}" for key in _READ_AT_THE_START if getattr(before, key) != getattr(after, key)]
     if started.file.audit != new.file.audit:
@@ -190,7 +220,11 @@ def left_for_the_next_start(started: CollectorConfiguration, new: CollectorConfi
 
 
 def replace_file(path: str, text: str) -> None:
-    """Replace the contents of a file that exists (rule 3). Raises `ConfigError`; then it is as before."""
+    """Replace the whole contents of an existing file; its rights stay (rule 3).
+
+    Raises:
+        ConfigError: the file cannot be written; its contents are as before.
+    """
     target = os.path.realpath(path)
     try:
         write_whole(target, text, like=os.stat(target))

@@ -2,26 +2,27 @@
 
 Pure: knows seconds.
 
-1. Where replies carry a number, one that comes too late does no harm. So the time is that of TCP (RFC 6298): smoothed
-   reply time plus four times its deviation, doubled by each silence, between `SHORTEST` and the configured time.
-2. On a line a timeout makes doubt about the next reply, so the configured time is never shortened. Behind a gateway to
-   a line it is not, either: a request waits there while another device of the line is silent.
+1. Where replies carry a transaction identifier, a late reply does no harm. So the timeout is that of TCP (RFC 6298):
+   smoothed reply time plus four times its deviation, doubled by each silence, from `SHORTEST` to the configured one.
+2. On a line a late reply can be taken for the next one, so the configured timeout is never shortened. It is not
+   shortened behind a gateway to a line either: a request waits there while another device of the line is silent.
 """
 
 from typing import Final
 
 SHORTEST: Final = 0.2
-"""Seconds, as Linux has it for TCP: who answers in a millisecond may still clean up memory now and then."""
+"""The shortest adaptive timeout in seconds, as Linux has it for TCP: a device that answers in a millisecond may now and
+then take longer."""
 _GAIN: Final = 0.125
 _DEVIATION_GAIN: Final = 0.25
 
 
 class ReplyTimeout:
-    """The timeout for replies of one polled device, which follows its replies on TCP.
+    """The timeout for replies of one polled device; adapts to its reply times where replies carry an identifier.
 
     Args:
-        configured: seconds; the longest, and the one to begin with.
-        numbered: whether replies carry a number.
+        configured: the configured timeout in seconds: the first and the longest one.
+        numbered: whether replies carry a transaction identifier, as on TCP. If not, the timeout never changes.
 
     Attributes:
         seconds: how long to wait for the next reply.
@@ -48,6 +49,9 @@ class ReplyTimeout:
         self.seconds = min(max(self._smoothed + 4 * self._deviation, SHORTEST), self._configured)
 
     def silent(self) -> None:
-        """Lengthen the timeout, on TCP only, after a reply of the device did not come in time."""
+        """Double the timeout, up to the configured one, because a reply of the device did not come in time.
+
+        Does nothing if replies carry no transaction identifier.
+        """
         if self._numbered:
             self.seconds = min(2 * self.seconds, self._configured)

@@ -19,11 +19,13 @@ _EVERY = "every"
 
 
 def store_rules(configuration: CollectorConfiguration, device: str | None = None) -> RulesByPoint:
-    """Return, by device and point, the report rules of those points of which the store keeps only some samples.
+    """Return the report rules of the points of which the store keeps only some samples, by device and point name.
+
+    Points of which the store keeps every sample are left out.
 
     Args:
         configuration: the collector's configuration.
-        device: its name; None for all devices.
+        device: return the rules of this device only; None for all devices.
     """
     wanted = configuration.devices.keys() if device is None else {device} & configuration.devices.keys()
     sections = [section for section in configuration.file.device if section.name in wanted]
@@ -44,15 +46,16 @@ def _of_device(
 
 
 def _first(point: Point, *sections: ReportSection | None) -> ReportRule:
-    """Return the point's own report rule, or else that of the first enclosing section that has one."""
+    """Return the report rule of a point: its own, or that of the first section that has one, or else "every sample"."""
     if point.storing is not None:
         return point.storing
     return next((each.described() for each in sections if each is not None), ReportRule())
 
 
 def sink_rules(configuration: CollectorConfiguration) -> RulesByPoint:
-    """Return, by device and point, the report rules of points of which sinks without own rules get only
-    some samples.
+    """Return the report rules of points for sinks that have no rule of their own, by device and point name.
+
+    Points of which such sinks get every stored sample are left out.
     """
     return {
         (device.name, point.name): point.reporting
@@ -63,5 +66,5 @@ def sink_rules(configuration: CollectorConfiguration) -> RulesByPoint:
 
 
 def point_keys(configuration: CollectorConfiguration) -> frozenset[tuple[str, str]]:
-    """Return the device and the name of each point of a configuration."""
+    """Return the names of all points of a configuration, each as a pair of device name and point name."""
     return frozenset((device.name, point.name) for device in configuration.devices.values() for point in device.points)

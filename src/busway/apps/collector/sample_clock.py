@@ -6,9 +6,9 @@ Pure: knows readings of two clocks; reads none itself.
 2. The offset follows the wall clock. A wall clock that was set forward is followed at once. One that was set back is
    followed by going at half speed, because a jump would put new samples before old ones; until that is done, the time
    is not known to be right.
-3. A wall clock that shows a time before this program was written is not right: many devices have no battery, and begin
-   in 1970. Until it is set it is not followed. Then the difference is that of all times given before, and they are
-   mended. Times while a clock that was set back is made up for are not: to move them would change their order.
+3. A wall clock that shows a time before this program was written is not right: many computers have no battery, and
+   begin in 1970. Such a clock is not followed until it is set. The step at which it is set is then added to all times
+   given before. Times given at half speed (rule 2) are never changed: that would change their order.
 """
 
 from typing import Final
@@ -21,11 +21,11 @@ TOLERANCE: Final = NANOSECONDS // 2
 
 
 class SampleClock:
-    """Converts monotonic times into the times that samples get, nanoseconds since 1970.
+    """Converts monotonic times into the times that samples get, nanoseconds since 1970 UTC. Reads no clock itself.
 
     Args:
-        monotonic: seconds of the monotonic clock, now.
-        wall: nanoseconds since 1970 by the wall clock, at the same time.
+        monotonic: what the monotonic clock shows now, seconds.
+        wall: what the wall clock shows at the same moment, nanoseconds since 1970 UTC.
     """
 
     def __init__(self, monotonic: float, wall: int) -> None:
@@ -37,15 +37,19 @@ class SampleClock:
 
     @property
     def is_right(self) -> bool:
-        """Whether the wall clock is known to be set right."""
+        """Whether the times of samples can be trusted: the wall clock is set, and sample times are not ahead of it."""
         return self._wall_is_right and self._behind <= TOLERANCE
 
     def adjust(self, monotonic: float, wall: int) -> int:
-        """Follow the computer's wall clock, which shows ``wall`` at ``monotonic``. To be called every few seconds.
+        """Follow the computer's wall clock. To be called every few seconds.
+
+        Args:
+            monotonic: what the monotonic clock shows now, seconds.
+            wall: what the wall clock shows at the same moment, nanoseconds since 1970 UTC.
 
         Returns:
-            Nanoseconds that all times before `EARLIEST` given so far were behind, once that is known,
-            when the wall clock has been set; else 0.
+            Nanoseconds to add to all times before `EARLIEST` that were given so far, in the call that finds the wall
+            clock set for the first time after a start with a wrong one; in every other call 0.
         """
         self._offset += self._made_up(monotonic)
         self._since = monotonic
@@ -59,10 +63,13 @@ class SampleClock:
         return max(ahead, 0) if was_set_now else 0
 
     def time_ns(self, monotonic: float) -> int:
-        """Return nanoseconds since 1970 for a monotonic time since the last `adjust`."""
+        """Return the sample time (nanoseconds since 1970 UTC) for a time of the monotonic clock, in seconds.
+
+        The monotonic time should not be before the last `adjust`.
+        """
         time = int(monotonic * NANOSECONDS) + self._offset
         return time + self._made_up(monotonic) if self._behind else time
 
     def _made_up(self, monotonic: float) -> int:
-        """Return how much of a backward step of the wall clock sample times have absorbed since `adjust`: 0 or less."""
+        """Return the nanoseconds, 0 or less, by which sample times have slowed down since `adjust` (rule 2)."""
         return -min(self._behind, max(0, int((monotonic - self._since) * NANOSECONDS)) // 2)

@@ -1,4 +1,4 @@
-"""The programs that follow the samples of a running collector, each with a queue of those it has not read.
+"""Hands the samples of a running collector to the programs that follow them, through one queue for each program.
 
 Knows batches of samples; knows no store. A reader that is too slow loses the oldest batches, which is counted; it never
 slows polling down.
@@ -16,7 +16,14 @@ MOST_WAITING: Final = 10_000
 
 
 class _Reader:
-    """One program that follows samples, with the queue of those it has not read."""
+    """One program that follows samples, with the queue of batches that it has not read.
+
+    Attributes:
+        devices: names of the devices whose samples it gets; None for all.
+        waiting: the batches it has not read, oldest first.
+        arrived: set when there may be new batches, or when reading ends.
+        lost: batches that were dropped because the queue was full.
+    """
 
     def __init__(self, devices: frozenset[str] | None) -> None:
         self.devices = devices
@@ -25,6 +32,7 @@ class _Reader:
         self.lost = 0
 
     def take(self, batches: Sequence[SampleBatch]) -> None:
+        """Queue the batches of this reader's devices; a full queue drops its oldest one."""
         for batch in batches:
             if self.devices is None or batch.device in self.devices:
                 self.lost += len(self.waiting) == MOST_WAITING
@@ -33,10 +41,12 @@ class _Reader:
 
 
 class SampleReaders:
-    """All programs that iterate over the samples of one collector. For one event loop.
+    """Gives the samples of one collector to all iterations that follow them. For one event loop.
+
+    True if there is such an iteration.
 
     Attributes:
-        lost: batches that readers which have ended were too slow for.
+        lost: batches that iterations now ended have missed, because they were too slow.
     """
 
     def __init__(self) -> None:
@@ -48,11 +58,11 @@ class SampleReaders:
         return bool(self._readers)
 
     def begin(self) -> None:
-        """Let iterations wait for new samples; before this, and after `end`, they return what is queued and stop."""
+        """Let iterations wait for new samples. Before `begin` and after `end` they stop when their queue is empty."""
         self._has_begun = True
 
     async def read(self, devices: frozenset[str] | None) -> AsyncGenerator[SampleBatch, None]:
-        """Yield the samples of these devices (None: of all devices) from now on, until `end`."""
+        """Yield the samples taken from now on, of the named devices (None: of all devices), until `end` is called."""
         reader = _Reader(devices)
         self._readers.append(reader)
         try:
@@ -68,12 +78,12 @@ class SampleReaders:
             self.lost += reader.lost
 
     def take(self, batches: Sequence[SampleBatch]) -> None:
-        """Queue new samples for all iterations that want them."""
+        """Queue new samples for all iterations that follow their devices. Never waits; full queues drop old batches."""
         for reader in self._readers:
             reader.take(batches)
 
     def end(self) -> None:
-        """End each iteration over samples after those already queued for it."""
+        """Let each iteration end after the samples already queued for it."""
         self._has_begun = False
         for reader in self._readers:
             reader.arrived.set()

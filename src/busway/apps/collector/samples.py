@@ -1,6 +1,6 @@
 """Samples: the value of a point at a time, its quality, and the reason if it is not good.
 
-Pure: knows no clock, file or socket. The poller makes these, the store keeps them, sinks hand them on.
+Pure: knows no clock, file or socket. The poller makes samples, the store keeps them, sinks hand them on.
 
 1. Times are nanoseconds since 1970 UTC (``int``). The time of a sample is the middle of its transaction; half of the
    transaction's length is kept beside it. Lengths of other things are seconds, as everywhere.
@@ -40,7 +40,7 @@ __all__ = [
 ]
 
 Value = bool | int | float | str
-"""What a point can be: a state, a number, a text. Integers are of at most 64 bits."""
+"""The value of a point: a state, a number or a text. Integers have at most 64 bits."""
 
 NANOSECONDS: Final = 1_000_000_000
 """Nanoseconds in a second."""
@@ -56,7 +56,10 @@ class Sample:
         time: nanoseconds since 1970 UTC, the middle of the transaction.
         half_width: half the length of the transaction, nanoseconds.
         value: the value; None only where the sample is bad.
-        reason: why it is not good: a `Reason`, or that of an exception code; 0 for good.
+        reason: why the sample is not good: a `Reason`, or a number from `exception_reason`; 0 for good.
+
+    Raises:
+        InvalidRequest: there is neither a value nor a bad reason.
     """
 
     device: str
@@ -82,6 +85,13 @@ class PointGroup:
 
     Two groups are equal only if they are the same object, so that a look-up by group costs the same for any number of
     points.
+
+    Attributes:
+        device: name of the device.
+        points: names of the points, one or more, each once.
+
+    Raises:
+        InvalidRequest: there is no point, or one point twice.
     """
 
     device: str
@@ -96,7 +106,7 @@ class PointGroup:
 
 @dataclass(frozen=True, slots=True)
 class CounterState:
-    """The state of a running total, which is computed from a counter and continues after a restart.
+    """The state of an accumulator: the running total of a counter, stored so that it continues after a restart.
 
     Attributes:
         point: name of the point.
@@ -111,15 +121,18 @@ class CounterState:
 
 @dataclass(frozen=True, slots=True)
 class SampleBatch:
-    """The samples of one read, as columns of values and reasons.
+    """The samples of one read, one for each point, as columns of values and reasons; iterating gives each `Sample`.
 
     Attributes:
-        group: device and points.
+        group: the device and its points.
         time: nanoseconds since 1970 UTC, the middle of the transaction.
         half_width: half the length of the transaction, nanoseconds.
-        values: one for each point of the group; None only where the reason is bad.
-        reasons: one for each point, or one number for all.
-        counters: the accumulators of the group as they are with these samples; kept by the same commit.
+        values: one for each point of the group, in order; None only where the reason is bad.
+        reasons: one for each point, or one number for all; 0 for good.
+        counters: the states of the group's accumulators after these samples; part of the same commit.
+
+    Raises:
+        InvalidRequest: there are more or fewer values or reasons than points.
     """
 
     group: PointGroup
@@ -150,7 +163,7 @@ class SampleBatch:
         return len(self.group.points)
 
     def reason_column(self) -> Sequence[int]:
-        """The reason code of each point's sample."""
+        """Return the reason of each sample, in the order of the points; 0 for good."""
         return (self.reasons,) * len(self) if isinstance(self.reasons, int) else self.reasons
 
     def __iter__(self) -> Iterator[Sample]:
@@ -159,7 +172,11 @@ class SampleBatch:
 
 
 def failed_batch(group: PointGroup, time: int, half_width: int, reason: int) -> SampleBatch:
-    """Return the samples of a read that failed: each point without a value, for the same bad reason."""
+    """Return the samples of a read that failed: one for each point, without value, all for the same reason.
+
+    Raises:
+        InvalidRequest: the quality of the reason is not bad.
+    """
     if quality_of(reason) is not Quality.BAD:
         raise InvalidRequest(f"{shown(reason_text(reason))} is no reason for which a read fails")
     return SampleBatch(group, time, half_width, (None,) * len(group.points), reason)
@@ -167,13 +184,16 @@ def failed_batch(group: PointGroup, time: int, half_width: int, reason: int) -> 
 
 @dataclass(frozen=True, slots=True)
 class StateInterval:
-    """A period in which a device was not read, and why; it replaces samples of all the device's points.
+    """A period in which a device was not read, and why; it stands for bad samples of all points of the device.
 
     Attributes:
         device: name of the device.
         begin: first nanosecond, since 1970 UTC.
-        end: the nanosecond after the last; None while it lasts.
-        reason: a bad `Reason`.
+        end: the nanosecond after the last; None while the period lasts.
+        reason: why the device was not read, a bad `Reason`.
+
+    Raises:
+        InvalidRequest: the end is before the begin, or the reason is not bad.
     """
 
     device: str
@@ -187,13 +207,16 @@ class StateInterval:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A period in which the samples of all devices are missing, and why.
+    """A period in which samples of all devices are missing, and why.
 
     Attributes:
         begin: first nanosecond, since 1970 UTC.
         end: the nanosecond after the last.
-        reason: a bad `Reason`.
-        lost: samples that were made and could not be kept; 0 where none were made.
+        reason: why samples are missing, a bad `Reason`.
+        lost: number of samples that were made and could not be stored; 0 where none were made.
+
+    Raises:
+        InvalidRequest: the end is before the begin, or the reason is not bad.
     """
 
     begin: int
@@ -220,8 +243,8 @@ class PointDescription:
         device: name of the device.
         point: name of the point.
         unit_of_measure: such as ``V``; empty for none.
-        is_state: whether its values are on and off.
-        was: name that the point had before: its history is that of this point.
+        is_state: whether the values of the point are states: on or off.
+        was: name that the point had before; samples stored under that name belong to this point. None for no such name.
     """
 
     device: str
