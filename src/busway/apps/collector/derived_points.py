@@ -49,7 +49,7 @@ class DerivedPoints:
         return not (self._accumulators or self._inputs or self._counted)
 
     def absent(self) -> list[Point]:
-        """Return the points that must not be read: members of groups beyond their size, or of groups of unknown size."""
+        """Return the points that must not be read: members beyond the size of their group, or while it is not known."""
         return [point for point in self._counted if not self._is_there(point)]
 
     def _is_there(self, point: Point) -> bool:

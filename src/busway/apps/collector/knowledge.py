@@ -2,8 +2,8 @@
 
 Pure: knows no clock, no socket and no file.
 
-1. What was learnt belongs to a device. It is dropped when the device gets another profile or firmware, or its name
-   stands for a unit at another place, unless it is pinned.
+1. What was learnt belongs to a device. It is dropped when the device gets another profile, firmware, endpoint or unit,
+   unless it is pinned.
 2. What two devices with the same profile and firmware learnt alike is offered to others of that kind: they begin
    with it.
 3. What is pinned is neither changed by learning nor forgotten with the rest.
@@ -19,18 +19,19 @@ from ...errors import ConfigError
 
 VERSION: Final = 1
 AGREEING: Final = 2
-"""Devices that must have learnt the same before it is offered to others."""
+"""Devices of one kind that must have learnt the same before other devices of that kind begin with it."""
 
 
 @dataclass(frozen=True, slots=True)
 class LearntHole:
-    """A range of items that a device was found to refuse, or a border that no read may cross.
+    """A range of registers or bits that a device was found to refuse, or a border that no read may cross.
 
     Attributes:
-        table: the table of the items.
-        start, end: the first of them, and the one after the last; equal for the border before ``start``.
-        code: the exception code that it answered; 0 for silence.
-        pinned: whether it stays until it is forgotten by name.
+        table: the table of the range.
+        start: the first refused register or bit, 0-based.
+        end: the one after the last; equal to ``start`` for a border, which is before ``start``.
+        code: the exception code that the device answered; 0 if it did not answer.
+        pinned: whether the fact stays when what was learnt is forgotten, unless pinned facts are forgotten too.
     """
 
     table: Table
@@ -54,13 +55,13 @@ class LearntHole:
 
 @dataclass(frozen=True, slots=True)
 class LearntLimit:
-    """The size of the largest read that a device was found to answer.
+    """The largest read that a device was found to answer, of bits or of registers.
 
     Attributes:
-        bits: whether it holds for bits; otherwise for registers.
-        good: the widest read that succeeded.
-        bad: the narrowest that was refused because of its width.
-        pinned: whether it stays until it is forgotten by name.
+        bits: whether the limit is for bits; otherwise for registers.
+        good: width of the widest read that succeeded.
+        bad: width of the narrowest read that was refused because of its width.
+        pinned: whether the fact stays when what was learnt is forgotten, unless pinned facts are forgotten too.
     """
 
     bits: bool
@@ -77,11 +78,12 @@ class DeviceKnowledge:
     """What the collector has learnt about one device: refused ranges, largest reads, cost of reads.
 
     Attributes:
-        profile, firmware: what kind of device it is; empty for unknown.
-        base: seconds of a read apart from its registers; None where too few reads were made.
-        holes: the ranges it refuses to read.
-        limits: the widest reads, one for registers and one for bits at most.
-        place: endpoint and unit where it was learnt; empty for unknown.
+        profile: the device profile; empty for unknown.
+        firmware: the firmware version that the collector file names; empty for unknown.
+        base: seconds of a read apart from its registers; None if too few reads were made.
+        holes: the ranges that the device refuses, and the borders that no read may cross.
+        limits: the largest reads, at most one for registers and one for bits.
+        place: endpoint and unit of the device when the facts were learnt; empty for unknown.
     """
 
     profile: str = ""
@@ -92,11 +94,11 @@ class DeviceKnowledge:
     place: str = ""
 
     def limit(self, bits: bool) -> LearntLimit | None:
-        """Return the largest read of bits, or of registers, that was learnt; None without one."""
+        """Return the learnt limit for reads of bits (``bits``) or of registers; None if none was learnt."""
         return next((one for one in self.limits if one.bits is bits), None)
 
     def refuses(self, table: Table, start: int, end: int) -> bool:
-        """Whether a read would touch a range that the device was found to refuse."""
+        """Whether a read from ``start`` to before ``end`` would touch a range that the device was found to refuse."""
         return any(one.table is table and one.start < end and start < one.end for one in self.holes)
 
     def knows(self, hole: LearntHole) -> bool:
@@ -110,20 +112,20 @@ class DeviceKnowledge:
         )
 
     def with_hole(self, hole: LearntHole) -> "DeviceKnowledge":
-        """Return a copy with one more range that the device refuses."""
+        """Return a copy with one more refused range or border; the same object if it is already known."""
         if self.knows(hole):
             return self
         return replace(self, holes=(*self.holes, hole))
 
     def with_limit(self, limit: LearntLimit) -> "DeviceKnowledge":
-        """Return a copy with another largest read, unless the present one is pinned (protected from change)."""
+        """Return a copy with another largest read of bits or registers; the same object if the old one is pinned."""
         known = self.limit(limit.bits)
         if known is not None and (known.pinned or known == limit):
             return self
         return replace(self, limits=(*(one for one in self.limits if one.bits is not limit.bits), limit))
 
     def pinned(self) -> "DeviceKnowledge":
-        """Return a copy in which all facts are pinned, so that only an explicit command forgets them."""
+        """Return a copy in which all holes and limits are pinned, so that `forgotten` keeps them by default."""
         return replace(
             self,
             holes=tuple(replace(one, pinned=True) for one in self.holes),
@@ -131,9 +133,7 @@ class DeviceKnowledge:
         )
 
     def forgotten(self, *, pinned: bool = False) -> "DeviceKnowledge":
-        """Return a copy with only pinned facts (kept by the user's will); if ``pinned`` are to be forgotten too, an
-        empty one.
-        """
+        """Return a copy without what was learnt, apart from pinned facts; with ``pinned``, without those too."""
         return DeviceKnowledge(
             self.profile,
             self.firmware,
@@ -144,7 +144,7 @@ class DeviceKnowledge:
         )
 
     def lines(self) -> Iterator[str]:
-        """Return what was learnt about the device as sentences."""
+        """Yield what was learnt about the device, one sentence for each fact."""
         for hole in self.holes:
             yield f"{hole}{' (pinned)' if hole.pinned else ''}"
         for limit in self.limits:
@@ -154,7 +154,11 @@ class DeviceKnowledge:
 
 
 class Knowledge:
-    """What the collector has learnt about each device: refused ranges, largest reads, cost of reads."""
+    """What the collector has learnt about all devices, by name; iterating gives pairs of name and facts, sorted.
+
+    Args:
+        devices: what is known from before, by device; None for nothing.
+    """
 
     def __init__(self, devices: Mapping[str, DeviceKnowledge] | None = None) -> None:
         self._devices = dict(devices or {})
@@ -163,7 +167,16 @@ class Knowledge:
         return iter(sorted(self._devices.items()))
 
     def of(self, name: str, profile: str = "", firmware: str = "", place: str = "") -> DeviceKnowledge:
-        """Return what is known about a device: from its own reads, or else from devices of its kind (rules 1 and 2)."""
+        """Return what is known about a device: from its own reads, or else from devices of its kind (rules 1 and 2).
+
+        Args:
+            name: name of the device.
+            profile: its device profile now.
+            firmware: its firmware version now.
+            place: its endpoint and unit now.
+
+        Where one of these has changed since the facts were learnt, only pinned facts are returned.
+        """
         known = self._devices.get(name)
         if known is None:
             return replace(self.offered(profile, firmware), place=place)
@@ -176,12 +189,13 @@ class Knowledge:
         self._devices[name] = known
 
     def pin(self, name: str) -> bool:
-        """Pin what was learnt about a device, so that `forget` keeps it. Returns False if the device is unknown."""
+        """Pin what was learnt about a device, so that `forget` keeps it; return False if nothing is known about it."""
         return self._change(name, lambda known: known.pinned())
 
     def forget(self, name: str, *, pinned: bool = False) -> bool:
-        """Forget what was learnt about a device; facts pinned by the user only if asked. Returns False if it is
-        unknown.
+        """Forget what was learnt about a device; return False if nothing is known about it.
+
+        Pinned facts are kept, unless ``pinned`` is true.
         """
         return self._change(name, lambda known: known.forgotten(pinned=pinned))
 
@@ -193,7 +207,7 @@ class Knowledge:
         return True
 
     def offered(self, profile: str, firmware: str) -> DeviceKnowledge:
-        """Return the facts that at least two devices with the same profile and firmware have learnt independently."""
+        """Return the facts that at least two devices with this profile and firmware agree on; empty if unknown."""
         empty = DeviceKnowledge(profile, firmware)
         if not profile or not firmware:
             return empty
@@ -212,22 +226,26 @@ class Knowledge:
         )
 
     def kinds(self) -> list[tuple[str, str]]:
-        """Return the kinds of devices (profile, firmware) of which two devices or more have learnt the same."""
+        """Return the pairs of profile and firmware of which two or more devices have learnt the same facts, sorted."""
         found = {(one.profile, one.firmware) for one in self._devices.values()}
         return sorted(kind for kind in found if any((self.offered(*kind).holes, self.offered(*kind).limits)))
 
     def text(self) -> str:
-        """Return what was learnt about all devices as JSON."""
+        """Return what was learnt about all devices as JSON, for `read_knowledge`."""
         return json.dumps(
             {"version": VERSION, "devices": {name: _device_data(known) for name, known in self}}, indent=1
         )
 
 
 def read_knowledge(text: str, name: str) -> Knowledge:
-    """Return what was learnt about devices from the JSON that `Knowledge.text` has written.
+    """Return what was learnt about devices, read from the JSON that `Knowledge.text` has made.
+
+    Args:
+        text: the JSON.
+        name: name of its file, for errors.
 
     Raises:
-        ConfigError: the text is something else; names the file.
+        ConfigError: the text is not such JSON, or of another version.
     """
     try:
         data = json.loads(text)

@@ -1,6 +1,6 @@
 """Learns from the reads of a device what they cost, and which ranges it refuses.
 
-Pure: knows reads and what became of them; knows no clock, no socket and no file.
+Pure: knows reads and their results; knows no clock, no socket and no file.
 
 What a read costs:
 
@@ -37,7 +37,7 @@ from .knowledge import DeviceKnowledge, LearntHole, LearntLimit
 from .plan import ItemRange, PlannedRead, ReadRules
 
 MEMORY: Final = 64
-"""Reads that the base follows from: a device that got slower is noticed after half of them."""
+"""Latest reads from which the base is computed; a device that got slower is noticed after half as many."""
 SETTLED_AFTER: Final = 48
 """Reads after which the cost counts as known."""
 WIDTHS: Final = 3
@@ -45,14 +45,14 @@ WIDTHS: Final = 3
 READS_OF_A_WIDTH: Final = 3
 """Reads of one width before its median says anything about the price of a register: the first ones open connections."""
 LEAST_BASE: Final = 0.25
-"""Least share of the narrowest read that its base is. On a line of 9600 baud the base of 43 registers is a quarter."""
+"""Least part of the narrowest read's time that is base. On a line of 9600 baud it is a quarter at 43 registers."""
 SILENCES: Final = 3
-"""Silences in a row of one read before its halves are asked."""
+"""Silences in a row of one read before it is examined further (rules 3 and 4)."""
 QUESTIONS: Final = 64
-"""Reads that one refusal may cause: a map with more holes is learnt by the next refusal."""
+"""Test reads that one refusal may cause, at most; a map with more holes is learnt by the next refusal."""
 
 MOST_IGNORED: Final = 1024
-"""Refusals of a read that are passed over at most, where its parts have always succeeded."""
+"""Refusals of a read that are ignored in a row, at most, while all its parts succeed."""
 
 _REFUSALS: Final = frozenset({ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE})
 
@@ -62,11 +62,11 @@ class CostLearner:
 
     Args:
         assumed: the cost until enough is known.
-        fixed: whether the price of a register is that of ``assumed``; otherwise it is learnt too.
+        fixed: whether the seconds per register of ``assumed`` are certain; if not, they are learnt too.
 
     Attributes:
-        reads: number of reads it has learnt from.
-        widths: the widths that these had.
+        reads: number of reads learnt from.
+        widths: the different widths of these reads, registers or bits.
     """
 
     def __init__(self, assumed: ReadCost, *, fixed: bool = True) -> None:
@@ -79,7 +79,13 @@ class CostLearner:
         self.widths: set[int] = set()
 
     def observe(self, table: Table, width: int, seconds: float) -> None:
-        """Learn from a read that succeeded at its first attempt, ``seconds`` after its request began."""
+        """Learn from a read that succeeded at its first attempt.
+
+        Args:
+            table: the table that was read.
+            width: registers or bits that were read.
+            seconds: from the begin of the request to the reply.
+        """
         self.reads += 1
         self.widths.add(width)
         self._seen.append((table, width, seconds))
@@ -91,12 +97,12 @@ class CostLearner:
 
     @property
     def is_settled(self) -> bool:
-        """Whether enough reads were seen to know how long reads of the device take."""
+        """Whether the cost counts as known: enough reads were observed, of enough different widths."""
         return self.reads >= SETTLED_AFTER and len(self.widths) >= WIDTHS
 
     @property
     def cost(self) -> ReadCost:
-        """Return how many seconds reads of the device take, as far as it was learnt."""
+        """How many seconds reads of the device take, as learnt so far; the assumed cost before the first read."""
         if not self._seen:
             return self._assumed
         if not self._fixed:
@@ -110,7 +116,7 @@ class CostLearner:
         return self._assumed.with_base(max(base, 1e-6))
 
     def _network_cost(self, slope: float) -> ReadCost:
-        """Return the cost with a learnt time per register, limited to what a serial line can have."""
+        """Return the cost for ``slope`` seconds per register; the base is `LEAST_BASE` of the narrowest read or more."""
         _, narrowest, _ = min(self._seen, key=lambda seen: seen[1])
         least = LEAST_BASE * median(seconds for _, width, seconds in self._seen if width == narrowest)
         base = median(seconds - slope * width for _, width, seconds in self._seen)
@@ -119,7 +125,7 @@ class CostLearner:
         return ReadCost(max(base, least, 1e-6), slope, slope / 16)
 
     def _slope(self) -> float | None:
-        """Return the seconds per register, the median over reads of different widths; None if there are too few."""
+        """Return the learnt seconds per register (rule 2); None if reads of too few widths were observed."""
         by_width: dict[int, list[float]] = {}
         for table, width, seconds in self._seen:
             if not table.holds_bits:
@@ -132,9 +138,14 @@ class CostLearner:
 
 
 def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead]:
-    """Return reads of at least three widths, if possible, to measure what reads cost, within known ranges.
+    """Return reads of different widths, narrowest first, with which to measure what reads of a device cost.
 
-    They are the widest of ``reads``, about half of it, and its narrowest item.
+    Besides ``reads``, one of each width, they are about half of the widest one and its narrowest item, unless that
+    would split an atomic group. So all lie within ranges that a plan reads.
+
+    Args:
+        reads: the reads of a device's plans.
+        cost: the assumed cost, for the expected duration of the new reads.
     """
     widest = max(reads, key=lambda read: read.width, default=None)
     if widest is None:
@@ -150,14 +161,14 @@ def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead
 
 
 def read_of(table: Table, items: Sequence[Any], cost: ReadCost) -> PlannedRead:  # Any: the caller's kind of ReadItem
-    """Return one read request that covers some points and no more."""
+    """Return the narrowest read that covers some points of a table; ``cost`` gives its expected duration."""
     start = min(one.start for one in items)
     width = max(one.start + one.width for one in items) - start
     return PlannedRead(table, start, width, tuple(items), cost.of(table, width))
 
 
 class ReadOutcome(Enum):
-    """Kinds of results of a read, as far as they tell something about the device's address map."""
+    """The result of a read, as far as it says which ranges the device accepts."""
 
     SUCCESS = "success"
     REFUSED = "refused"
@@ -166,7 +177,12 @@ class ReadOutcome(Enum):
 
 
 def outcome_of(code: int | None, *, silent: bool = False) -> ReadOutcome:
-    """Return what a failed read, with its exception code or without, tells about a device's address map."""
+    """Return the kind of result of a failed read.
+
+    Args:
+        code: the exception code of the reply; None if there was none.
+        silent: whether there was no reply at all.
+    """
     if code is not None:
         return ReadOutcome.REFUSED if code in _REFUSALS else ReadOutcome.OTHER
     return ReadOutcome.SILENCE if silent else ReadOutcome.OTHER
@@ -188,6 +204,8 @@ class _Part:
 
 
 class _Purpose(Enum):
+    """What a test read finds out."""
+
     CONTROL = "control"  # whether the device answers at all
     ITEM = "item"  # whether one item is refused alone
     HALF = "half"
@@ -197,7 +215,14 @@ class _Purpose(Enum):
 
 @dataclass(slots=True)
 class _Question:
-    """A read that is sent only to find out, from its result, what a device refuses."""
+    """A test read: sent only to find out, from its result, what a device refuses.
+
+    Attributes:
+        purpose: what it finds out.
+        read: the read to send.
+        part: the refused read that it examines; None for a control or a width.
+        silences: how often the read had no reply, in a row.
+    """
 
     purpose: _Purpose
     read: PlannedRead
@@ -214,16 +239,18 @@ class _Wait:
 
 
 class MapLearner:
-    """Learns which reads one device refuses, and why, by trying parts of refused reads.
+    """Learns which reads one device refuses, and why, by test reads of parts of refused reads.
+
+    Results of ordinary reads go to `observe`. `question` gives the test read to send; its result goes to `answered`.
 
     Args:
-        knowledge: facts already known about the device; new ones are added.
-        cost: prices the reads that it asks for.
+        knowledge: facts already known about the device.
+        cost: what reads of the device cost, for the expected duration of test reads.
 
     Attributes:
-        knowledge: the facts known now.
-        asked: reads that it has asked for.
-        inconclusive: refusals that did not happen again when the halves were asked.
+        knowledge: the facts known now, those from the beginning included.
+        asked: how many test reads had a result.
+        inconclusive: how many refusals could not be explained, because all test reads succeeded.
     """
 
     def __init__(self, knowledge: DeviceKnowledge, cost: ReadCost) -> None:
@@ -243,22 +270,23 @@ class MapLearner:
 
     @property
     def is_asking(self) -> bool:
-        """Whether a test read, which finds out what the device refuses, waits to be sent."""
+        """Whether `question` has a test read to send."""
         return bool(self._questions)
 
     def question(self) -> PlannedRead | None:
-        """Return the next test read to send at low priority, which finds out what a device refuses;
-        None without one.
+        """Return the test read to send next, at low priority; None if there is none.
+
+        The same read is returned until `answered` has its result.
         """
         return self._questions[0].read if self._questions else None
 
     def observe(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Learn from the result of an ordinary read which ranges the device refuses.
+        """Take the result of an ordinary (not a test) read; a refusal or repeated silence makes test reads necessary.
 
         Args:
-            read: the ordinary read.
+            read: the read.
             outcome: its result.
-            code: the exception code, where there is one.
+            code: the exception code; 0 for none.
         """
         place = (read.table, read.start, read.width)
         if outcome is ReadOutcome.SUCCESS:
@@ -279,7 +307,15 @@ class MapLearner:
                 self._ask_control(read)
 
     def answered(self, outcome: ReadOutcome, code: int = 0) -> bool:
-        """Learn from the result of a test read. Returns whether that changes the device's read plans."""
+        """Learn from the result of the test read that `question` returns. Only while `is_asking`.
+
+        Args:
+            outcome: the result of the read.
+            code: the exception code; 0 for none.
+
+        Returns:
+            Whether `knowledge` has changed, so that the device's read plans are out of date.
+        """
         question = self._questions[0]
         self.asked += 1
         self._left -= 1
@@ -314,7 +350,7 @@ class MapLearner:
         self._split(read)
 
     def _give_up(self) -> None:
-        """Stop testing a refused read whose parts were all accepted; wait longer before the next attempt."""
+        """Count a refused read as unexplained because all its parts succeed, and ignore its next refusals."""
         self.inconclusive += 1
         assert self._cause is not None
         wait = self._waits.setdefault((self._cause.table, self._cause.start, self._cause.width), _Wait())
@@ -322,7 +358,7 @@ class MapLearner:
         wait.next = min(2 * wait.next, MOST_IGNORED)
 
     def _ask_control(self, read: PlannedRead) -> None:
-        """Queue a narrower read after ``read`` had no answer: does the device answer at all, or not to that range?"""
+        """Queue a narrower test read after silences of ``read``; it shows whether the device answers at all."""
         control = self._narrowest
         if control is None or control.width >= read.width:
             control = read_of(read.table, [min(read.items, key=lambda one: one.width)], self._cost)
@@ -420,7 +456,7 @@ class MapLearner:
         self._ask_width(self._cause)
 
     def _ask_width(self, read: PlannedRead) -> None:
-        """Queue a test read whose width is halfway between an accepted and a refused width."""
+        """Queue a test read of about the width halfway between the widest accepted and the narrowest refused one."""
         limit = self.knowledge.limit(read.table.holds_bits)
         if limit is None or limit.bad - limit.good < 2 or any(one.purpose is _Purpose.WIDTH for one in self._questions):
             return
@@ -441,7 +477,7 @@ class MapLearner:
 
 
 def _bundles(items: Sequence[Any]) -> list[list[Any]]:
-    """Return items in groups that reads must not separate: atomic groups, and items that overlap."""
+    """Return items by start, in lists that reads must not separate: atomic groups, and items that overlap."""
     found: list[list[Any]] = []
     end = -1
     for one in sorted(items, key=lambda each: (each.start, -each.width)):
@@ -464,7 +500,7 @@ def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
 
 
 def with_knowledge(rules: ReadRules, knowledge: DeviceKnowledge) -> ReadRules:
-    """Return the rules for reading a device (largest reads, forbidden ranges), narrowed by what was learnt."""
+    """Return rules for reading a device with the learnt holes, borders and largest reads added to the given rules."""
     forbidden = {table: list(spans) for table, spans in rules.forbidden.items()}
     borders = {table: set(places) for table, places in rules.borders.items()}
     for hole in knowledge.holes:

@@ -2,10 +2,10 @@
 
 Pure: knows items, rules and what is learnt; knows no clock and no socket.
 
-1. A plan is made for a set of classes, not for each class; points of other classes come with it where they are free.
+1. A plan is made for a set of classes, not for each class; it includes points of other classes that cost no time.
 2. Plans are kept by that set, `MOST_PLANS` of them.
-3. A plan is made anew where what was learnt makes the predicted time fall by more than `WORTH`, once the cost counts as
-   known, and whenever a hole or limit was learnt.
+3. A plan is made anew if what was learnt makes the predicted time fall by more than `WORTH`, when the cost first counts
+   as known, and whenever a hole or limit was learnt.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,13 +18,13 @@ from .learning import CostLearner, MapLearner, ReadOutcome, probes_for, read_of,
 from .plan import DevicePlan, PlannedRead, ReadItem, ReadRules, plan_reads, predicted
 
 WORTH: Final = 0.05
-"""Part of the predicted time that a new plan has to save."""
+"""Part of the new plan's time by which the old plan must be slower to be replaced."""
 CHECKED_EVERY: Final = 16
-"""Reads between two looks at whether new plans are worth it."""
+"""Successful reads between two checks whether new plans would be faster."""
 MOST_PLANS: Final = 32
-"""Plans of a device that are kept. Classes have few periods, so there are few sets of them."""
+"""Plans of a device that are kept at most. There are few sets of poll classes that are due together."""
 PROBES: Final = 4
-"""How often each width is probed at the beginning."""
+"""How often each width is read at the beginning to measure what reads cost."""
 
 Classes = frozenset[str]
 
@@ -32,15 +32,17 @@ Classes = frozenset[str]
 class PlanBook:
     """Cache of one device's read plans; plans are computed when first needed, and anew if costs or rules change.
 
+    Plans follow the results of reads, which the caller reports by `succeeded`, `failed` and `answered`.
+
     Args:
         items: the polled points by poll class.
         rules: limits and ranges of reads that the device allows.
-        assumed: the assumed cost of its reads until it is learnt.
-        fixed: whether the price of a register is known, which it is on a line.
-        knowledge: facts already known about the device.
+        assumed: the assumed cost of its reads until the real one is learnt.
+        fixed: whether the seconds per register of ``assumed`` are certain, as on a line; if not, they are learnt too.
+        knowledge: facts already known about the device; None for none.
 
     Attributes:
-        made: how many plans were made so far.
+        made: how many plans were computed since the creation or the last `set_class`.
     """
 
     def __init__(
@@ -72,17 +74,17 @@ class PlanBook:
 
     @property
     def cost(self) -> ReadCost:
-        """The seconds that reads of the device take (per request, register and bit), as far as known."""
+        """The seconds that reads of the device take (per request, register and bit), as learnt so far or assumed."""
         return self._learner.cost
 
     @property
     def classes(self) -> Classes:
-        """The names of the poll classes (points with the same period) that the device has."""
+        """The names of the poll classes in which the device has points."""
         return frozenset(name for name, items in self._items.items() if items)
 
     @property
     def knowledge(self) -> DeviceKnowledge:
-        """Return what was learnt about the device (refused ranges, limits, cost of reads), to be saved."""
+        """What was learnt about the device, to be saved: refused ranges, largest reads, and the cost if known."""
         known = self._map.knowledge
         if not self._learner.is_settled:
             return known
@@ -90,15 +92,15 @@ class PlanBook:
 
     @property
     def rules(self) -> ReadRules:
-        """Return the rules for reading the device, tightened by what was learnt."""
+        """The rules for reading the device: those configured, narrowed by the learnt holes and limits."""
         return with_knowledge(self._rules, self._map.knowledge)
 
     def points(self) -> list[Any]:  # the caller's kind of ReadItem
-        """Return all points of the device that are polled, each once."""
+        """Return all polled points of the device, each once, those included that it does not have at present."""
         return list(self._all)
 
     def plan_for(self, classes: Classes) -> DevicePlan:
-        """Return the read plan for the points of some poll classes."""
+        """Return the read plan that fetches the points of some poll classes; from the cache, or else computed now."""
         plan = self._plans.get(classes)
         if plan is None:
             if len(self._plans) >= MOST_PLANS:
@@ -107,13 +109,13 @@ class PlanBook:
         return plan
 
     def set_class(self, name: str, items: Sequence[ReadItem]) -> None:
-        """Replace the device's points in a poll class; an empty list removes the class."""
+        """Replace the device's points in a poll class, and drop all plans; an empty list removes the class."""
         self._items[name] = list(items)
         self._plans.clear()
         self.made = 0
 
     def set_absent(self, items: Iterable[ReadItem]) -> None:
-        """Exclude points that the device does not have at present."""
+        """Exclude points that the device does not have at present from all plans; replaces those excluded before."""
         absent = frozenset(id(one) for one in items)
         if absent != self._absent:
             self._absent = absent
@@ -132,7 +134,7 @@ class PlanBook:
 
     @property
     def cheapest(self) -> PlannedRead | None:
-        """Return the cheapest read that has succeeded, or else one of the narrowest point; None without points."""
+        """The cheapest read that has succeeded; before the first success a read of one point; None without points."""
         if self._cheapest is None:
             plan = plan_reads(self._present(self._all), self.rules, self._cost)
             narrowest = min(
@@ -146,7 +148,7 @@ class PlanBook:
         return self._cheapest
 
     def succeeded(self, read: PlannedRead, seconds: float) -> None:
-        """Learn what reads cost from one that succeeded at its first attempt."""
+        """Learn from a read that succeeded at its first attempt, ``seconds`` after it was sent, what reads cost."""
         self._learner.observe(read.table, read.width, seconds)
         self._map.observe(read, ReadOutcome.SUCCESS)
         if self._cheapest is None or read.seconds < self._cheapest.seconds:
@@ -157,11 +159,11 @@ class PlanBook:
             self._look_at_cost()
 
     def failed(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Learn what the device refuses from a failed read, with its exception code if there is one."""
+        """Learn from a failed read which ranges the device refuses; ``code`` is the exception code, 0 for none."""
         self._map.observe(read, outcome, code)
 
     def _look_at_cost(self) -> None:
-        """Drop cached read plans if the learnt cost of reads has changed enough (rule 3)."""
+        """Replace cached read plans by new ones where these are enough faster by the learnt cost (rule 3)."""
         settled = self._learner.is_settled
         cost = self._learner.cost
         first, self._is_settled = settled and not self._is_settled, settled
@@ -178,11 +180,15 @@ class PlanBook:
 
     @property
     def may_ask(self) -> bool:
-        """Whether a test read, which finds out what the device refuses, may be sent now."""
+        """Whether `question` may have a test read to send: about refused ranges, or about what reads cost."""
         return self._probes is None or bool(self._probes) or self._map.is_asking
 
     def question(self) -> PlannedRead | None:
-        """Return the next test read, which finds out what the device refuses, for low priority; None without one."""
+        """Return the next test read, to be sent at low priority; None if there is none.
+
+        Test reads find out which ranges the device refuses, and at the beginning what reads of several widths cost. The
+        result is to be given to `answered`.
+        """
         asked = self._map.question()
         if asked is not None:
             return asked
@@ -199,7 +205,17 @@ class PlanBook:
         return not (self._rules.exact or self._rules.one_point)
 
     def answered(self, read: PlannedRead, outcome: ReadOutcome, seconds: float, code: int = 0) -> bool:
-        """Learn from the result of a test read. Returns whether refused ranges or limits were learnt."""
+        """Learn from the result of the test read that `question` returned last.
+
+        Args:
+            read: the test read.
+            outcome: its result.
+            seconds: from request to reply; used only if the read succeeded.
+            code: the exception code; 0 for none.
+
+        Returns:
+            Whether a refused range or a largest read was learnt, so that the plans have changed.
+        """
         if read is self._probe:
             self._probe = None
             if outcome is ReadOutcome.SUCCESS:
@@ -217,7 +233,10 @@ class PlanBook:
         return learnt
 
     def forget(self, known: DeviceKnowledge) -> None:
-        """Replace what was learnt about the device, after a user had some of it forgotten or pinned."""
+        """Replace the refused ranges and largest reads of the device by ``known``, and drop all plans.
+
+        For a user who had some facts forgotten or pinned.
+        """
         self._map = MapLearner(known, self._cost)
         self._plans.clear()
 
