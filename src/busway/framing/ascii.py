@@ -30,7 +30,7 @@ CR: Final = 0x0D
 LF: Final = 0x0A
 DEFAULT_CHARACTER_TIMEOUT: Final = 1.0
 SHORTEST_CONTENT: Final = 3
-"""Unit, function code, LRC."""
+"""Fewest bytes of a frame's content: unit, function code, LRC."""
 _MOST_DIGITS: Final = ASCII_ADU_LIMIT - 3
 _UPPER_CASE: Final = b"0123456789ABCDEF"
 _ANY_CASE: Final = _UPPER_CASE + b"abcdef"
@@ -39,15 +39,19 @@ _NEVER: Final = float("-inf")
 
 
 def encode_ascii(unit: int, pdu: bytes, delimiter: int = LF) -> bytes:
-    """Encode the ASCII frame of a PDU of 1…253 bytes for ``unit`` 0…255, ended by CR and ``delimiter`` 0…127
-    (§2.5.2.1).
+    """Return the ASCII frame of a PDU: colon, hexadecimal digits with LRC, CR, delimiter (Serial Line V1.02 §2.5.2.1).
+
+    Args:
+        unit: unit identifier, 0…255.
+        pdu: function code and data, 1…253 bytes.
+        delimiter: character that ends the frame behind CR, 0…127; LF by default.
     """
     body = bytes((unit,)) + pdu
     return b":%b%02X\r%c" % (body.hex().upper().encode(), lrc(body), delimiter)
 
 
 class AsciiState(Enum):
-    """States of the ASCII receiver (figure 18 of Serial Line V1.02)."""
+    """States of the ASCII receiver: which part of a frame it waits for (Serial Line V1.02, figure 18)."""
 
     IDLE = "idle"
     RECEIVING = "reception"
@@ -57,13 +61,15 @@ class AsciiState(Enum):
 class AsciiReceiver:
     """Receiver of ASCII frames: takes characters with their times, returns frames and damaged bytes.
 
+    All times are seconds of the caller's clock.
+
     Attributes:
         state: which part of a frame comes next.
         delimiter: the character that ends a frame behind CR; may be changed at any time (function 08/03).
-        conversation: role, own units and the reply that is due; they tell requests from replies.
-        echo: whether the line gives back what is sent, as far as that is known.
+        conversation: role, own units and the expected reply; they tell requests from replies.
+        echo: the filter that removes the echo of what this station sends.
         timing: the times of the line; used only for the times of frames, because ASCII needs no silence.
-        character_timeout: seconds that may pass between two characters.
+        character_timeout: seconds that may pass between two characters of a frame.
     """
 
     __slots__ = (
@@ -101,6 +107,18 @@ class AsciiReceiver:
     ) -> None:
         """Create a receiver that has received nothing yet.
 
+        Args:
+            role: master, server or observer.
+            timing: the times of the line.
+            functions: the functions whose lengths are known.
+            units: the own units of a server; a container whose content changes may be given.
+            delimiter: the character that ends a frame behind CR, 0…127.
+            character_timeout: seconds that may pass between two characters of a frame, above 0.
+            upper_case_only: whether a frame with lower-case digits is damaged.
+            strip_parity: whether the eighth bit of each character is ignored.
+            reply_window: seconds for which a server or observer expects the reply to a foreign request.
+            echo: whether the port gives back what is sent.
+
         Raises:
             ValueError: a delimiter outside 0…127 or a timeout that is not above 0.
         """
@@ -136,7 +154,11 @@ class AsciiReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """Return the unfinished frame as damaged if the time between two characters has run out."""
+        """Return the unfinished frame as damaged once ``character_timeout`` has passed since its last character.
+
+        ``now`` is the time in seconds. Bytes that were held back as a possible echo
+        and are none may complete frames too.
+        """
         found: list[Received] = []
         released = self.echo.tick(now)
         if released:
@@ -146,7 +168,10 @@ class AsciiReceiver:
         return found
 
     def deadline(self) -> float | None:
-        """The time at which the gap between two characters becomes too long; None between frames."""
+        """Return the time at which to call `tick`: an unfinished frame, or bytes held as a possible echo, expire then.
+
+        None between frames, if no bytes are held.
+        """
         echo = self.echo.deadline()
         if self.state is AsciiState.IDLE:
             return echo
@@ -155,7 +180,13 @@ class AsciiReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """Prepare for the reply to a request of this master: from ``unit``, with ``function``."""
+        """Announce the request of this master that is sent next, so that the reply to it is recognised.
+
+        Args:
+            unit: unit of the request.
+            function: its function code, 1…127.
+            size: length of the reply's PDU in bytes; `UNKNOWN_LENGTH` if the request does not tell it.
+        """
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:
@@ -163,14 +194,18 @@ class AsciiReceiver:
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Tell the receiver that this station sends a frame until ``ends``, whose echo is to be removed."""
+        """Tell the receiver that this station sends the frame ``raw`` until the time ``ends``; its echo is removed."""
         self._sent_until = ends
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Discard the unfinished frame, because the port reports an error or lost characters in it (S14).
+        """Discard the unfinished frame, because the port reports a parity or framing error or lost characters (S14).
 
-        A mark between frames is reported too, as a damaged chunk of no characters.
+        Returns the discarded frame as damaged bytes; without an unfinished frame, `Damaged` of no characters.
+
+        Args:
+            now: time of the report, in seconds.
+            overrun: whether characters were lost; otherwise one was received with an error.
         """
         found = self.tick(now)
         self._discard(Damage.OVERRUN if overrun else Damage.CHARACTER, now, found, overrun=overrun)
@@ -178,7 +213,10 @@ class AsciiReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Return what can be decided about unfinished characters now: at a response timeout, or at the end."""
+        """Return what unfinished characters amount to, without waiting for more: at a response timeout, or at the end.
+
+        Frames among bytes that were held as a possible echo come first; an unfinished frame is returned as damaged.
+        """
         found: list[Received] = []
         released = self.echo.release()
         if released:
@@ -188,7 +226,7 @@ class AsciiReceiver:
         return found
 
     def clear_at(self) -> float:
-        """Return the earliest time at which a frame may be sent: when the last character on the line has ended."""
+        """Return the earliest time at which a frame may be sent: the end of the last character received or sent."""
         return max(self._last, self._sent_until)
 
     # From characters to frames.
@@ -205,7 +243,7 @@ class AsciiReceiver:
             at += len(part) + 1
 
     def _colon(self, time: float, found: list[Received]) -> None:
-        """Begin a frame at a colon received at ``time``; an unfinished frame before it is lost."""
+        """Begin a frame at a colon received at ``time``; an unfinished frame before it is reported later."""
         if self.state is AsciiState.WAITING_FOR_DELIMITER and self.delimiter == COLON:
             self._complete(time + self.timing.character, found)
             return
@@ -221,7 +259,7 @@ class AsciiReceiver:
         self._began = time
 
     def _content(self, part: bytes, began: float, found: list[Received]) -> None:
-        """Process received characters inside a frame; there is no colon among them."""
+        """Process the characters ``part`` of a frame, whose first began at ``began``; there is no colon among them."""
         if self.state is AsciiState.RECEIVING:
             end = part.find(CR)
             self._text += part[: ASCII_ADU_LIMIT if end < 0 else min(end, ASCII_ADU_LIMIT)]
@@ -262,7 +300,7 @@ class AsciiReceiver:
             self._text.clear()
 
     def _direction(self, content: bytes, now: float) -> Direction:
-        """Return whether a frame is likelier a request or a reply, by its length."""
+        """Return whether a frame is likelier a request or a reply, by its length and by the frames before it."""
         frame = bytearray(content) + b"\0"
         length_of_frame = len(content) - 2 + AROUND_PDU
         for direction in self.conversation.order(content[0], content[1], now):
@@ -271,7 +309,7 @@ class AsciiReceiver:
         return self.conversation.guess(content[0], content[1], now)
 
     def _discard(self, reason: Damage, ended: float, found: list[Received], *, overrun: bool = False) -> None:
-        """Discard the unfinished frame and skip characters until the next colon."""
+        """Report the unfinished frame as damaged, and skip characters until the next colon."""
         in_frame = self.state is not AsciiState.IDLE
         raw = b":" + bytes(self._text) if in_frame else b""
         began = self._began if in_frame else ended
@@ -284,7 +322,7 @@ class AsciiReceiver:
         self._text.clear()
 
     def _report_interrupted(self, ended: float, found: list[Received]) -> None:
-        """Report frames that a colon cut off, before the good frame that the colon began."""
+        """Report the frames that colons cut off as one `Damaged`; called before the good frame that follows them."""
         if self._interrupted_size:
             raw = bytes(self._interrupted[:ASCII_ADU_LIMIT])
             found.append(Damaged(raw, Damage.RESTARTED, self._interrupted_size, self._interrupted_began, ended))

@@ -24,7 +24,7 @@ _place = attrgetter("place")
 
 
 class Bursts:
-    """The times of all kept bytes of a received stream; positions count from the first byte kept."""
+    """When each kept byte of a received stream was on the line; positions count from the first byte kept."""
 
     __slots__ = ("_bursts", "_forgotten")
 
@@ -34,12 +34,16 @@ class Bursts:
 
     @property
     def latest(self) -> float:
-        """The time at which the first byte of the latest read was on the line."""
+        """The time in seconds at which the first byte of the latest read was on the line; -inf before a read."""
         return self._bursts[-1].began
 
     def add(self, place: int, began: float, each: float) -> None:
-        """Record a read of bytes: the first has position ``place`` and began at ``began``; ``each``:
-        seconds per byte.
+        """Record one read of bytes.
+
+        Args:
+            place: position of its first byte, counted from the first byte kept.
+            began: time at which that byte began on the line, in seconds.
+            each: seconds per byte.
         """
         self._bursts.append(_Burst(self._forgotten + place, began, each))
 

@@ -34,7 +34,10 @@ def _zero_byte(state: int) -> int:
 
 
 def _word_table() -> "array[int]":
-    """Return the register after two bytes, for each of its 65 536 values; 256 entries are moved in one step."""
+    """Return for each of the 65 536 values of the CRC register its value two zero bytes later.
+
+    256 entries are computed in one step, as one large number.
+    """
     low = [_zero_byte(_zero_byte(byte)) for byte in range(256)]
     high = [_zero_byte(_zero_byte(byte << 8)) for byte in range(256)]
     row = int.from_bytes(struct.pack("<256H", *low), "little")
@@ -49,9 +52,9 @@ _WORD_TABLE: Final = _word_table()
 
 
 def crc16(data: bytes | bytearray, state: int = PRESET) -> int:
-    """Return the CRC-16 of ``data``, 0…65535; ``state`` is the result for preceding bytes.
+    """Return the CRC-16 of ``data``, 0…65535; 0 for a whole frame that ends with its CRC (Serial Line V1.02 §6.2.2).
 
-    0 for a whole frame with its CRC behind it (Serial Line V1.02 §6.2.2).
+    ``state`` is the CRC of the bytes before ``data``, if they were checked separately.
     """
     count = len(data) >> 1
     for word in struct.unpack_from(f"<{count}H", data):
@@ -73,10 +76,11 @@ def running_states(data: Iterable[int], state: int = 0) -> list[int]:
 
 
 class SpanCheck:
-    """A fast test whether the CRC of a frame of one length is right, from the CRC register before and after it.
+    """Test whether the CRC of a frame of one fixed length is right, from the CRC register before and after the frame.
 
-    ``check.low[before & 0xFF] ^ check.high[before >> 8] == after``, where ``before`` is the running state ahead of the
-    span and ``after`` the one behind it. (The preset is folded into the tables.)
+    Attributes:
+        low, high: tables of 256 values. The CRC is right if ``low[before & 0xFF] ^ high[before >> 8] == after``, where
+            ``before`` and ``after`` are running states (`running_states`). The preset is folded into the tables.
     """
 
     __slots__ = ("high", "low")
@@ -93,7 +97,7 @@ class SpanCheck:
 
 @cache
 def span_check(length: int) -> SpanCheck:
-    """Return the fast CRC test for frames of ``length`` bytes; created at its first use."""
+    """Return the CRC test for frames of ``length`` bytes; computed at its first use, then cached."""
     return SpanCheck(_images(length))
 
 
@@ -117,7 +121,7 @@ def _apply(images: list[int], state: int) -> int:
 
 
 def _combinations(images: list[int]) -> list[int]:
-    """Return the CRC register for each start value 0…255, combined from the results for its single bits."""
+    """Return 256 CRC registers, one for each byte 0…255, from the registers ``images`` of its eight single bits."""
     values = [0]
     for image in images:
         values += [value ^ image for value in values]

@@ -14,11 +14,11 @@ from .mbap import HEADER_SIZE, MAX_LENGTH, MIN_LENGTH
 from .received import Direction
 
 _SHORTEST_ASCII: Final = 9
-"""Colon, unit, function code, LRC, CR, delimiter."""
+"""Fewest characters of an ASCII frame: colon, unit, function code, LRC, CR, delimiter."""
 
 
 def is_whole_mbap(data: bytes) -> bool:
-    """Whether a datagram is one MBAP frame: its length field fits (Messaging on TCP/IP V1.0b §3.1.3)."""
+    """Whether a datagram is exactly one MBAP frame, by its length field (Messaging on TCP/IP V1.0b §3.1.3)."""
     if len(data) <= HEADER_SIZE:
         return False
     length = data[4] << 8 | data[5]
@@ -26,10 +26,10 @@ def is_whole_mbap(data: bytes) -> bool:
 
 
 def is_whole_rtu(data: bytes) -> bool:
-    """Whether a datagram is one RTU frame: the CRC fits over all of it (Serial Line V1.02 §2.5.1).
+    """Whether a datagram is exactly one RTU frame: the CRC over all of it is right (Serial Line V1.02 §2.5.1).
 
-    Zeros behind a frame leave its CRC at 0, so that a frame whose function tells a shorter length has something behind
-    it.
+    False also if a shorter beginning is a frame by its function code and CRC: zero bytes after a frame leave the CRC
+    right.
     """
     if not SHORTEST <= len(data) <= RTU_ADU_LIMIT or crc16(data):
         return False
@@ -42,8 +42,9 @@ def is_whole_rtu(data: bytes) -> bool:
 
 
 def is_whole_ascii(data: bytes) -> bool:
-    """Whether a datagram is one ASCII frame: one colon at its start, CR and one character at its end (Serial Line V1.02
-    §2.5.2).
+    """Whether a datagram is exactly one ASCII frame: one colon, at its start; CR and the delimiter at its end.
+
+    Digits and LRC are not checked (Serial Line V1.02 §2.5.2).
     """
     return (
         _SHORTEST_ASCII <= len(data) <= ASCII_ADU_LIMIT
@@ -58,4 +59,4 @@ WHOLE: Final[dict[str, Callable[[bytes], bool]]] = {
     "rtu": is_whole_rtu,
     "ascii": is_whole_ascii,
 }
-"""The judgement by the name of the framing."""
+"""The functions of this file by the name of the framing."""

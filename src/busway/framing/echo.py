@@ -20,7 +20,7 @@ ECHO_WINDOW: Final = 0.050
 
 
 class Echo(Word):
-    """Option whether the line echoes what this station sends. AUTOMATIC finds out from the first exchange."""
+    """Option whether the line gives back to this station what it sends. AUTOMATIC: learnt from the first exchange."""
 
     OFF = "off"
     ON = "on"
@@ -28,12 +28,12 @@ class Echo(Word):
 
 
 class EchoFilter:
-    """Removes the echo of each frame that this station sends from the bytes that it receives.
+    """Removes from received bytes the echo of each frame that this station sends.
 
     Attributes:
         mode: the configured option.
         present: whether the line echoes: True, False, or None while that is not known.
-        window: seconds after the end of a frame within which its copy begins.
+        window: seconds after the end of a frame within which its echo begins.
     """
 
     __slots__ = ("_awaited", "_held", "_may_be_reply", "_until", "mode", "present", "window")
@@ -53,18 +53,31 @@ class EchoFilter:
         return bool(self._held)
 
     def deadline(self) -> float | None:
-        """The time at which `tick` releases held bytes; None if there are none."""
+        """Return the time at which `tick` releases held bytes; None if none are held, or if they are a whole copy."""
         return self._until if self._held and len(self._held) < len(self._awaited) else None
 
     def sent(self, raw: bytes, ends: float, *, may_be_reply: bool) -> None:
-        """Expect the echo of a frame that is sent until ``ends``; ``may_be_reply``: its reply may look the same."""
+        """Announce a frame that this station sends, so that `receive` removes its echo.
+
+        Args:
+            raw: the bytes of the frame.
+            ends: time at which its last byte has been sent, in seconds.
+            may_be_reply: whether the reply can be the same bytes as the frame.
+        """
         if self.mode is Echo.OFF:
             return
         self._awaited, self._held, self._until = raw, b"", ends + self.window
         self._may_be_reply = may_be_reply
 
     def receive(self, data: bytes, now: float) -> bytes:
-        """Return received bytes without the echo. Held bytes that turn out to be no echo come first."""
+        """Return received bytes without the echo, preceded by bytes held earlier that turn out to be no echo.
+
+        Empty if all of them are echo, or are held because they may be.
+
+        Args:
+            data: the received bytes.
+            now: time at which the first of them was on the line, in seconds.
+        """
         awaited = self._awaited
         if not awaited:
             return data
@@ -85,12 +98,12 @@ class EchoFilter:
         return b""
 
     def tick(self, now: float) -> bytes:
-        """Return the held bytes if the rest of the echo has not come in time; before that, nothing."""
+        """Return the held bytes if the rest of the echo has not come in time (``now``, seconds); otherwise nothing."""
         deadline = self.deadline()
         return b"" if deadline is None or now < deadline else self._no_copy(self._held)
 
     def release(self) -> bytes:
-        """Return all held bytes, because no more will come that could complete the echo."""
+        """Return all held bytes as received, and stop waiting for the echo: at a response timeout, or at the end."""
         if not self._held:
             self._awaited = b""
             return b""

@@ -21,6 +21,7 @@ from ..pdu.message import UNKNOWN_LENGTH
 from .received import Direction
 
 REPLY_WINDOW: Final = 1.0
+"""Seconds for which a server or observer expects the reply to a foreign request, unless configured otherwise."""
 
 _REQUEST_ONLY = (Direction.REQUEST,)
 _REPLY_ONLY = (Direction.REPLY,)
@@ -38,7 +39,14 @@ class LineRole(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Due:
-    """A reply that is expected on the line: unit, function code, length of its PDU if known, and until when."""
+    """A reply that is expected on the line.
+
+    Attributes:
+        unit: the unit that is to answer.
+        function: the function code of the request, 1…127.
+        size: length of the reply's PDU in bytes; `UNKNOWN_LENGTH` if the request does not tell it.
+        until: until when the reply is expected, in seconds of the receiver's clock.
+    """
 
     unit: int
     function: int
@@ -51,11 +59,11 @@ class Due:
 
 
 class Conversation:
-    """Follows the frames on one line, to tell requests from replies by what came before.
+    """The request that was heard last on a line, and the reply expected to it; they tell requests from replies.
 
     Attributes:
         role: the role of the station that receives.
-        units: the own units of a server; a live view is welcome.
+        units: the own units of a server; a container whose content changes may be given.
         due: the reply that is expected, or None.
         reply_window: seconds for which a server or observer expects the reply to a foreign request.
     """
@@ -69,7 +77,10 @@ class Conversation:
         self.reply_window: float = reply_window
 
     def order(self, unit: int, code: int, now: float) -> tuple[Direction, ...]:
-        """Return whether a frame with this unit and function code may be request or reply, the likelier first."""
+        """Return the directions that a frame with this unit and function code can have, the likelier first.
+
+        ``now`` is the time of the frame, in seconds.
+        """
         if code & 0x80:
             return _REPLY_ONLY
         if self.role is LineRole.MASTER:
@@ -94,7 +105,11 @@ class Conversation:
         return self.role is LineRole.SERVER and unit in self.units
 
     def follow(self, unit: int, code: int, direction: Direction, now: float) -> None:
-        """Take over a frame that ended on the line at ``now``, to predict the direction of the next one."""
+        """Record a frame that ended on the line at ``now`` (seconds), to predict the direction of the next one.
+
+        After a foreign request its reply is expected; after any other frame no reply. Ignored for a master: its driver
+        sets ``due``.
+        """
         if self.role is LineRole.MASTER:
             return
         if direction is Direction.REPLY or unit == BROADCAST_UNIT or self.is_own(unit):

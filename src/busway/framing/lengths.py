@@ -18,20 +18,22 @@ from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
 from .received import Direction
 
 ASK: Final = -1000
+"""Rule of a function code whose lengths only the table of functions can tell, message by message."""
 AROUND_PDU: Final = 3
-"""One byte of unit before the PDU, two of CRC behind it."""
+"""Bytes of a frame around its PDU: one of unit before it, two of CRC behind it."""
 SHORTEST: Final = 4
-"""Unit, function code, CRC."""
+"""Fewest bytes of a frame: unit, function code, CRC."""
 
 _SAMPLES: Final = range(0, 256, 5)
 """Byte counts that a rule is tried with, 0 and 255 among them."""
 
 _DECIDING: Final = 3
-"""Function code and two bytes: a sub-function, or a byte count of two bytes."""
+"""How many bytes of a PDU decide nearly every length: function code, and a sub-function or byte count of two bytes."""
 _ANSWERS_KEPT: Final = 4096
 """Answers and rules of the table that are kept for each direction: noise must not fill the memory."""
 
 LengthRule = Callable[[bytes, int, int], int]
+"""Function that takes bytes with the start and end of a PDU in them, and returns the length of the PDU."""
 
 
 @cache
@@ -44,10 +46,10 @@ class FrameLengths:
     """Lengths of all frames of a table of functions, by direction and function code.
 
     Attributes:
-        requests, replies: the flattened rule of each byte 0…255 in the place of the function code.
-        shapes: both rules of each byte that one look can apply, as (place of the byte count or 0, bytes besides what
-            it counts); the reply first.
-        answers: what the table said lately where it had to be asked, by direction and the first three bytes of the PDU.
+        requests, replies: the length rule of each function byte 0…255 as one number (rule 2 of this file).
+        shapes: for each function byte, the rules of reply and request that one look-up can apply, the reply first:
+            offset of the byte count, or 0; and the number of bytes that it does not count.
+        asked_requests, asked_replies: lengths of the functions whose rule is `ASK`.
     """
 
     __slots__ = ("asked_replies", "asked_requests", "replies", "requests", "shapes")
@@ -63,10 +65,10 @@ class FrameLengths:
         self.asked_replies: AskedLengths = AskedLengths(functions, Direction.REPLY)
 
     def length(self, direction: Direction, data: bytearray, at: int, end: int) -> int:
-        """Return the length of the frame that starts at ``at``, from the bytes ``data[at:end]`` received so far.
+        """Return the length in bytes of the frame that starts at ``at``, from the bytes ``data[at:end]`` received.
 
-        `NEED_MORE` while it cannot be told, `UNKNOWN_LENGTH` where the content never tells it, and a number above
-        256 where the byte count cannot be.
+        `NEED_MORE` while too few bytes are there to tell; `UNKNOWN_LENGTH` if no content of such a frame tells its
+        length; above 256 if the byte count is impossible.
         """
         if end - at < 2:
             return NEED_MORE
@@ -98,10 +100,10 @@ class AskedLengths:
         self._rules: dict[int, LengthRule] = {}
 
     def length(self, data: bytearray, at: int, end: int) -> int:
-        """Return the length of the frame whose PDU starts at ``at``, as `FrameLengths.length` does.
+        """Return the length of the frame whose PDU starts at ``at``, with the results of `FrameLengths.length`.
 
-        Three bytes decide for all but the objects of function 43. There the rule is kept instead of the answer: a line
-        full of what looks like such replies is asked at every one of them.
+        The first three bytes of the PDU decide, and their answer is cached; only objects of function 43 need more. For
+        them the rule is cached instead, because noise that looks like such replies is asked at every byte.
         """
         shown = bytes(data[at:end])
         if len(shown) < _DECIDING:
@@ -131,9 +133,9 @@ def _around(length: int) -> int:
 
 
 def shape_of(rule: int) -> tuple[int, int] | None:
-    """Return a length rule as (offset of the byte count or 0, bytes that it does not count); None if impossible.
+    """Return a length rule as two numbers: offset of the byte count, or 0; bytes of the frame that it does not count.
 
-    (0, 0) where the table has to be asked; None where the function is unknown.
+    With offset 0 the second number is the fixed length. (0, 0) for `ASK`; None for an unknown function.
     """
     if rule == 0:
         return None
@@ -143,7 +145,13 @@ def shape_of(rule: int) -> tuple[int, int] | None:
 
 
 def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
-    """Find the length rule of a function code by giving its message class longer and longer beginnings."""
+    """Return the length rule of a function code as one number, found by asking for longer and longer messages.
+
+    Args:
+        functions: the table of functions.
+        code: function byte, 0…255; exception replies have 0x80 added.
+        length: the length of requests or of replies by that table.
+    """
     if code & 0x7F == 0:
         return 0
     known = code in functions
@@ -163,7 +171,7 @@ def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
 
 
 def _counted(code: int, shown: int, length: LengthRule) -> int:
-    """Return the offset of the byte count if that byte counts exactly the bytes after it; else `ASK`."""
+    """Return the rule "byte count at offset ``shown``" if that byte counts exactly the bytes after it; else `ASK`."""
     for count in _SAMPLES:
         for filler in (0x00, 0x5A, 0xFF):
             message = bytes((code,)) + bytes((filler,)) * (shown - 2) + bytes((count,))

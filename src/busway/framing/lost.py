@@ -1,7 +1,7 @@
-"""Collects bytes on a serial line that are no frame: what was received in one disturbance, when, and why it is none.
+"""Collects bytes on a serial line that are no frame, until the disturbance ends, to report them as one `Damaged`.
 
-Knows bytes and times; knows no framing. However long it lasts, it keeps no more bytes than a frame has, and it is
-reported once.
+Knows bytes and times; knows no framing. However long a disturbance lasts, no more bytes of it are kept than a frame
+has.
 """
 
 from typing import Final
@@ -17,8 +17,9 @@ class LostBytes:
     """The bytes of one disturbance on a serial line, collected until it ends.
 
     Attributes:
-        reason: why the bytes are no frame; that no CRC fits, until a better reason is known.
-        size: how many bytes there were.
+        reason: why the bytes are no frame; None while only their number and CRC say so.
+        size: how many bytes there were, those not kept included.
+        is_marked: whether the port or the receiver reported an error among them (`mark`).
     """
 
     __slots__ = ("_began", "_ended", "_overrun", "_raw", "is_marked", "reason", "size")
@@ -32,7 +33,7 @@ class LostBytes:
         self.size: int = 0
 
     def add(self, data: bytes | bytearray, began: float, ended: float) -> None:
-        """Add received bytes to the disturbance, with their times."""
+        """Add received bytes, which were on the line from ``began`` to ``ended`` (seconds), to the disturbance."""
         if self._began == _NEVER:
             self._began = began
         self._ended = ended
@@ -42,7 +43,7 @@ class LostBytes:
             self._raw += data[:room]
 
     def mark(self, reason: Damage, now: float) -> None:
-        """Add an error to the disturbance that the port reported, such as wrong parity."""
+        """Add an error that was noticed at ``now`` (seconds) to the disturbance, such as wrong parity."""
         if self._began == _NEVER:
             self._began = now
         self._ended = now
@@ -51,7 +52,7 @@ class LostBytes:
         self.is_marked = True
 
     def report(self) -> Damaged:
-        """Return the whole disturbance as one `Damaged`, and forget its bytes."""
+        """Return the whole disturbance as one `Damaged`. The object is not used afterwards."""
         reason = self.reason
         if reason is None:
             reason = Damage.TOO_LONG if self.size > RTU_ADU_LIMIT else Damage.CHECKSUM

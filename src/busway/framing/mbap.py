@@ -21,7 +21,7 @@ MIN_LENGTH = 2
 MAX_LENGTH = 1 + PDU_LIMIT
 
 HEAD = struct.Struct(">HHHB")
-"""Transaction, protocol, length, unit."""
+"""The MBAP header: transaction, protocol, length, unit."""
 HEAD_AND_FUNCTION = struct.Struct(">HHHBB")
 """The header and the function code, unpacked in one step."""
 
@@ -36,7 +36,16 @@ class FrameKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MbapFrame:
-    """One received frame (ADU). For ``BROKEN``, ``pdu`` is the rest of the stream and ``reason`` says what is wrong."""
+    """One received frame (ADU) of a TCP stream, or the place where the stream is broken.
+
+    Attributes:
+        kind: a valid frame, a frame of another protocol, or a broken stream.
+        transaction: transaction identifier, 0…65535.
+        protocol: protocol identifier; 0 for Modbus.
+        unit: unit identifier, 0…255.
+        pdu: the PDU; for ``BROKEN``, the rest of the stream, header included.
+        reason: for ``BROKEN``, what is wrong; otherwise empty.
+    """
 
     kind: FrameKind
     transaction: int
@@ -47,7 +56,13 @@ class MbapFrame:
 
 
 def encode_mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
-    """Encode the ADU of a PDU of 1…253 bytes; ``transaction`` 0…65535, ``unit`` 0…255."""
+    """Return the ADU of a PDU on TCP: MBAP header, PDU.
+
+    Args:
+        transaction: transaction identifier, 0…65535.
+        unit: unit identifier, 0…255.
+        pdu: function code and data, 1…253 bytes.
+    """
     return HEAD.pack(transaction, 0, 1 + len(pdu), unit) + pdu
 
 
@@ -59,8 +74,11 @@ def impossible_length(length: int) -> str:
 class StreamBuffer:
     """Keeps the beginning of a frame between two reads of a stream, until the rest of it arrives.
 
-    A connection that is in step keeps nothing, so thousands of idle ones cost nothing. A frame has at most 260
-    bytes, and no more than that is ever kept.
+    A connection without an unfinished frame keeps nothing, so thousands of idle ones cost no memory. At most the 260
+    bytes of a frame are kept.
+
+    Attributes:
+        kept: the kept bytes; empty if no frame is unfinished.
     """
 
     __slots__ = ("kept",)
@@ -69,7 +87,10 @@ class StreamBuffer:
         self.kept: bytes = b""
 
     def join(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
-        """Return the kept bytes followed by the first ``size`` bytes of ``buffer``, and their length."""
+        """Return the kept bytes, followed by the first ``size`` bytes of ``buffer``, and their number together.
+
+        Afterwards nothing is kept.
+        """
         if not self.kept:
             return buffer, size
         whole = self.kept + bytes(buffer[:size])
@@ -82,7 +103,11 @@ class StreamBuffer:
 
 
 class MbapReceiver:
-    """Receiver of MBAP frames from a TCP stream. After a ``BROKEN`` frame it returns nothing more."""
+    """Receiver of MBAP frames from a TCP stream. After a ``BROKEN`` frame it returns nothing more.
+
+    Attributes:
+        broken: whether the stream is broken: a length field was impossible.
+    """
 
     __slots__ = ("_buffer", "broken")
 
@@ -124,5 +149,5 @@ class MbapReceiver:
         return []
 
     def deadline(self) -> float | None:
-        """None, always: on a TCP stream, time completes no frame."""
+        """Return None, always: on a TCP stream, time completes no frame."""
         return None

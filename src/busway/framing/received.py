@@ -42,10 +42,10 @@ class SerialFrame:
 
     Attributes:
         unit: address byte, 0…255.
-        pdu: function code and data, 1…253 bytes and, where a peer breaks the limit of 253, never more than 254.
-        raw: the bytes as they came: address to CRC, or ``:`` to the delimiter (without parity bits).
+        pdu: function code and data, 1…253 bytes; 254 if a peer breaks that limit.
+        raw: the bytes as received: address to CRC, or ``:`` to the delimiter (without parity bits).
         direction: request or reply, judged from the frames before it; a hint, not a fact.
-        began, ended: when its first byte began and its last one ended, as far as the reads tell.
+        began, ended: when its first byte began and its last one ended, in seconds, as far as the reads tell.
         recovered: whether it was found inside a damaged chunk. Servers never get such a frame.
     """
 
@@ -65,9 +65,9 @@ class Damaged:
     Attributes:
         raw: the bytes, at most the first 256 (RTU) or 513 (ASCII) of them.
         reason: what is wrong with them.
-        size: how many there were.
-        overrun: whether the port lost characters: this counts as 8 and 2 (Serial Line V1.02, appendix A).
-        began, ended: when the first of them began and the last one ended.
+        size: how many bytes there were; 0 if the port reported an error and gave no bytes.
+        began, ended: when the first byte began and the last one ended, in seconds.
+        overrun: whether the port lost characters: this counts in the counters 8 and 2 (Serial Line V1.02, appendix A).
     """
 
     raw: bytes
@@ -84,7 +84,10 @@ Found = TypeVar("Found")
 
 
 class Receiver(Protocol[Found]):
-    """Interface of the receivers of all framings: bytes and times in, complete frames out."""
+    """Interface of the receivers of all framings: bytes and times in, complete frames out.
+
+    Times are seconds of the caller's clock.
+    """
 
     def receive(self, data: bytes | bytearray, now: float) -> list[Found]:
         """Return the frames that ``data``, read at ``now``, completes, in order."""
@@ -93,28 +96,39 @@ class Receiver(Protocol[Found]):
         """Return the frames that the silence until ``now`` completes."""
 
     def deadline(self) -> float | None:
-        """The time at which `tick` will have something to decide; None while only bytes can change anything."""
+        """Return the time at which to call `tick`; None while only further bytes can complete something."""
 
 
 class SerialReceiver(Receiver[Received], Protocol):
     """Interface of the receivers of serial lines: RTU, strict RTU and ASCII."""
 
     def expect(self, unit: int, function: int, size: int) -> None:
-        """Prepare for the reply to a request of this master: from ``unit``, ``size`` bytes long (or
-        `UNKNOWN_LENGTH`).
+        """Announce the request of this master that is sent next, so that the reply to it is recognised.
+
+        Args:
+            unit: unit of the request.
+            function: its function code, 1…127.
+            size: length of the reply's PDU in bytes; `UNKNOWN_LENGTH` if the request does not tell it.
         """
 
     def expect_nothing(self) -> None:
         """Stop expecting a reply, because the master no longer waits for one."""
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Tell the receiver that this station sends bytes until ``ends``."""
+        """Tell the receiver that this station sends the bytes ``raw`` until the time ``ends``; an echo is removed."""
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Tell the receiver that the port reported an error at this position of the received bytes (S14)."""
+        """Tell the receiver that the port reported an error behind the bytes received so far (S14).
+
+        Returns what is complete now. The bytes of the disturbance come as `Damaged`, now or when the disturbance ends.
+
+        Args:
+            now: time of the report, in seconds.
+            overrun: whether characters were lost; otherwise one was received with a parity or framing error.
+        """
 
     def flush(self, now: float) -> list[Received]:
-        """Return what can be decided about unfinished bytes now, as after a long silence."""
+        """Return what unfinished bytes amount to, without waiting for more: at a response timeout, or at the end."""
 
     def clear_at(self) -> float:
         """Return the earliest time at which a frame may be sent on the line."""

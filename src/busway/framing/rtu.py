@@ -49,17 +49,24 @@ _SILENCES_KEPT: Final = 4
 
 
 def encode_rtu(unit: int, pdu: bytes) -> bytes:
-    """Encode the RTU frame of a PDU of 1…253 bytes for ``unit`` 0…255: address, PDU, CRC (Serial Line V1.02 §2.5.1)."""
+    """Return the RTU frame of a PDU: unit, PDU, CRC (Serial Line V1.02 §2.5.1).
+
+    Args:
+        unit: unit identifier, 0…255.
+        pdu: function code and data, 1…253 bytes.
+    """
     body = bytes((unit,)) + pdu
     return body + crc_bytes(body)
 
 
 class RtuReceiver:
-    """Receiver of RTU frames: takes bytes with times, returns frames and damaged bytes. Lenient about gaps (rule 3).
+    """Receiver of RTU frames: takes bytes with their times, returns frames and damaged bytes. Tolerates gaps (rule 3).
+
+    All times are seconds of the caller's clock.
 
     Attributes:
-        conversation: role, own units, and the reply that is due.
-        echo: what is known about the echo of the line.
+        conversation: role, own units and the expected reply; they tell requests from replies.
+        echo: the filter that removes the echo of what this station sends.
         timing: character time, t1.5 and t3.5.
         gap_limit: seconds that an unfinished frame waits for its rest, at least t3.5.
     """
@@ -104,10 +111,10 @@ class RtuReceiver:
             role: master, server or observer.
             timing: the times of the line, as `SerialTiming.of_line` or `SerialTiming.of_network` gives them.
             functions: the functions whose lengths are known.
-            units: the own units of a server; a live view is welcome.
-            gap_limit: seconds that an unfinished frame waits for its rest; 50 ms or t3.5, whichever is longer, and for
-                the reply that a master waits for until it calls `flush`.
-            reply_window: seconds for which the reply to a foreign request is expected.
+            units: the own units of a server; a container whose content changes may be given.
+            gap_limit: seconds that an unfinished frame waits for its rest. None: 50 ms or t3.5, whichever is longer;
+                and the reply that a master expects waits until `flush`.
+            reply_window: seconds for which a server or observer expects the reply to a foreign request.
             echo: whether the port gives back what is sent.
             started: when the port was opened, so that nothing is sent before t3.5 has passed (state "initial" of
                 §2.5.1.1); None where the line is known to be idle.
@@ -153,7 +160,7 @@ class RtuReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """Return the frames and damaged bytes that the silence until ``now`` completes."""
+        """Return the frames and damaged bytes that the silence until ``now`` (seconds) completes, in order."""
         found: list[Received] = []
         released = self.echo.tick(now)
         if released:
@@ -162,7 +169,7 @@ class RtuReceiver:
         return found
 
     def deadline(self) -> float | None:
-        """The time at which `tick` will have something to decide; None while only bytes can change anything."""
+        """Return the time at which to call `tick`; None while only further bytes can complete something."""
         echo = self.echo.deadline()
         if not self._undecided:
             return echo
@@ -172,10 +179,13 @@ class RtuReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """Prepare for the reply to a request of this master: from ``unit`` 0…255, with ``function`` 1…127.
+        """Announce the request of this master that is sent next, so that the reply to it is recognised.
 
-        ``size`` is the length of its PDU in bytes where the request tells it (`Request.reply_shape`), which is also
-        what makes replies of functions with unknown length end at once; otherwise `UNKNOWN_LENGTH`.
+        Args:
+            unit: unit of the request, 0…255.
+            function: its function code, 1…127.
+            size: length of the reply's PDU in bytes (`Request.reply_shape`), by which a reply of unknown length ends at
+                once; `UNKNOWN_LENGTH` if the request does not tell it.
         """
         self.conversation.due = Due(unit, function, size)
         self._scan = self._at + 1  # what was rejected was rejected for another reply
@@ -185,8 +195,9 @@ class RtuReceiver:
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Tell the receiver that this station sends bytes until ``ends``; their echo is removed, t3.5 counts from
-        there.
+        """Tell the receiver that this station sends the bytes ``raw`` until the time ``ends``; their echo is removed.
+
+        The t3.5 before the next frame may be sent counts from ``ends``.
         """
         self._sent_until = ends
         code = raw[1] if len(raw) > 1 else 0
@@ -194,10 +205,14 @@ class RtuReceiver:
         self.echo.sent(raw, ends, may_be_reply=may_be_reply)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Tell the receiver that the port reported an error or lost characters at this position of the bytes (S14).
+        """Tell the receiver that the port reported an error or lost characters behind the bytes received so far (S14).
 
-        The frame in progress is discarded; it is reported with the rest of the disturbance. Gives what the silence
-        before the mark decided.
+        The frame in progress is discarded; it is reported with the rest of the disturbance. Returns what the silence
+        before the error completed.
+
+        Args:
+            now: time of the report, in seconds.
+            overrun: whether characters were lost; otherwise one was received with a parity or framing error.
         """
         found: list[Received] = []
         self._pass_time(now, found)
@@ -209,7 +224,7 @@ class RtuReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Return what can be decided about unfinished bytes now, as after ``gap_limit``: at a timeout or the end."""
+        """Return what unfinished bytes amount to, as after ``gap_limit``: at a response timeout, or at the end."""
         found: list[Received] = []
         released = self.echo.release()
         if released:
@@ -221,9 +236,9 @@ class RtuReceiver:
         return found
 
     def skip_requests(self, now: float) -> bool:
-        """Take note of whole requests to own units that were read at ``now`` and are dealt with already.
+        """Record that whole requests to own units, read at ``now`` (seconds), were answered without this receiver.
 
-        False, and nothing is noted, where bytes before them are undecided, so that they may not be what they seem.
+        Returns False, and records nothing, if earlier bytes are undecided: then the bytes must go through `receive`.
         """
         if self._undecided or not self._in_step or self.echo.mode is not Echo.OFF:
             return False
@@ -254,7 +269,7 @@ class RtuReceiver:
             self._in_step = True
 
     def _due_has_begun(self) -> bool:
-        """Whether the bytes received so far begin the reply that a master expects (rule 3)."""
+        """Whether the undecided bytes begin the reply that a master expects, and more of it is to come (rule 3)."""
         due = self.conversation.due
         at, size = self._at, len(self._buffer)
         if not self._patient or due is None or at == size or self._buffer[at] != due.unit:
@@ -296,7 +311,7 @@ class RtuReceiver:
     # Decisions that need no silence (rule 1).
 
     def _follow(self, found: list[Received]) -> None:
-        """Report each complete frame among the received bytes, and drop bytes once they exceed a frame."""
+        """Report each complete frame among the undecided bytes, and drop bytes once they exceed a frame."""
         server = self.conversation.role is LineRole.SERVER
         while self._at < len(self._buffer):
             end, direction = self._look(self._at)
@@ -308,8 +323,9 @@ class RtuReceiver:
                 self._give_up_beginning(found)
 
     def _look(self, at: int) -> tuple[int, Direction]:
-        """Return the end and direction of the frame at ``at``; `WAITS` while it may become a frame, `DEAD` if it
-        cannot.
+        """Return the end and direction of the frame at ``at``.
+
+        The end is `WAITS` while the frame is unfinished, and `DEAD` if no frame begins there.
         """
         buffer = self._buffer
         size = len(buffer)
@@ -329,8 +345,9 @@ class RtuReceiver:
         return DEAD, Direction.UNKNOWN
 
     def _length(self, direction: Direction, at: int, end: int) -> int:
-        """Return the length of the frame at ``at``, read as request or reply; that of the expected reply if bytes do
-        not tell it.
+        """Return the length of the frame at ``at``, read as request or reply, as `FrameLengths.length` does.
+
+        If the bytes do not tell the length of a reply, and it may be the expected one, that one's length is returned.
         """
         length = self._lengths.length(direction, self._buffer, at, end)
         if length == UNKNOWN_LENGTH and direction is Direction.REPLY:
@@ -380,7 +397,7 @@ class RtuReceiver:
         self._report_lost(found)
 
     def _take_divided(self, at: int, found: list[Received]) -> bool:
-        """Report the bytes from ``at`` on as frames, if one or several fill them exactly. Returns whether they do."""
+        """Report the bytes from ``at`` on as frames, and return True, if one or several frames fill them exactly."""
         pieces = self._divide(at)
         if not pieces:
             return False
@@ -420,7 +437,7 @@ class RtuReceiver:
         return 0
 
     def _end_of_unknown(self, at: int, size: int) -> int:
-        """Return the first position where the CRC fits, for a function of unknown length; 0 if there is none."""
+        """Return the first end of a frame at ``at`` with a right CRC, for a function of unknown length; 0 if none."""
         if size - at < SHORTEST or self._look(at)[0] == WAITS:
             return 0
         first = self._prefix_end if at == self._at else SHORTEST
@@ -441,7 +458,10 @@ class RtuReceiver:
         return self.conversation.guess(unit, code, self._bursts.latest)
 
     def _take_inner(self, found: list[Received], *, at_limit: bool) -> bool:
-        """Report a frame that begins inside damaged bytes: for a server only after a silence, for others anywhere."""
+        """Report a frame that begins inside damaged bytes, and return whether there is one.
+
+        For a server a frame begins only after a silence; for a master or observer anywhere.
+        """
         if self.conversation.role is LineRole.SERVER:
             return any(self._take_divided(place, found) for place in self._silences if place > self._at)
         end, direction = self._search(at_limit=at_limit)
@@ -459,10 +479,10 @@ class RtuReceiver:
     # Looking for a frame inside a damaged chunk (rules 5 and 6).
 
     def _search(self, *, at_limit: bool) -> tuple[int, Direction]:
-        """Find the first later position where a frame begins or may begin, and move the scan position there.
+        """Find the first later position where a frame begins or may begin, and move ``_scan`` to that position.
 
-        Gives the frame's end and direction; `WAITS` where it may become one; `DEAD` with ``_scan`` at the end of the
-        buffer. ``at_limit``: what is unfinished is rejected too.
+        Returns the frame's end and direction: `WAITS` as the end if the frame may be unfinished; `DEAD`, with ``_scan``
+        at the end of the buffer, if nothing is found. With ``at_limit`` unfinished frames are rejected too.
         """
         start = max(self._scan, self._at + 1)
         if self.conversation.role is LineRole.MASTER:
@@ -476,7 +496,7 @@ class RtuReceiver:
     # Giving and losing.
 
     def _give(self, end: int, direction: Direction, found: list[Received], *, recovered: bool) -> None:
-        """Report a frame, and before it the lost bytes in front of it; then look for the next frame."""
+        """Report the lost bytes and the frame that ends at ``end``, and move on to the bytes behind the frame."""
         self._report_lost(found)
         raw = bytes(self._buffer[self._at : end])
         ended = self._bursts.ended(end)
@@ -486,7 +506,7 @@ class RtuReceiver:
         self._in_step = True
 
     def _lose(self, end: int) -> None:
-        """Record the bytes up to ``end`` as no frame, to report them with the rest of the disturbance."""
+        """Add the undecided bytes before ``end`` to the lost bytes, which are reported when the disturbance ends."""
         if end > self._at:
             self._lost.add(self._buffer[self._at : end], self._bursts.began(self._at), self._bursts.ended(end))
             self._move_to(end)

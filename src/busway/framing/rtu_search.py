@@ -1,7 +1,7 @@
 """Search for the next frame inside damaged RTU bytes: the only work that grows with the noise on a line.
 
 Knows bytes, running CRC states and length rules; knows no time and no conversation. A place is rejected once and for
-all, and costs one comparison: the caller begins behind it the next time.
+all, and costs one comparison: the next search begins behind the places that this one rejected.
 """
 
 from collections.abc import Sequence
@@ -23,21 +23,25 @@ _IMPOSSIBLE: Final = RTU_ADU_LIMIT + 1
 """Stands for every length that no frame has."""
 
 Place = tuple[int, int]
-"""Where a frame begins, and the position behind it, or `WAITS`, or `DEAD` with the end of the bytes as the place."""
+"""Result of a search: where a frame begins, and the position behind the frame.
+
+The second number is `WAITS` if a frame may begin there and is unfinished, and `DEAD` if no frame begins anywhere; then
+the first is the end of the bytes.
+"""
 
 
 def find_reply(
     buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, due: Due | None, *, at_limit: bool
 ) -> Place:
-    """Find the first position from ``start`` where the expected reply, or its exception reply, may begin.
+    """Find the first position from ``start`` where the expected reply, or its exception reply, begins or may begin.
 
     Args:
         buffer: bytes received from the line.
         states: the running CRC (`running_states`) before each byte, and after the last one.
-        start: the first place that is not rejected yet.
+        start: the first position to try; those before it were rejected.
         lengths: the length rules.
-        due: the expected reply; None if there is none.
-        at_limit: whether what is unfinished is rejected too.
+        due: the expected reply; None if none is expected, and then nothing is found.
+        at_limit: whether a position where a frame would be unfinished is rejected too.
     """
     size = len(buffer)
     if due is None:
@@ -73,7 +77,10 @@ def find_reply(
 
 
 def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool) -> Place:
-    """Find the first position from ``start`` where a request or reply of a function with a simple length begins."""
+    """Find the first position from ``start`` where a request or reply begins or may begin.
+
+    Only functions whose length is fixed or told by a byte count are looked for. Arguments are those of `find_reply`.
+    """
     size = len(buffer)
     shapes, checks = lengths.shapes, _checks()
     for at, code in enumerate(buffer[start + 1 : size - SHORTEST + 2], start):
@@ -95,13 +102,16 @@ def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: Fram
 
 
 def _to_end(start: int, size: int, *, at_limit: bool) -> Place:
-    """Return the result of a search without a hit: the last bytes, too few to decide, may still begin a frame."""
+    """Return the result of a search that found nothing in the bytes from ``start`` to ``size``.
+
+    The last bytes are too few to decide: unless ``at_limit``, a frame may still begin there.
+    """
     place = max(start, size if at_limit else size - SHORTEST + 1)
     return place, DEAD if place == size else WAITS
 
 
 def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
-    """Return how the expected reply and its exception tell their length; (0, 0) if that needs more than a look-up."""
+    """Return the length rules of the expected reply and its exception, by function byte, as `shape_of` does."""
     function, exception = due.function, due.function | 0x80
     shapes = {code: shape_of(lengths.replies[code]) for code in (function, exception)}
     if due.size > 0:

@@ -61,10 +61,12 @@ _NEXT: Final = {
 class StrictRtuReceiver:
     """Receiver of RTU frames by the state diagram: takes bytes with their times, returns frames and damaged bytes.
 
+    All times are seconds of the caller's clock.
+
     Attributes:
-        state: where the line is.
-        conversation: role, own units, and the reply that is due: what gives the direction.
-        echo: what is known about the echo of the line.
+        state: the state of the line.
+        conversation: role, own units and the expected reply; they tell requests from replies.
+        echo: the filter that removes the echo of what this station sends.
         timing: character time, t1.5 and t3.5.
     """
 
@@ -81,8 +83,16 @@ class StrictRtuReceiver:
         echo: Echo = Echo.OFF,
         started: float | None = None,
     ) -> None:
-        """Create a receiver, as `RtuReceiver`; ``started`` None leaves the state "initial" at once, if the line is
-        known to be idle.
+        """Create a receiver that has received nothing yet.
+
+        Args:
+            role: master, server or observer.
+            timing: character time, t1.5 and t3.5.
+            functions: the functions whose lengths are known.
+            units: the own units of a server; a container whose content changes may be given.
+            reply_window: seconds for which a server or observer expects the reply to a foreign request.
+            echo: whether the port gives back what is sent.
+            started: when the port was opened: the state is "initial" until t3.5 of silence. None: the line is idle.
         """
         self.conversation: Conversation = Conversation(role, units, reply_window)
         self.echo: EchoFilter = EchoFilter(echo)
@@ -94,7 +104,11 @@ class StrictRtuReceiver:
         self._began = self._last = float("-inf") if started is None else started
 
     def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
-        """Return the frames that the silence before ``data`` completes; ``data`` count as characters without gaps."""
+        """Return the frame, or damaged bytes, completed by the silence before ``data``; empty if there are none.
+
+        ``data``, read at ``now`` (seconds), count as characters without gaps. Their own frame is returned after the
+        silence that follows them.
+        """
         if not data:
             return []
         began = max(self._last, now - len(data) * self.timing.character)
@@ -106,7 +120,7 @@ class StrictRtuReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """Return the frame, or damaged bytes, that the silence until ``now`` completes."""
+        """Return the frame, or damaged bytes, completed by the silence until ``now`` (seconds); empty before t3.5."""
         released = self.echo.tick(now)
         if released:
             self._characters(released, self._last, self._last)
@@ -121,7 +135,10 @@ class StrictRtuReceiver:
         return self._processed_or_deleted() if received else []
 
     def deadline(self) -> float | None:
-        """The time at which t3.5 of silence is over; None while the line is idle."""
+        """Return the time at which to call `tick`: t3.5 of silence is over, or bytes held as a possible echo expire.
+
+        None while the line is idle and no bytes are held.
+        """
         echo = self.echo.deadline()
         if self.state is LineState.IDLE:
             return echo
@@ -129,7 +146,13 @@ class StrictRtuReceiver:
         return own if echo is None else min(own, echo)
 
     def expect(self, unit: int, function: int, size: int = UNKNOWN_LENGTH) -> None:
-        """Prepare for the reply to a request of this master; as `RtuReceiver.expect`."""
+        """Announce the request of this master that is sent next, so that the reply to it is recognised.
+
+        Args:
+            unit: unit of the request.
+            function: its function code, 1…127.
+            size: length of the reply's PDU in bytes; `UNKNOWN_LENGTH` if the request does not tell it.
+        """
         self.conversation.due = Due(unit, function, size)
 
     def expect_nothing(self) -> None:
@@ -137,10 +160,12 @@ class StrictRtuReceiver:
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Tell the receiver that this station sends bytes until ``ends``; the line is idle again t3.5 later.
+        """Tell the receiver that this station sends the bytes ``raw`` until the time ``ends``.
+
+        The line is idle t3.5 later; an echo of the bytes is removed.
 
         Raises:
-            ValueError: the line is not idle: emission begins only there.
+            ValueError: the line is neither idle nor in emission: only then may a station send.
         """
         if self.state not in (LineState.IDLE, LineState.EMISSION):
             raise ValueError(f"emission begins only from the state idle, and the line is in {self.state.value}")
@@ -150,7 +175,14 @@ class StrictRtuReceiver:
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Invalidate the frame in progress, because the port reported an error or lost characters."""
+        """Mark the frame in progress as damaged, because the port reported an error or lost characters (S14).
+
+        Returns what the silence before the error completes. The marked frame follows after t3.5 of silence.
+
+        Args:
+            now: time of the report, in seconds.
+            overrun: whether characters were lost; otherwise one was received with a parity or framing error.
+        """
         found = self.tick(now)
         self._characters(b"", now, now)
         self._lost.mark(Damage.OVERRUN if overrun else Damage.CHARACTER, now)
@@ -158,7 +190,7 @@ class StrictRtuReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Return the frame that a silence of t3.5 would complete now, or the damaged bytes."""
+        """Return the unfinished frame, or damaged bytes, as if t3.5 of silence had passed; empty if there are none."""
         released = self.echo.release()
         if released:
             self._characters(released, self._last, self._last)

@@ -14,10 +14,12 @@ from typing import Final, Self
 from .word import Word
 
 FIXED_ABOVE_BAUD: Final = 19_200
+"""Rate in bit/s above which t1.5 and t3.5 are fixed."""
 FIXED_T1_5: Final = 0.000_750
 FIXED_T3_5: Final = 0.001_750
 NETWORK_SILENCE: Final = 0.020
-"""Stands for t3.5 where RTU travels over a network: longer than what one segment is late behind the other on a LAN."""
+"""Seconds that stand for t3.5 where RTU travels over a network: longer than one segment lags behind another on a LAN.
+"""
 
 
 class Parity(Word):
@@ -35,20 +37,20 @@ class Parity(Word):
 
 
 def stop_bits_for(parity: Parity) -> int:
-    """Return the number of stop bits by rule: 2 without parity, 1 with it (§2.5.1)."""
+    """Return the number of stop bits that the specification asks for: 2 without parity, 1 with it (§2.5.1)."""
     return 2 if parity is Parity.NONE else 1
 
 
 def character_bits(data_bits: int = 8, parity: Parity = Parity.EVEN, stop_bits: float | None = None) -> float:
-    """Return the number of bits of one character on the line.
+    """Return the number of bits of one character on the line, start, parity and stop bits included.
 
     Args:
         data_bits: 7 (ASCII) or 8 (RTU).
         parity: even by default.
-        stop_bits: 1, 1.5 or 2; by rule where it is None.
+        stop_bits: 1, 1.5 or 2; None: 2 without parity, 1 with it.
 
     Raises:
-        ValueError: data or stop bits that cannot be.
+        ValueError: data or stop bits of another number.
     """
     if data_bits not in (7, 8):
         raise ValueError(f"a character has 7 or 8 data bits, not {data_bits}")
@@ -63,9 +65,12 @@ class SerialTiming:
     """The times of one serial line, in seconds: character, t1.5 and t3.5.
 
     Attributes:
-        character: one character, start and stop bits included; 0 where characters have no duration (networks).
-        t1_5: the longest gap inside a frame, to the letter.
+        character: duration of one character, start and stop bits included; 0 where characters have none (networks).
+        t1_5: the longest gap inside a frame by the specification.
         t3_5: the shortest silence between two frames.
+
+    Raises:
+        ValueError: a negative time, or t1.5 above t3.5.
     """
 
     character: float
@@ -88,7 +93,7 @@ class SerialTiming:
         """Return the times of a serial line of ``baud`` bit/s (1 and above); other arguments as in `character_bits`.
 
         Raises:
-            ValueError: a rate, data or stop bits that cannot be.
+            ValueError: a rate below 1, or data or stop bits of another number.
         """
         if baud < 1:
             raise ValueError(f"the rate of a line is 1 bit/s or more, not {baud}")

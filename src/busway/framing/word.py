@@ -5,7 +5,10 @@ from typing import Self
 
 
 class Word(Enum):
-    """Base of enums for options whose values are words; the member's value is the text of the option."""
+    """Base of enums for options whose values are words: ``Parity("even")`` and ``Parity("EVEN")`` are the same member.
+
+    The value of a member is the text of the option in lower case.
+    """
 
     @classmethod
     def _missing_(cls, value: object) -> Self | None:
