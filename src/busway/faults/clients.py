@@ -17,11 +17,11 @@ class ClientFaultProfile:
     """A named way in which clients misbehave; `FaultProfile` is the same for devices.
 
     Attributes:
-        name: as in the documentation.
+        name: name of the profile, as in the documentation.
         happens: what the client does, in words.
-        seen_in: where it was reported.
+        seen_in: where it was reported, repository and issue.
         answer: the right reaction of a server.
-        make: the bytes that are sent before the silence; its keyword arguments are the parameters.
+        make: function that returns the bytes sent before the silence; its keyword arguments are the parameters.
     """
 
     name: str
@@ -45,19 +45,23 @@ SLOW_LORIS: Final = ClientFaultProfile(
 )
 
 CLIENT_FAULT_PROFILES: Final = {one.name: one for one in (SLOW_LORIS,)}
-"""The fault profiles of clients."""
+"""All fault profiles of clients, by name."""
 
 
 @contextlib.contextmanager
 def misbehaving_client(
     endpoint: str, fault_profile: ClientFaultProfile, **options: Any
 ) -> Iterator[socket.socket]:  # Any: what the fault profile takes
-    """Connect to a server and send the bytes of a client fault profile; yields the open socket.
+    """Connect to a server and send the bytes of a client fault profile; yields the socket, open during the block.
 
     Args:
-        endpoint: URL of the server.
+        endpoint: URL of the server, with host and port.
         fault_profile: the client fault profile.
         options: values for the parameters of the fault profile.
+
+    Raises:
+        ConfigError: the URL is invalid.
+        OSError: the connection cannot be made within 5 s, or breaks.
     """
     where = parse_endpoint(endpoint)
     with socket.create_connection((where.host, where.port or 0), 5.0) as connection:

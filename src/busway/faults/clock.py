@@ -2,8 +2,8 @@
 
 Knows times and callbacks; knows no Modbus.
 
-1. Nothing happens by itself: `FakeClock.advance` moves time and does what is due, in order, in the thread that calls.
-2. It is safe from any thread.
+1. `FakeClock` moves only in `FakeClock.advance`, which makes the scheduled calls in order, in the thread that calls it.
+2. Calls may be scheduled with a `FakeClock` from any thread; with a `LoopClock` only in the thread of its loop.
 """
 
 import asyncio
@@ -15,7 +15,7 @@ from typing import Protocol
 
 
 class Timer(Protocol):
-    """Interface of a function call that a clock will make."""
+    """Interface of a scheduled function call, which can be cancelled."""
 
     def cancel(self) -> None:
         """Cancel the scheduled function call."""
@@ -28,7 +28,7 @@ class Clock(Protocol):
         """Return the current time in seconds, monotonic."""
 
     def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
-        """Call ``callback`` once, when ``now()`` has reached ``when``."""
+        """Call ``callback`` once, when ``now()`` has reached ``when`` (seconds); returns the scheduled call."""
 
 
 class LoopClock:
@@ -42,20 +42,21 @@ class LoopClock:
         self._loop = loop
 
     def now(self) -> float:
-        """The current time of the event loop, in seconds."""
+        """Return the current time of the event loop, in seconds."""
         return self._loop.time()
 
     def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
-        """Call ``callback`` once, when the event loop's time has reached ``when``."""
+        """Call ``callback`` once, when the event loop's time has reached ``when``; returns the scheduled call."""
         return self._loop.call_at(when, callback)
 
 
 class FakeTimer:
-    """A call scheduled with a fake clock.
+    """A function call scheduled with a fake clock.
 
     Attributes:
-        when: time of the callback, in seconds of the clock.
-        cancelled: whether it was cancelled.
+        when: time of the call, in seconds of the clock.
+        callback: the function to call.
+        cancelled: whether the call was cancelled.
     """
 
     __slots__ = ("callback", "cancelled", "when")
@@ -71,7 +72,7 @@ class FakeTimer:
 
 
 class FakeClock:
-    """A clock that moves only when `advance` is called.
+    """A clock for tests: it moves only when `advance` is called, and makes scheduled calls then.
 
     Args:
         now: seconds that it shows at first.
@@ -84,12 +85,13 @@ class FakeClock:
         self._timers: list[tuple[float, int, FakeTimer]] = []
 
     def now(self) -> float:
-        """The current time of the fake clock, in seconds."""
+        """Return the current time of the fake clock, in seconds."""
         return self._now
 
     def call_at(self, when: float, callback: Callable[[], object]) -> FakeTimer:
-        """Call ``callback`` once when the clock has reached ``when``; one that is already due, at the next
-        `advance`.
+        """Call ``callback`` once, when the clock has reached ``when`` (seconds); returns the scheduled call.
+
+        If ``when`` is over already, the next `advance` makes the call.
         """
         timer = FakeTimer(when, callback)
         with self._lock:
@@ -97,7 +99,11 @@ class FakeClock:
         return timer
 
     def advance(self, seconds: float) -> None:
-        """Move time forward by ``seconds`` (0 or more), calling each callback at its time."""
+        """Move time forward by ``seconds`` (0 or more), and make each scheduled call at its time, in this thread.
+
+        Raises:
+            ValueError: ``seconds`` is negative.
+        """
         if seconds < 0:
             raise ValueError(f"time does not go back by {-seconds:g} s")
         end = self._now + seconds
@@ -116,6 +122,6 @@ class FakeClock:
 
     @property
     def next_due(self) -> float | None:
-        """Return the time of the next scheduled call, in seconds of this clock; None without any."""
+        """Time of the next scheduled call, in seconds of this clock; None without any."""
         with self._lock:
             return min((when for when, _, timer in self._timers if not timer.cancelled), default=None)

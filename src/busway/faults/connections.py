@@ -1,6 +1,6 @@
 """Carries faults out on a server's connections: sends delayed and changed replies, and closes connections.
 
-Knows tapped connections, an event loop and a clock; what is sent, and when, is decided by `FaultyConversation`.
+Knows tapped connections, an event loop and a clock; which bytes are sent, and when, is decided by `FaultyConversation`.
 
 1. A connection has one timer, for its next action, and none while it has nothing to do.
 2. All actions run in the thread of the server's event loop, whichever thread moves the clock or a switch.
@@ -22,6 +22,8 @@ _CONNECTED = frozenset({"tcp", "tls"})
 class FaultyTap:
     """Observer of a server's connections that carries faults out on them; to be given to the server as ``tap``.
 
+    Its length is the number of open connections; iterating yields each as a `FaultyConnection`.
+
     Args:
         faults: the faults to apply.
         clock: clock of delays; the event loop's by default.
@@ -29,7 +31,7 @@ class FaultyTap:
 
     Attributes:
         accepted: number of connections so far.
-        drained: how often a connection has sent all its delayed replies.
+        drained: how often a connection has sent the last of its delayed replies.
     """
 
     def __init__(
@@ -57,13 +59,13 @@ class FaultyTap:
 
     @property
     def has_any_unsent(self) -> bool:
-        """Whether any connection has delayed replies to send."""
+        """Whether any connection has delayed replies that are not sent yet."""
         return bool(self._with_unsent)
 
     # What the server tells.
 
     def connection_opened(self, connection: TappedConnection) -> None:
-        """Keep a newly opened connection, and close it if a fault does not admit it."""
+        """Record a newly opened connection, and close it if a fault does not admit it; called by the server."""
         loop = asyncio.get_running_loop()
         clock = LoopClock(loop) if self._clock is None else self._clock
         faulty = FaultyConnection(connection, self._faults, clock, loop, others=len(self._faulty), moved=self._moved)
@@ -73,7 +75,7 @@ class FaultyTap:
         self._changed()
 
     def connection_closed(self, connection: TappedConnection) -> None:
-        """Forget a closed connection; it counts as open until its socket is closed, soon after this."""
+        """Remove a closed connection, a moment later, when its socket is closed; called by the server."""
         faulty = self._faulty.get((connection.listener, connection.peer))
         if faulty is not None and faulty.connection is connection:
             faulty.end()
@@ -86,7 +88,7 @@ class FaultyTap:
         self._changed()
 
     def _moved(self, faulty: "FaultyConnection") -> None:
-        """Update the set of connections that have delayed replies to send."""
+        """Update the set of connections that have delayed replies to send, after a change of ``faulty``."""
         if faulty.has_unsent:
             self._with_unsent.add(faulty)
         elif faulty in self._with_unsent:
@@ -105,8 +107,17 @@ class FaultyTap:
 class FaultyConnection:
     """A connection on which faults are carried out: sends what its `FaultyConversation` plans, when it is due.
 
+    Args:
+        connection: the connection of the server.
+        faults: the faults to apply.
+        clock: clock of delays.
+        loop: the event loop of the connection.
+        others: number of connections that were open when this one was made.
+        moved: called when replies may have been planned or sent.
+
     Attributes:
-        connection, conversation, clock: as given.
+        connection, clock: as given.
+        conversation: plans which bytes are sent, and when.
     """
 
     def __init__(
@@ -138,7 +149,7 @@ class FaultyConnection:
         return not self._has_ended and (self._sending > 0 or self.conversation.has_unsent)
 
     def pump_soon(self) -> None:
-        """Send due replies at the end of this turn of the event loop."""
+        """Arrange that due replies are sent at the end of this turn of the event loop."""
         self._moved(self)
         if not self._is_due:
             self._is_due = True
@@ -165,7 +176,10 @@ class FaultyConnection:
             self._timer = self.clock.call_at(deadline, self.ask_to_pump)
 
     def ask_to_pump(self, *, is_used_now: bool = False) -> None:
-        """Let the event loop send due replies; may be called from any thread."""
+        """Let the event loop send due replies soon; may be called from any thread.
+
+        With ``is_used_now``, a connection without a request so far counts as used from this moment.
+        """
 
         def pump() -> None:
             contact = self.conversation.contact

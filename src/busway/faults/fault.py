@@ -28,13 +28,13 @@ from ..pdu.message import Request, Span
 from ..values.refusal import shown
 
 SILENCE = b""
-"""The answer of a fault that suppresses the reply."""
+"""The result of ``Fault.asked`` that suppresses the reply."""
 SAME_MOMENT = 1e-6
-"""Seconds. Times closer than this are equal, because sums of equal times differ in their last bits."""
+"""Seconds by which equal times may differ: sums of equal times differ in their last bits."""
 
 
 class Carrier(Enum):
-    """Kinds of transport on which a fault can occur: TCP, TLS, UDP, serial."""
+    """Kinds of transport on which a fault can occur. A connection can belong to several."""
 
     TCP = "tcp"
     """Frames of Modbus on TCP/IP, whose header has a transaction identifier; over TCP, TLS or UDP."""
@@ -45,6 +45,7 @@ class Carrier(Enum):
 
 
 EVERYWHERE = frozenset(Carrier)
+"""All kinds of transport."""
 
 
 @dataclass(slots=True, eq=False, weakref_slot=True)
@@ -52,10 +53,10 @@ class Contact:
     """Facts about one connection that decide which faults apply. Times are seconds in the clock of ``now``.
 
     Attributes:
-        opened: when it was made.
+        opened: when the connection was made.
         others: number of connections that were open when it was made.
         last_received, last_sent: time of the last complete request and of the last sent bytes; None before the first.
-        carriers: the kinds of transport it belongs to.
+        carriers: the kinds of transport that the connection belongs to.
     """
 
     opened: float
@@ -71,14 +72,14 @@ class Exchange:
 
     Attributes:
         contact: the connection.
-        transaction: identifier, 0…65535.
+        transaction: transaction identifier, 0…65535.
         unit: unit identifier, 0…255.
-        pdu: the request as received.
-        request: the same, decoded.
-        now: the time at which it was complete.
+        pdu: the PDU of the request as received.
+        request: the decoded request.
+        now: the time at which the request was complete, in seconds.
         random: source of random choices.
         adu: the frame of the request.
-        is_broadcast: whether it went to all units of a line, so that none may answer.
+        is_broadcast: whether the request went to all units of a line, so that no unit may answer.
     """
 
     contact: Contact
@@ -112,14 +113,14 @@ class Emission:
     """A frame that a faulty device is to send to the client, and when.
 
     Attributes:
-        transaction, unit, pdu: its content. Without a PDU no frame is sent.
-        before, after: bytes around the frame, which are in no frame.
+        transaction, unit, pdu: content of the frame. Without a PDU no frame is sent.
+        before, after: bytes before and after the frame, which belong to no frame.
         length: length field of the header; None for the true one. Frames of serial lines have none.
-        delay: seconds from the request.
+        delay: seconds from the reply of the device until the frame is sent.
         piece: bytes per write; 0 for all at once.
         pause: seconds between pieces.
-        glued: whether it leaves in one write with glued frames that are due at the same moment.
-        closes: whether the connection is closed after it.
+        glued: whether the frame leaves in one write with other glued frames that are due at the same moment.
+        closes: whether the connection is closed after the frame.
     """
 
     transaction: int
@@ -143,15 +144,16 @@ ClosesAt = Callable[[Contact], float | None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fault:
-    """One way to misbehave, as functions that replace parts of a device's behaviour; None leaves a part as it is.
+    """One way to misbehave: functions that replace parts of a device's behaviour; None leaves a part as it is.
 
     Args:
         name: the name of the fault profile.
-        admits: whether a new connection may stay.
-        asked: the PDU that answers a request instead of the device, `SILENCE` for none; None lets the device answer.
-        answered: the frames that leave, made from those that would.
-        closes_at: when the connection is closed, in the clock of ``now``; None for never.
-        carriers: the kinds of transport on which it can occur.
+        admits: returns whether a new connection may stay.
+        asked: returns the PDU that answers a request instead of the device; `SILENCE` for no reply; None to let the
+            device answer.
+        answered: takes the frames that are to be sent as the reply, and returns those that are sent instead.
+        closes_at: returns when an idle connection is closed, in the clock of ``now``; None for never.
+        carriers: the kinds of transport on which the fault can occur.
         options: the parameters of its fault profile, with the values that it was made with.
     """
 
@@ -164,7 +166,7 @@ class Fault:
     options: Mapping[str, Any] = field(default_factory=dict)  # Any: of the types that the fault profile declares
 
     def is_met(self, contact: Contact) -> bool:
-        """Whether the fault can occur on this connection, by its kind of transport."""
+        """Whether the fault can occur on this connection, by its kinds of transport."""
         return not self.carriers.isdisjoint(contact.carriers)
 
 
@@ -173,11 +175,14 @@ class Schedule:
     """When a fault is active: by seconds and numbers of requests since it was switched on.
 
     Args:
-        after: seconds until it begins.
-        lasts: seconds until it ends again; None for never.
-        every: seconds after which it begins again; None for once.
+        after: seconds until it becomes active.
+        lasts: seconds for which it is active; None for ever.
+        every: seconds from one activation to the next, at least ``lasts``; None for one activation.
         skip: number of selected requests that pass unchanged first.
-        times: number of requests that it strikes after them; None for any number.
+        times: number of requests that it applies to after them; None for any number.
+
+    Raises:
+        ConfigError: a negative value, or ``every`` without ``lasts`` or below it.
     """
 
     after: float = 0.0
@@ -195,7 +200,7 @@ class Schedule:
             raise ConfigError("must be at least as long as lasts, which it needs", key="every")
 
     def is_time(self, elapsed: float) -> bool:
-        """Whether the fault is active ``elapsed`` seconds after it was switched on."""
+        """Whether a fault is active ``elapsed`` seconds after it was switched on."""
         elapsed -= self.after
         if elapsed < 0:
             return False
@@ -204,21 +209,24 @@ class Schedule:
         return self.lasts is None or elapsed < self.lasts
 
     def is_turn(self, chosen: int) -> bool:
-        """Whether the fault applies to the next request, after ``chosen`` requests to which it could have applied."""
+        """Whether a fault applies to the next request, after ``chosen`` requests to which it could have applied."""
         return chosen >= self.skip and (self.times is None or chosen < self.skip + self.times)
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Which requests a fault applies to, by unit, function and items; None selects all.
+    """Which requests a fault applies to: by unit, function and items; None selects all.
 
     Args:
         units: unit identifiers, 0…255.
         functions: function codes, 1…127.
-        addresses: items, 0-based, of every table; a request that touches one of them is meant.
-        items: the same by table: ranges of the first item and the one after the last.
-        probability: 0…1, the part of those requests that it strikes.
-        schedule: when it is active.
+        addresses: range of items, 0-based, in every table; a request that touches one of them is selected.
+        probability: part of the selected requests that the fault applies to, 0…1.
+        schedule: when the fault is active.
+        items: items by table, as ranges: the first item, and the one after the last.
+
+    Raises:
+        ConfigError: a value is out of its range, or ``addresses`` is empty or has a step.
     """
 
     units: Collection[int] | None = None
@@ -312,7 +320,10 @@ class AppliedFault:
         self._changed()
 
     def is_on(self, now: float) -> bool:
-        """Whether the fault is switched on and its schedule is active now."""
+        """Whether the fault is switched on and its schedule is active at ``now`` (seconds).
+
+        The schedule of a fault that was just switched on starts at the first call.
+        """
         if not self.enabled:
             return False
         if self._since is None:
@@ -320,7 +331,7 @@ class AppliedFault:
         return self.selection.schedule.is_time(now - self._since)
 
     def strikes(self, exchange: Exchange) -> Exchange | None:
-        """Return the request as the fault sees it if the fault applies to it, else None. Counts for the schedule."""
+        """Return the request as the fault sees it, or None if the fault does not apply. Counts for the schedule."""
         if not self.is_on(exchange.now) or not self.fault.is_met(exchange.contact):
             return None
         if not self.selection.means(exchange):
@@ -334,10 +345,10 @@ class AppliedFault:
 
 
 class Faults:
-    """All faults of one server, in the order in which they act. Can be changed from any thread.
+    """All faults of one server, in the order in which they act. All methods may be called from any thread.
 
     Args:
-        seed: seed of random choices.
+        seed: seed of random choices; with equal seeds, equal requests meet equal faults.
 
     Attributes:
         generation: a number that changes whenever a fault is added, removed or switched.
@@ -359,7 +370,7 @@ class Faults:
     def add(
         self, fault: Fault, selection: Selection | None = None, *, enabled: bool = True, label: str = ""
     ) -> AppliedFault:
-        """Add a fault to the server; it acts after the existing ones.
+        """Add a fault to the server, behind the existing ones; returns the added fault, which can be switched.
 
         Args:
             fault: the fault.
@@ -395,14 +406,15 @@ class Faults:
         self._changed()
 
     def watch(self, changed: Callable[[], None]) -> None:
-        """Register a function that is called after a fault was added, removed or switched, in the
-        thread that did so.
+        """Register a function that is called after each change: a fault was added, removed or switched.
+
+        The call is made in the thread that made the change.
         """
         with self._lock:
             self._watchers = (*self._watchers, changed)
 
     def unwatch(self, changed: Callable[[], None]) -> None:
-        """Unregister a function that was called after changes of the faults."""
+        """Unregister a function that was registered with `watch`."""
         with self._lock:
             self._watchers = tuple(one for one in self._watchers if one != changed)
 
@@ -415,7 +427,7 @@ class Faults:
 
     @contextmanager
     def during(self, fault: Fault, selection: Selection | None = None) -> Iterator[AppliedFault]:
-        """Add a fault for the duration of a block: ``with server.faults.during(BUSY()): …``."""
+        """Add a fault for the duration of a ``with`` block: ``with server.faults.during(BUSY()): …``."""
         applied = self.add(fault, selection)
         try:
             yield applied
@@ -443,7 +455,7 @@ class Faults:
         return True
 
     def strike(self, exchange: Exchange) -> list[tuple[AppliedFault, Exchange]]:
-        """Return the faults that apply to a request, each with the request as the fault sees it."""
+        """Return the faults that apply to a request, in order, each with the request as that fault sees it."""
         found = []
         for one in self._applied:
             seen = one.strikes(exchange)

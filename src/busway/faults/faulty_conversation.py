@@ -6,7 +6,7 @@ Knows frames, the faults and ``now``; knows no socket, no clock and no device: i
    `answered` takes the reply and plans what is sent.
 2. Replies are sent in the order of their requests, however late one is. While any is unsent (`has_unsent`), replies
    without a fault wait for it.
-3. `FaultyConversation.tick` gives what is due, one item per write; `deadline` says when there will be more.
+3. `FaultyConversation.tick` returns the bytes that are due, one item per write; `deadline` says when more are.
 """
 
 from collections import deque
@@ -20,7 +20,7 @@ from ..framing.rtu import encode_rtu
 from .fault import SAME_MOMENT, AppliedFault, Contact, Emission, Exchange, Faults
 
 Struck = Sequence[tuple[AppliedFault, Exchange]]
-"""The faults that a request meets, each with what it is to see."""
+"""The faults that apply to a request, in order, each with the request as that fault sees it."""
 
 
 def _mbap(transaction: int, unit: int, pdu: bytes, length: int | None) -> bytes:
@@ -32,11 +32,16 @@ ENCODERS: Final[Mapping[str, Callable[[int, int, bytes, int | None], bytes]]] = 
     "rtu": lambda transaction, unit, pdu, length: encode_rtu(unit, pdu),
     "ascii": lambda transaction, unit, pdu, length: encode_ascii(unit, pdu),
 }
-"""Transaction, unit, PDU and a length that may be false → frame. The checks of serial frames are always right."""
+"""By framing, the function that returns a frame: from transaction, unit, PDU and length field.
+
+The length field may be false; None for the true one. The checks of serial frames are always right.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class _Due:
+    """Bytes of one write that wait until the time ``when``."""
+
     when: float
     data: bytes
     glued: bool
@@ -50,11 +55,11 @@ class FaultyConversation:
         faults: the faults to apply.
         contact: the connection, as faults see it.
         framing: ``mbap``, ``rtu`` or ``ascii``.
-        gap: seconds of silence before an answer.
+        gap: seconds of silence before each reply.
 
     Attributes:
         contact: as given.
-        closed: whether the connection is to be closed, after what `tick` gave has been written.
+        closed: whether the connection is to be closed, after the bytes that `tick` returned have been written.
     """
 
     def __init__(self, faults: Faults, contact: Contact, framing: str = "mbap", *, gap: float = 0.0) -> None:
@@ -85,8 +90,9 @@ class FaultyConversation:
 
     @staticmethod
     def asked(struck: Struck) -> bytes | None:
-        """Return the PDU with which a fault answers in place of the device; `SILENCE` for none; None without such a
-        fault.
+        """Return the PDU with which a fault answers in place of the device; None if the device is to answer.
+
+        `SILENCE` if the fault suppresses the reply. ``struck`` is the result of `strike` for the request.
         """
         for applied, seen in struck:
             asked = applied.fault.asked
@@ -97,13 +103,13 @@ class FaultyConversation:
         return None
 
     def answered(self, exchange: Exchange, struck: Struck, answer: bytes, now: float) -> bool:
-        """Plan the bytes for a reply of the device, as faults change it. Returns whether anything is sent.
+        """Plan the bytes to send for a reply of the device, as faults change it. Returns whether a frame is sent.
 
         Args:
             exchange: the request.
             struck: the result of `strike` for it.
             answer: the PDU of the reply; empty for none.
-            now: the time of the reply.
+            now: the time of the reply, in seconds.
         """
         is_said = answer and not exchange.is_broadcast
         emissions = [Emission(exchange.transaction, exchange.unit, answer)] if is_said else []
@@ -120,7 +126,10 @@ class FaultyConversation:
     # Time.
 
     def tick(self, now: float) -> list[bytes]:
-        """Return the bytes to send on the connection now, one item per write."""
+        """Return the bytes to send on the connection at ``now`` (seconds), one item per write, in order.
+
+        Sets ``closed`` if the connection must be closed afterwards.
+        """
         writes: list[bytes] = []
         glued = False
         while self._outbox and self._outbox[0].when <= now + SAME_MOMENT and not self.closed:

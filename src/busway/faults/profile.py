@@ -21,20 +21,20 @@ from .fault import EVERYWHERE, Carrier, Fault
 
 _TYPE_WORDS: Final = {float: "a number", int: "a whole number", bool: "true or false"}
 SECONDS: Final = Range(0, 86_400)
-"""What a parameter that is a time may be: up to a day."""
+"""Range of parameters that are times: 0 seconds to a day."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultProfile:
-    """A named way in which devices misbehave; called with its parameters it creates the fault.
+    """A named way in which devices misbehave; called with parameters, it creates the fault.
 
     Attributes:
-        name: as in the documentation.
+        name: name of the profile, as in the documentation.
         happens: what the device does, in words.
         seen_in: where it was reported, repository and issue.
         answer: the right reaction of a client.
-        make: makes the fault; its keyword arguments are the parameters, each with a default.
-        carriers: the kinds of transport on which it can occur.
+        make: function that creates the fault; its keyword arguments are the parameters, each with a default.
+        carriers: the kinds of transport on which the fault can occur.
     """
 
     name: str
@@ -46,12 +46,12 @@ class FaultProfile:
 
     @property
     def options(self) -> Mapping[str, Any]:  # Any: a parameter has the type of its default
-        """Return the defaults of the profile's parameters, by name."""
+        """The default of each parameter of the profile, by name."""
         return {name: one.default for name, one in self.parameters.items()}
 
     @property
     def parameters(self) -> Mapping[str, Option]:
-        """The declarations of the profile's parameters, by name."""
+        """The declaration of each parameter of the profile (type, range, help), by name."""
         declared = signature(self.make).parameters.values()
         return {
             one.name: option_of(one.name, Any if one.annotation is one.empty else one.annotation, one.default)
@@ -82,7 +82,11 @@ def _check(option: Option, value: object) -> None:
 
 
 class FaultProfileTable(Mapping[str, FaultProfile]):
-    """A table of fault profiles by name, in the order of the documentation. Raises `ConfigError` for equal names."""
+    """An immutable table of fault profiles by name, in the order of the documentation.
+
+    Raises:
+        ConfigError: two profiles have the same name.
+    """
 
     __slots__ = ("_by_name",)
 
@@ -94,7 +98,7 @@ class FaultProfileTable(Mapping[str, FaultProfile]):
             self._by_name[one.name] = one
 
     def with_fault_profiles(self, *fault_profiles: FaultProfile) -> "FaultProfileTable":
-        """Return a new table with further fault profiles."""
+        """Return a new table: the profiles of this one and further ones."""
         return FaultProfileTable(*self.values(), *fault_profiles)
 
     def named(self, name: str) -> FaultProfile:

@@ -34,13 +34,13 @@ from .faulty_conversation import Struck
 
 
 class FaultyResponder:
-    """Responder that asks another one and applies faults to its answers.
+    """Responder that asks another one and applies faults to its replies.
 
     Args:
         inner: the wrapped responder, which answers correctly.
         faults: the faults to apply.
         tap: sends the changed replies; the server needs the same tap.
-        heard: called with every request; with it, none takes the fast path.
+        heard: called with every request. If it is given, no request takes the fast path.
     """
 
     def __init__(
@@ -66,12 +66,16 @@ class FaultyResponder:
         return not (self._faults.is_any_on or self._heard or self._tap.has_any_unsent)
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return the wrapped responder's unit; while a fault is on, without the means to bypass this responder."""
+        """Return the wrapped responder's unit, or None; while a fault is on, with the fast path switched off."""
         served = self.inner.serves(unit)
         return served if served is None or self._is_aside else replace(served, is_direct=False)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Answer a request, with the faults that apply to it."""
+        """Answer a request, with the faults that apply to it.
+
+        Returns the wrapped responder's outcome if no fault applies and no earlier reply is delayed. Otherwise the reply
+        is sent by the tap, and the outcome is `SILENCE`, now or later.
+        """
         faulty = self._tap.find(context.listener, context.peer)
         if faulty is None or self._is_aside:
             return self.inner.answer(context, request)
@@ -108,7 +112,10 @@ class _Turn:
         faulty.pump_soon()
 
     def take(self, context: RequestContext, perform: Callable[[RequestContext], Outcome]) -> Outcome:
-        """Let the wrapped responder answer, now or later, and send its reply through the faulty connection."""
+        """Let the wrapped responder answer a request, now or later, and send its reply through the faulty connection.
+
+        ``perform`` asks that responder.
+        """
         inside = context.inside(lambda _, reply: self._later(context, reply))
         try:
             outcome = perform(inside)

@@ -61,7 +61,7 @@ class FaultSwitchboard:
 
     Attributes:
         faults: the faults as objects.
-        tap: the connection tap that the server needs.
+        tap: the connection tap that carries the faults out; the server needs it.
         fault_profiles: as given.
     """
 
@@ -95,19 +95,19 @@ class FaultSwitchboard:
         on: bool = True,
         parameters: Mapping[str, Any] | None = None,  # as `FaultStatus.parameters`
     ) -> str:
-        """Add a fault to the server by name; it acts after the existing ones.
+        """Add a fault to the server by name of its profile; it acts after the existing faults.
 
         Args:
             fault_profile: the name of a fault profile.
             name: name of the fault; by default that of its profile, with a number if it is taken.
-            units: unit identifiers that it applies to, 0…255; None for all, here and below.
-            functions: function codes, 1…127.
-            addresses: items of any table, 0-based; requests that touch one of them.
-            items: the same by table, as ranges of the first item and the one after the last.
-            probability: 0…1, the part of those requests that it changes.
-            schedule: when it is active.
+            units: unit identifiers of the requests that it applies to, 0…255; None for all.
+            functions: function codes of those requests, 1…127; None for all.
+            addresses: range of items, 0-based, in every table; those requests touch one of them. None for all.
+            items: items by table, as ranges: the first item, and the one after the last. None for all.
+            probability: part of those requests that it changes, 0…1.
+            schedule: when it is active; None for always.
             on: whether it is switched on.
-            parameters: values for the parameters of the fault profile.
+            parameters: values for the parameters of the fault profile; the others have their defaults.
 
         Returns:
             The name of the fault.
@@ -144,7 +144,7 @@ class FaultSwitchboard:
         """Register a function called after faults were added, removed or switched, in the thread that did so.
 
         Returns:
-            A function that ends this.
+            A function that unregisters ``changed``.
         """
         self.faults.watch(changed)
         return lambda: self.faults.unwatch(changed)

@@ -15,7 +15,7 @@ class PlayedElsewhere:
 
     Attributes:
         name, happens, seen_in, answer: as in `FaultProfile`.
-        played_by: what simulates it instead, and why a server cannot.
+        played_by: what simulates it, and why a server cannot.
     """
 
     name: str
@@ -53,4 +53,4 @@ ELSEWHERE: Final = {
         ),
     )
 }
-"""All fault profiles that no server plays, by name."""
+"""All fault profiles that no server can simulate, by name."""
