@@ -3,19 +3,19 @@
 ====================  ==========================================================================================
 `folder`              names of the store's files, the lock of its writer, making changes durable (fsync)
 `manifest`            the list of a store's files, points and sinks, with the cursor of each sink
-`segment`             The SQLite file that samples are written to, and when it ends and the next begins
+`segment`             the SQLite file that samples are written to, and when it ends and the next begins
 `writer`              commits samples one after the other; survives a full disk
-`recovery`            what the start of the writer puts right after a crash: open segments, gaps, open silences
+`recovery`            closes what an earlier process left open, and records the time since as a gap
 `commit_thread`       the thread that commits for an event loop, every quarter of a second
 `sealing`             turns a segment that has ended into Parquet files
 `sealed_part`         writes the Parquet files of a segment; runs as a program of its own
 `kept_samples`        which samples are kept, where a rule says that not all of them are
-`retention`           which files are deleted because they are too old or too many
-`alarm_events`        the events of alarms: read with those in the open segment, and forgotten when they are old
+`retention`           which files are deleted because they are too old or the store is too large
+`alarm_events`        reads alarm events from the manifest and the open segment; deletes old ones
 `accumulator_states`  the totals of accumulators, from which a collector goes on after a restart
 `clock_correction`    corrects the times of samples stored before the wall clock was set
-`parts`               reads rows and sums of one file, whether segment or Parquet
-`selection`           which points and times a query means
+`parts`               reads samples and sums from one file of the store, segment or Parquet
+`selection`           parses the points, times and periods of a query
 `reading`             `Store`: reads rows and buckets of all files as one
 `query_results`       what a query gives: columns of samples or buckets; as Arrow, pandas or polars tables too
 `committed_samples`   reads samples in the order of their commits, for sinks

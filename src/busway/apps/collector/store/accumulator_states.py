@@ -9,7 +9,10 @@ from .segment import sample_value
 
 
 def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:
-    """Return by device the states of running totals that are stored in files before the present one."""
+    """Return by device the states of its accumulators (running totals) at the end of all finished segments.
+
+    The states in the open segment are not among them. Points that are no longer listed are left out.
+    """
     points = {point.id: point for point in manifest.points()}
     found: dict[str, list[CounterState]] = {}
     for row in manifest.counters():

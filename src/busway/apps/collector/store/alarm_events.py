@@ -1,4 +1,4 @@
-"""Alarm events in a store: read from the open segment and the manifest together, and forgotten when they are old.
+"""Reads the alarm events of a store, from the open segment and the manifest together, and deletes old ones.
 
 Knows where both stand. A segment has its own events; when it ends they move into the manifest, in the transaction that
 lists it as finished, so that they outlive its samples.
@@ -21,7 +21,13 @@ MOST_EVENTS: Final = 100_000
 
 
 def alarm_rows(folder: Path, manifest: Manifest, after: int = 0) -> list[AlarmRow]:
-    """Return the alarm events stored after a commit number, as database rows in the order of their commits."""
+    """Return the alarm events stored after a commit number, as database rows in the order of their commits.
+
+    Args:
+        folder: the folder of the store.
+        manifest: its manifest.
+        after: number of a commit, whose own events are not returned; 0 for all events.
+    """
     rows: dict[tuple[int, int], AlarmRow] = {}
     for part in manifest.parts():
         if part.kind == "open":
@@ -46,7 +52,10 @@ def _of_segment(path: Path, after: int) -> list[AlarmRow]:
 
 
 def alarm_events(rows: Iterable[AlarmRow], manifest: Manifest) -> list[AlarmEvent]:
-    """Return alarm events with the names that their points have now."""
+    """Convert database rows of alarm events to `AlarmEvent` objects, with the names that their points have now.
+
+    Rows of points that are not in the manifest are left out.
+    """
     points = {point.id: point for point in manifest.points()}
     return [
         AlarmEvent(
@@ -66,7 +75,16 @@ def alarm_events(rows: Iterable[AlarmRow], manifest: Manifest) -> list[AlarmEven
 
 
 def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) -> int:
-    """Delete alarm events before a time, and the oldest beyond a number; those of active alarms stay."""
+    """Delete old alarm events from the manifest, except those of alarms that are active or not acknowledged.
+
+    Args:
+        manifest: the manifest of the store.
+        before: nanoseconds since 1970 UTC; earlier events are deleted.
+        most: number of events; the oldest beyond it are deleted too.
+
+    Returns:
+        The number of deleted events.
+    """
     rows = manifest.alarms()
     excess = max(0, len(rows) - most)
     old = {place for place, at in _known_times(rows) if at < before or place < excess}
@@ -79,7 +97,10 @@ def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) 
 
 
 def _places_of_active(journal: Sequence[AlarmEvent]) -> set[int]:
-    """Return the positions in the journal of the events of alarms that are active or not acknowledged."""
+    """Return the positions in ``journal`` of the events of alarms that are active or not acknowledged.
+
+    Of each such alarm these are the events since it was raised last.
+    """
     alarms: dict[AlarmKey, RaisedAlarm] = {}
     places: dict[AlarmKey, list[int]] = {}
     for place, event in enumerate(journal):
@@ -91,9 +112,9 @@ def _places_of_active(journal: Sequence[AlarmEvent]) -> set[int]:
 
 
 def _known_times(rows: Sequence[AlarmRow]) -> Iterator[tuple[int, int]]:
-    """Yield the position of each event, the last first, and the time that decides how old it is.
+    """Yield the position of each event, the last first, and the time (nanoseconds since 1970 UTC) that decides its age.
 
-    An event from a time when the clock was not set is as old as the next that has a time.
+    An event from before the clock was set gets the time of the next event after it that has a right time.
     """
     known = 2**63
     for place in range(len(rows) - 1, -1, -1):

@@ -26,10 +26,18 @@ _TRIES: Final = 10
 
 
 def back_up(folder: Path, target: Path) -> int:
-    """Copy a store into a new folder, also while it is being written. Returns the number of copied sample files.
+    """Copy a store into a new folder, also while the store is being written.
+
+    Args:
+        folder: the folder of the store.
+        target: the folder of the backup, which must not exist.
+
+    Returns:
+        The number of copied files with samples (segment and Parquet files).
 
     Raises:
-        ConfigError: there is no store, or the target exists or cannot be written.
+        ConfigError: there is no store, the target exists or cannot be written, or files were replaced faster than they
+            could be copied. A target that was not completed has the end ``.unfinished``.
     """
     check_store(folder)
     if target.exists():
@@ -53,7 +61,11 @@ def back_up(folder: Path, target: Path) -> int:
 
 
 def _copied(folder: Path, target: Path) -> int | None:
-    """Copy the store's manifest and the files it lists; returns None if a file was removed meanwhile."""
+    """Copy the manifest of a store, the files with samples that it lists, and the journal of commands.
+
+    Returns:
+        The number of files with samples; None if one was sealed or deleted before it was copied.
+    """
     _copy_database(folder / MANIFEST, target / MANIFEST)
     with closing(Manifest(target)) as manifest:
         parts = manifest.parts()
@@ -78,8 +90,9 @@ def _copied(folder: Path, target: Path) -> int | None:
 
 
 def _is_listed(folder: Path, part: StorePart) -> bool:
-    """Whether the manifest still lists a missing segment file, so that it will be created; else it was turned into
-    Parquet.
+    """Whether the manifest lists a segment file that is missing in the folder: then the writer has still to create it.
+
+    Otherwise the segment was sealed or deleted meanwhile.
     """
     with closing(Manifest(folder)) as manifest:
         return part in manifest.parts()
@@ -93,10 +106,17 @@ def _copy_database(source: Path, target: Path) -> None:
 
 
 def restore(backup: Path, folder: Path) -> int:
-    """Restore a store from a backup into a new or empty folder. Returns the number of restored sample files.
+    """Restore a store from a backup into a new or empty folder.
+
+    Args:
+        backup: the folder of the backup.
+        folder: the folder of the restored store.
+
+    Returns:
+        The number of restored files with samples (segment and Parquet files).
 
     Raises:
-        ConfigError: the backup is none or is damaged, or the folder is in use.
+        ConfigError: there is no backup or it is damaged, ``folder`` is not empty, or it cannot be written.
     """
     problems = check_store_files(backup)
     if problems:

@@ -1,4 +1,4 @@
-"""Checks a store, also while it is being written.
+"""Checks the files of a store for damage, also while the store is being written.
 
 Knows files and what the manifest says of them; changes nothing and takes no lock. A check reads every part, and tells
 each problem in one sentence.
@@ -20,7 +20,9 @@ _TRIES: Final = 10
 
 
 def check_store_files(folder: Path) -> list[str]:
-    """Return the problems of a store's files, one sentence each; empty if there are none.
+    """Check all files of a store, and return the problems found, one sentence each; an empty list if there are none.
+
+    The check changes nothing, and works while the store is being written.
 
     Raises:
         ConfigError: there is no store, or its manifest cannot be read.
@@ -98,7 +100,15 @@ def _problems_of_segment(path: Path, part: StorePart, manifest: Manifest) -> Ite
 
 
 def _unlisted(part: StorePart, found: set[int], manifest: Manifest) -> Iterator[str]:
-    """Return points that have samples but are missing in the manifest, the store's list; it is read last."""
+    """Yield a sentence about points that have samples in a file of the store but are missing in its manifest, if any.
+
+    The manifest is read after the samples, because a point is listed before its first sample is written.
+
+    Args:
+        part: the file.
+        found: ids of the points that have samples in it.
+        manifest: the manifest of the store.
+    """
     unlisted = found - {point.id for point in manifest.points()}
     if unlisted:
         yield f"{part.file} has samples of points that are not listed: {sorted(unlisted)[:5]}"

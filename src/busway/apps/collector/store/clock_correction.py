@@ -1,4 +1,4 @@
-"""Corrects the times of samples that were stored before the wall clock was set, once it is.
+"""Corrects the times of samples that were stored before the wall clock was set, once it is set.
 
 Knows one segment and how far its times were behind; the writer says which segments, and when.
 
@@ -19,7 +19,22 @@ _MOVED: Final = "CASE WHEN {0} < :earliest THEN {0} + :shift ELSE {0} END"
 
 
 def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
-    """Correct times before `EARLIEST` in a segment (SQLite file), from commit ``first`` on. Returns how many."""
+    """Add ``shift`` nanoseconds to all times before `EARLIEST` in a segment, from commit ``first`` on.
+
+    Samples, commits, intervals and alarm events move, in one transaction. Samples that were uncertain only because the
+    clock was not set become good.
+
+    Args:
+        database: the SQLite file of the segment.
+        first: number of the first commit of the process that measured the shift.
+        shift: nanoseconds by which the clock was behind.
+
+    Returns:
+        The number of samples that were moved.
+
+    Raises:
+        sqlite3.Error: the segment is as it was.
+    """
     known = {"earliest": EARLIEST, "shift": shift, "first": first, "clock": int(Reason.CLOCK)}
     with transaction(database):
         moved = database.execute(

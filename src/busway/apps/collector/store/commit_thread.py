@@ -75,7 +75,11 @@ class StoreStatus:
 
 
 class Committer:
-    """Writes samples to a store in a thread; `add` and others only queue, and may be called from any thread."""
+    """Writes samples to a store in a thread of its own, several times a second.
+
+    `add`, `add_interval`, `add_alarms`, `describe` and `mend` only queue: they do not wait, and may be called from any
+    thread.
+    """
 
     def __init__(
         self,
@@ -87,15 +91,15 @@ class Committer:
         retry: float = RETRY,
         rules: StoreRules | None = None,
     ) -> None:
-        """Start the thread that writes samples to the store.
+        """Start the threads that write samples to the store, and seal and delete its files.
 
         Args:
             writer: an open store; closed by `close`.
-            now: nanoseconds since 1970 UTC.
+            now: returns the time, nanoseconds since 1970 UTC.
             interval: seconds after which samples are committed.
-            most_waiting: values that wait at most while the store cannot be written.
-            retry: seconds between two attempts then.
-            rules: of points of which not every sample is kept.
+            most_waiting: values that wait at most while the store cannot be written; beyond it the oldest are dropped.
+            retry: seconds between two attempts while the store cannot be written.
+            rules: report rules of points of which not every sample is kept; None if every sample is.
         """
         self.writer = writer
         self._kept = KeptSamples(rules)
@@ -130,11 +134,17 @@ class Committer:
             thread.start()
 
     def subscribe(self, told: Callable[[Commit], None]) -> None:
-        """Register a function to be called after each commit, in this thread; its errors are logged and counted."""
+        """Register a function that is called with each commit after it was made.
+
+        It is called in the thread that commits; its errors are logged and counted in the status.
+        """
         self._subscribers.append(told)
 
     def add(self, batch: SampleBatch, alarms: Sequence[AlarmEvent] = ()) -> None:
-        """Queue the samples of one read, and alarm events that the same commit must contain."""
+        """Queue the samples of one read, and alarm events that the same commit must contain.
+
+        While the store cannot be written, the oldest queued samples are dropped beyond the limit ``most_waiting``.
+        """
         with self._changed:
             self._batches.append(batch)
             self._note_alarms(alarms)
@@ -145,7 +155,10 @@ class Committer:
                 self._changed.notify_all()
 
     def add_interval(self, interval: StateInterval | Gap) -> None:
-        """Queue an interval in which a device is not read, when it begins (end None) or ends."""
+        """Queue a gap, or an interval in which a device is not read.
+
+        An interval is added twice: when it begins, with the end None, and when it ends.
+        """
         with self._changed:
             self._intervals.append(interval)
             if len(self._intervals) > MOST_INTERVALS:
@@ -159,13 +172,18 @@ class Committer:
             self._changed.notify_all()
 
     def describe(self, descriptions: Iterable[PointDescription], rules: StoreRules | None = None) -> None:
-        """Queue new descriptions of points and report rules, which apply after all samples queued so far."""
+        """Queue new descriptions of points, and new report rules, which apply after all samples queued so far.
+
+        Args:
+            descriptions: names and units of measure of the points.
+            rules: report rules by device and point; None to keep the present ones.
+        """
         with self._changed:
             self._descriptions.append((self._taken + len(self._batches), list(descriptions), rules))
             self._changed.notify_all()
 
     def status(self) -> StoreStatus:
-        """Return the current status of writing to the store."""
+        """Return the current status of writing to the store: its counts since the start, and its errors."""
         with self._changed:
             return StoreStatus(
                 self._commits,
@@ -179,7 +197,11 @@ class Committer:
             )
 
     def flush(self, timeout: float = 10.0) -> bool:
-        """Wait until everything added so far is committed; False if ``timeout`` seconds were not enough."""
+        """Wait until everything queued so far is committed.
+
+        Returns:
+            True; False if ``timeout`` seconds were not enough.
+        """
         until = time.monotonic() + timeout
         with self._changed:
             while self._is_due() or self._committing:
@@ -190,7 +212,10 @@ class Committer:
         return True
 
     def close(self, timeout: float = 10.0) -> None:
-        """Commit everything queued within ``timeout`` seconds, and close the store."""
+        """Commit everything that is queued, end the threads, and close the store. Errors are logged, not raised.
+
+        What cannot be committed within ``timeout`` seconds is lost; the log says how many samples.
+        """
         self.flush(timeout)
         with self._changed:
             if self._has_queued():
@@ -217,13 +242,21 @@ class Committer:
                 self._ended.wait(self._retry)
 
     def mend(self, shift: int) -> None:
-        """Add ``shift`` nanoseconds to all queued times that are from before the wall clock was set."""
+        """Have all stored times from before the wall clock was set corrected, by adding ``shift`` nanoseconds.
+
+        Returns at once. The correction is made in the thread that commits, after the samples queued with such times are
+        stored.
+        """
         with self._changed:
             self._shift = shift
             self._changed.notify_all()
 
     def _mend(self) -> bool:
-        """Correct times in the next segment file, after all earlier samples are stored; False if that failed."""
+        """Correct times in one segment file, if a correction is wanted and everything it concerns is stored.
+
+        Returns:
+            False if the correction failed and must be tried again; True if it succeeded or there is nothing to do yet.
+        """
         with self._changed:
             shift = self._shift
             if shift is None or self._holds_early_times():
@@ -246,7 +279,7 @@ class Committer:
         return True
 
     def _holds_early_times(self) -> bool:
-        """Whether a queued sample has a time from before the wall clock was set. Call with the lock held."""
+        """Whether a time from before the wall clock was set is still queued. Call with the lock held."""
         return (
             any(batch.time < EARLIEST for batch in self._batches)
             or any(each.begin < EARLIEST for each in self._intervals)
@@ -254,7 +287,11 @@ class Committer:
         )
 
     def _wait_for_work(self) -> bool:
-        """Wait until samples are due to be written; returns False when the thread is to end."""
+        """Wait until a commit is due: samples have waited for the interval, or nothing was queued for `ALIVE` seconds.
+
+        Returns:
+            False when the thread is to end.
+        """
         with self._changed:
             idle_until = time.monotonic() + ALIVE
             while not self._ending and not self._is_due():
@@ -272,19 +309,19 @@ class Committer:
             return not self._ending
 
     def _is_due(self) -> bool:
-        """Whether samples wait to be written, or times to be corrected. Call with the lock held."""
+        """Whether something waits to be written, or times are to be corrected. Call with the lock held."""
         return self._has_queued() or self._shift is not None
 
     def _has_queued(self) -> bool:
         return bool(self._batches or self._intervals or self._descriptions or self._alarms)
 
     def _note_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
-        """Queue alarm events, each with the version of the point names that it uses. Call with the lock held."""
+        """Queue alarm events, each with the number of changes of point names before it. Call with the lock held."""
         known = self._described + len(self._descriptions)
         self._alarms.extend((known, event) for event in alarms)
 
     def _next_alarms(self) -> list[tuple[int, AlarmEvent]]:
-        """Return the queued alarm events before the next change of point names. Call with the lock held."""
+        """Remove and return the queued alarm events before the next change of point names. Call with the lock held."""
         taken = []
         while self._alarms and self._alarms[0][0] <= self._described:
             taken.append(self._alarms.popleft())
@@ -301,7 +338,7 @@ class Committer:
                 self._described += 1
 
     def _next_batches(self) -> list[SampleBatch]:
-        """Return the queued samples before the next change of point names. Call with the lock held."""
+        """Remove and return the queued samples before the next change of point names. Call with the lock held."""
         count = len(self._batches)
         if self._descriptions:
             count = min(count, max(0, self._descriptions[0][0] - self._taken))
@@ -309,7 +346,11 @@ class Committer:
         return [self._batches.popleft() for _ in range(count)]
 
     def _commit_once(self) -> bool:
-        """Write queued samples to the store; returns False, and queues them again, if it could not be written."""
+        """Write what is queued (samples, intervals, alarm events) to the store as one commit, and call the subscribers.
+
+        Returns:
+            False if the store could not be written; then everything is queued again.
+        """
         batches: list[SampleBatch] = []
         intervals: list[StateInterval | Gap] = []
         alarms: list[tuple[int, AlarmEvent]] = []
@@ -349,7 +390,11 @@ class Committer:
     def _committed(
         self, batches: list[SampleBatch], told: list[StateInterval | Gap], alarms: list[AlarmEvent]
     ) -> tuple[Commit, int]:
-        """Write those samples that the report rules keep; returns the commit, and how many were dropped (rule 7)."""
+        """Write the samples that the report rules keep, with intervals and alarm events (rule 7).
+
+        Returns:
+            The commit, and the number of samples that were not kept.
+        """
         choice, now = self._kept.choose(batches, told, alarms), time.monotonic()
         is_empty = not (choice.batches or choice.counters or told or alarms)
         if is_empty and batches and self._error is None and now - self._committed_at < ALIVE:
@@ -415,9 +460,10 @@ class Committer:
             self._note_loss(Gap(batch.time, batch.time + 1, Reason.LOST, len(batch)))
 
     def _drop_whole_intervals(self) -> None:
-        """Drop the older half of the queued silences of devices that have ended. Call with the lock held.
+        """Drop the older half of the queued intervals of which begin and end are still queued. Call with the lock held.
 
-        Rows of others stay, few for each device: without them it would be shown as silent for ever, or not at all.
+        Rows of other intervals stay, few for each device: without them a device would be shown as not read for ever, or
+        not at all.
         """
         begun = {_key_of(each) for each in self._intervals if each.end is None}
         whole = [
@@ -454,5 +500,8 @@ class Committer:
 
 
 def _key_of(interval: StateInterval | Gap) -> tuple[str, int, int]:
-    """Return what identifies a period in which a device was not read, to match its begin with its end."""
+    """Return what identifies an interval in which a device was not read: device, begin and reason.
+
+    It is the same for the two entries of an interval, one for its begin and one for its end.
+    """
     return "" if isinstance(interval, Gap) else interval.device, interval.begin, interval.reason

@@ -34,7 +34,7 @@ class CommittedSample(NamedTuple):
     """A sample as sinks read it from the store, with its commit number.
 
     Attributes:
-        commit: number of its commit; with device, point and time the same at every repetition.
+        commit: number of its commit. With device, point and time it identifies the sample, also when it is read again.
         device, point: names.
         time: nanoseconds since 1970 UTC, the middle of the transaction.
         half_width: half the length of the transaction, nanoseconds.
@@ -63,7 +63,7 @@ class CommittedAlarm:
     """An alarm event as sinks read it from the store, with its commit number.
 
     Attributes:
-        commit, place: number of its commit and place in it; the same at every repetition.
+        commit, place: number of its commit and place in it. They identify the event, also when it is read again.
         event: the alarm event.
     """
 
@@ -77,10 +77,10 @@ class CommitRange:
     """The samples and alarm events of consecutive commits of a store.
 
     Attributes:
-        last: the last commit that they are complete up to.
+        last: number of the last of these commits.
         samples: ordered by commit, time and point.
-        alarms: events of alarms of these commits, with the number of the commit and their place in it.
-        more: whether there were later commits already.
+        alarms: alarm events of these commits, ordered by commit and place.
+        more: whether the store already has later commits.
     """
 
     last: int
@@ -90,9 +90,13 @@ class CommitRange:
 
 
 class CommitReader:
-    """Reads samples in the order in which they were stored, from a commit number on. For one thread at a time."""
+    """Reads the samples of a store in the order in which they were stored, from a commit number on.
+
+    For one thread at a time.
+    """
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:
+        """Set the folder and the open manifest of the store; nothing is read yet."""
         self._folder = folder
         self._manifest = manifest
         self._points: dict[int, StoredPoint] = {}
@@ -101,20 +105,28 @@ class CommitReader:
         self._sealed: tuple[str, Any] | None = None
 
     def read(self, after: int, most: int) -> CommitRange | None:
-        """Return the samples of the next commits after a number; None if there are none.
+        """Return the samples and alarm events of the next commits after a number; None if there are no such commits.
 
         Args:
-            after: number of the commit that was read last; 0 for none.
-            most: samples that are wanted; one commit more may be given, and at least one always is.
+            after: number of the commit that was read last; 0 to read from the first one.
+            most: number of samples to return, roughly. Commits are returned whole, and at least one, so there may be
+                more.
         """
         return self._tried(lambda: self._read(after, most))
 
     def count(self, after: int, last: int) -> int:
-        """Return the number of samples in the commits after one number, up to another."""
+        """Return the number of samples in the commits after number ``after``, up to ``last`` and with it."""
         return self._tried(lambda: self._count(after, last))
 
     def last_before(self, moment: int, after: int) -> int:
-        """Return the number of the last commit before a time, as far as known; ``after`` if there is none."""
+        """Return the number of the last commit before a time; ``after`` if there is none after that commit.
+
+        Of a sealed part only the time of its last commit is known: it counts if all its commits are before the time.
+
+        Args:
+            moment: the time, nanoseconds since 1970 UTC.
+            after: number of a commit; earlier ones are not looked at.
+        """
         return self._tried(lambda: self._last_before(moment, after))
 
     def _tried(self, ask: Callable[[], Result]) -> Result:
@@ -165,7 +177,11 @@ class CommitReader:
         return sorted(found, key=lambda part: (part.segment, part.id))
 
     def _facts_of_open(self, part: StorePart) -> StorePart:
-        """Return what an open segment file holds. Raises `FileNotFoundError` if it was sealed meanwhile."""
+        """Return the entry that an open segment would have in the manifest now: its times, commit numbers and rows.
+
+        Raises:
+            FileNotFoundError: the segment was sealed meanwhile.
+        """
         try:
             return open_part_facts(self._folder, part)
         except FileNotFoundError:
@@ -206,7 +222,13 @@ class CommitReader:
         return self._name_at(self._points[row.point], row.commit_number)
 
     def _of_intervals_alone(self, after: int) -> CommitRange | None:
-        """Return silences and alarms of segment files without any sample, for which no Parquet file was made."""
+        """Return the intervals and alarms after a commit that have no part, because no samples were stored with them.
+
+        Sealing a segment without samples makes no Parquet file; its intervals and alarms are in the manifest alone.
+
+        Returns:
+            The commits, without samples of reads; None if there are none.
+        """
         intervals = self._manifest.intervals(after)
         alarms = self._manifest.alarms(after)
         numbers = [row.commit_number for row in intervals] + [row.commit_number for row in alarms]
@@ -251,8 +273,9 @@ class CommitReader:
         return last, rows
 
     def _table(self, part: StorePart) -> Any:
-        """Return a Parquet file of the store in memory; the last one is cached for slow sinks, which
-        read it in pieces.
+        """Return the columns of a sealed part as a table of pyarrow.
+
+        The part read last is kept in memory, because sinks read it in several pieces.
         """
         if self._sealed is None or self._sealed[0] != part.file:
             path = self._folder / SEGMENTS / part.file
@@ -260,8 +283,11 @@ class CommitReader:
         return self._sealed[1]
 
     def _intervals(self, parts: Sequence[StorePart], after: int) -> Iterable[IntervalRow]:
-        """Return the silences of devices in a segment file, and those of earlier segments stored after their last
-        sample.
+        """Return the intervals in which devices were not read, of one segment and of the manifest, each once.
+
+        Args:
+            parts: the parts of the segment.
+            after: number of a commit; of the manifest, only later intervals are returned.
         """
         own = [] if parts[0].kind == "sealed" else part_intervals(self._folder, parts[0])
         # The manifest last: a segment that is sealed meanwhile has moved its intervals there.

@@ -41,7 +41,11 @@ def open_database(path: Path, *statements: str, script: str = "", makes: bool = 
 
 @contextmanager
 def transaction(database: sqlite3.Connection) -> Iterator[None]:
-    """Context manager of a transaction: committed when the block ends, undone if it raises. Raises `sqlite3.Error`."""
+    """Return a context manager that makes a transaction: committed when the block ends, undone if the block raises.
+
+    Raises:
+        sqlite3.Error: the transaction cannot be begun or committed.
+    """
     database.execute("BEGIN IMMEDIATE")
     try:
         yield

@@ -30,7 +30,7 @@ _ENDING: Final = 2.0
 
 
 def check_locks() -> None:
-    """Raise `ConfigError` on a system without locks that end with their process: no store can be written there."""
+    """Raise `ConfigError` on a system without POSIX file locks, such as Windows: no store can be written there."""
     if not HAS_LOCKS:
         raise ConfigError(
             "a store cannot be written on this system: it has no file locks of POSIX (fcntl), as Windows has none;"
@@ -42,10 +42,14 @@ class StoreLock:
     """The exclusive right of one process to write a store; the system releases it however that process ends."""
 
     def __init__(self, folder: Path) -> None:
-        """Take the exclusive right to write a store. Raises `ConfigError` if another process has it.
+        """Lock a store for writing by this process.
+
+        Args:
+            folder: the folder of the store.
 
         Raises:
-            ConfigError: another process holds it, and which; or the file cannot be opened, or the system has no locks.
+            ConfigError: another process holds the lock (the message has its number), the lock file cannot be opened, or
+                the system has no file locks.
         """
         check_locks()
         path = folder / LOCK
@@ -67,9 +71,10 @@ class StoreLock:
             os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
 
     def _take(self) -> None:
-        """Lock the store's lock file, waiting for a holder that has just ended.
+        """Lock the store's lock file. While its last holder is just ending, wait up to `_ENDING` seconds.
 
-        Raises `BlockingIOError` where another process holds the lock.
+        Raises:
+            BlockingIOError: another process holds the lock.
         """
         until = time.monotonic() + _ENDING
         while True:
@@ -82,7 +87,7 @@ class StoreLock:
                 time.sleep(0.01)
 
     def _holder(self) -> int | None:
-        """Return the number of the process that wrote it into the store's lock file."""
+        """Return the number of the process that is named in the store's lock file; None if none is."""
         text = os.pread(self._handle, 32, 0).decode("ascii", "replace").strip()
         return int(text) if text.isdigit() else None
 
@@ -104,7 +109,10 @@ def is_alive(process: int) -> bool:
 
 
 def holder_of(folder: Path) -> int | None:
-    """Return the number of the process that writes a store now; None if there is none."""
+    """Return the number of the process that writes a store now; None if no process writes it.
+
+    The number is 0 if a process writes the store but its number is not known.
+    """
     if not HAS_LOCKS:
         return None  # no process writes a store here
     try:
@@ -122,7 +130,11 @@ def holder_of(folder: Path) -> int | None:
 
 
 def make_folder(path: Path) -> None:
-    """Create the folder of a store; a new one is private to its owner. Raises `ConfigError`."""
+    """Create the folder of a store if it is missing; a new folder is private to its owner.
+
+    Raises:
+        ConfigError: the folder cannot be created, or the system has no file locks.
+    """
     check_locks()
     try:
         make_durably(path, mode=0o700)
@@ -133,7 +145,15 @@ def make_folder(path: Path) -> None:
 
 
 def make_durably(path: Path, *, mode: int = 0o777) -> None:
-    """Create a folder, and those above it that are missing, so that they survive a power failure. Raises `OSError`."""
+    """Create a folder, and those above it that are missing, so that they survive a power failure.
+
+    Args:
+        path: the folder; one that exists is left as it is.
+        mode: its permissions.
+
+    Raises:
+        OSError: the folder cannot be created.
+    """
     missing = [each for each in (path, *path.parents) if not each.exists()]
     path.mkdir(mode=mode, parents=True, exist_ok=True)
     for each in missing:
@@ -152,12 +172,12 @@ def check_store(path: Path) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Make the file names in a folder durable on disk."""
+    """Make the names of the files in a folder survive a power failure. Raises `OSError`."""
     _sync(path, os.O_RDONLY | os.O_DIRECTORY)
 
 
 def sync_file(path: Path) -> None:
-    """Make the contents of a file durable on disk; a missing file is ignored."""
+    """Make the contents of a file survive a power failure. A missing file is ignored. Raises `OSError`."""
     with contextlib.suppress(FileNotFoundError):
         _sync(path, os.O_RDONLY)
 

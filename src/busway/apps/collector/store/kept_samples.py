@@ -1,4 +1,4 @@
-"""Which samples the store keeps of points with a report rule that drops some, such as only changes.
+"""Chooses which samples the store keeps of points with a report rule that drops some, such as only changes.
 
 Pure: knows rules and samples; knows no file. Used by the thread that commits.
 
@@ -19,10 +19,10 @@ from ..alarms.events import AlarmEvent
 from ..samples import NANOSECONDS, CounterState, Gap, PointGroup, SampleBatch, StateInterval, Value
 
 StoreRules = Mapping[tuple[str, str], ReportRule]
-"""By device and point, the rules of points of which not every sample is kept."""
+"""Report rules by device and point, of the points of which not every sample is kept."""
 
 MOST_PARTS: Final = 64
-"""Subsets of a group of points that are remembered."""
+"""Subsets of one group of points for which the objects are kept for later reads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +40,13 @@ class Choice:
 
     Attributes:
         batches: the batches of kept samples.
-        shown: all reads of the commit whole, as they are shown.
-        counters: by device and point, accumulators whose last sample is not kept: they go on after a restart.
+        shown: all reads of the commit whole, as they are shown. A sample that is not kept has the last kept value.
+        counters: by device and point, the states of accumulators whose last sample is not kept; they are stored beside
+            the samples, so that the totals continue after a restart.
         passed_over: number of samples that are not kept.
+        last: by device and point, the samples to which the report rules compare later ones, once the commit is made.
+        unread: devices with an interval in this commit in which they are not read.
+        has_gap: whether the commit has a gap of the whole collector.
     """
 
     batches: list[SampleBatch] = field(default_factory=list)
@@ -55,9 +59,14 @@ class Choice:
 
 
 class KeptSamples:
-    """Chooses by report rules which samples the store keeps. `choose` changes nothing until `committed` is called."""
+    """Chooses by report rules which samples the store keeps.
+
+    `choose` decides for the next commit. Call `committed` once that commit is made: later samples are compared with it
+    then.
+    """
 
     def __init__(self, rules: StoreRules | None = None) -> None:
+        """Start with these report rules and no earlier samples; None for rules if every sample is kept."""
         self._rules: StoreRules = rules or {}
         self._last: dict[str, dict[str, _Kept]] = {}
         self._by_group: weakref.WeakKeyDictionary[PointGroup, tuple[ReportRule | None, ...] | None] = (
@@ -68,7 +77,11 @@ class KeptSamples:
         )
 
     def begin_anew(self, rules: StoreRules | None = None) -> None:
-        """Keep the next sample of each point whatever its value; ``rules``: new report rules, None for the same."""
+        """Forget all earlier samples, so that the next sample of each point is kept whatever its value.
+
+        Args:
+            rules: new report rules; None to keep the present ones.
+        """
         self._rules = self._rules if rules is None else rules
         self._by_group.clear()
         self._last.clear()
@@ -79,7 +92,13 @@ class KeptSamples:
         intervals: Sequence[StateInterval | Gap] = (),
         alarms: Sequence[AlarmEvent] = (),
     ) -> Choice:
-        """Return which samples of the next commit are kept."""
+        """Choose the samples that the next commit keeps. Nothing changes until `committed` is called with the result.
+
+        Args:
+            batches: samples of the reads since the last commit.
+            intervals: intervals and gaps of the commit; the samples of their devices (of a gap: all samples) are kept.
+            alarms: alarm events of the commit; the samples that caused them are kept.
+        """
         if not self._rules:
             return Choice(list(batches), list(batches))
         choice = Choice(
@@ -97,7 +116,7 @@ class KeptSamples:
         return choice
 
     def committed(self, choice: Choice) -> None:
-        """Compare later samples with those of this choice, because the store has them now."""
+        """Record that the samples of ``choice`` are stored; the report rules compare later samples with them."""
         if choice.has_gap:
             self._last.clear()
         for device in choice.unread:
@@ -153,7 +172,7 @@ class KeptSamples:
                     choice.counters[device, each.point] = each
 
     def _part(self, batch: SampleBatch, places: tuple[int, ...]) -> SampleBatch:
-        """Return a batch with those samples of a read that are at some positions of it."""
+        """Return the samples of a read that are at the given positions of its batch, as a batch of their own."""
         parts = self._parts.setdefault(batch.group, {})
         group = parts.get(places)
         if group is None:

@@ -28,9 +28,9 @@ from .database import open_database, transaction
 from .folder import MANIFEST, check_store
 
 FORMAT: Final = 1
-"""Of the folder; a store of a later format is refused."""
+"""The format of a store that this version reads and writes; another format is refused."""
 RESERVED_NUMBERS: Final = 10_000
-"""Commit numbers that are reserved at once."""
+"""How many commit numbers are reserved in one transaction."""
 
 _SCHEMA: Final = """
 CREATE TABLE IF NOT EXISTS facts (name TEXT PRIMARY KEY, value) WITHOUT ROWID;
@@ -84,9 +84,10 @@ class StorePart:
         segment: number of the segment that its rows were written to.
         file: name in the folder ``segments``.
         kind: ``open`` (being written), ``closed`` (SQLite, finished) or ``sealed`` (Parquet).
-        low, high: nanoseconds since 1970 UTC of the first and last sample; None while it is open, or if it is empty.
-        first_commit, last_commit: commit numbers of its rows; None likewise.
-        alive: nanoseconds since 1970 UTC of its last commit; None likewise.
+        low, high: nanoseconds since 1970 UTC of the first and last sample; None while it is open, or if it has no
+            samples.
+        first_commit, last_commit: numbers of the first and last commit in it; None while it is open.
+        alive: nanoseconds since 1970 UTC of the last commit in it; None while it is open.
         rows: number of samples; None while it is open.
         bytes: size; None while it is open.
     """
@@ -106,7 +107,15 @@ class StorePart:
 
 @dataclass(frozen=True, slots=True)
 class IntervalRow:
-    """An interval in which a device (or, if None, every device) was not read, as it is stored."""
+    """An interval in which a device was not read, or a gap of the whole collector, as it is stored.
+
+    Attributes:
+        device: name of the device; None for a gap.
+        begin, end: nanoseconds since 1970 UTC; the end is None in the row that was stored when the interval began.
+        reason: number of the reason why nothing was read.
+        lost: number of samples lost in a gap; 0 otherwise.
+        commit_number: number of the commit that stored the row.
+    """
 
     device: str | None
     begin: int
@@ -118,7 +127,15 @@ class IntervalRow:
 
 @dataclass(frozen=True, slots=True)
 class AlarmRow:
-    """An alarm event as it is stored: its commit, its position there, the id of its point, and the rest."""
+    """An alarm event as it is stored.
+
+    Attributes:
+        commit_number, place: number of its commit and position in it.
+        point: id of its point.
+        limit, event, at, by, text: as in `AlarmEvent`; ``event`` is its kind.
+        value: the value as SQLite has it; None without one.
+        needs: 1 if the alarm needs an acknowledgement, else 0.
+    """
 
     commit_number: int
     place: int
@@ -134,7 +151,13 @@ class AlarmRow:
 
 @dataclass(frozen=True, slots=True)
 class CounterRow:
-    """The state of a running total as it is stored: the id of its point, total, last counter reading, and commit."""
+    """The state of an accumulator (running total) as it is stored.
+
+    Attributes:
+        point: id of its point.
+        total, last: the total, and the counter reading it was last computed from, as SQLite has them.
+        commit_number: number of the commit that stored the state.
+    """
 
     point: int
     total: Any  # as SQLite has it
@@ -165,7 +188,14 @@ class ReportedSample:
 
 @dataclass(frozen=True, slots=True)
 class StoredPoint:
-    """A point in the store's list; its id stays when the name changes."""
+    """A point as the manifest lists it. Its id stays the same when the point is renamed.
+
+    Attributes:
+        id: number of the point in the store.
+        device, point: its present names.
+        unit_of_measure: its unit of measure, such as ``kW``; empty without one.
+        is_state: whether its values are states, true or false.
+    """
 
     id: int
     device: str
@@ -175,22 +205,28 @@ class StoredPoint:
 
     @property
     def name(self) -> str:
-        """Name of the point: ``device/point``."""
+        """Name of the point with that of its device: ``device/point``."""
         return f"{self.device}/{self.point}"
 
 
 class Manifest:
-    """The manifest of a store: list of its files, points, sinks and facts. One writer, any number of readers.
+    """The manifest of a store: the list of its files, points, sinks and facts. One writer, any number of readers.
 
     Attributes:
-        descriptions: how often points were described by this object: names that were read before may be others now.
+        path: the SQLite file of the manifest.
+        descriptions: how often `describe_points` was called on this object; names read before the last call may have
+            changed.
     """
 
     def __init__(self, folder: Path, *, writes: bool = False) -> None:
-        """Open the store's list of files and points; with ``writes`` it is created if missing.
+        """Open the manifest in the folder of a store.
+
+        Args:
+            folder: the folder of the store.
+            writes: whether the manifest will be changed; it is created then if it is missing.
 
         Raises:
-            ConfigError: there is no store, it is of a later format, or the file is damaged; names the folder.
+            ConfigError: there is no store, it has another format, or the file is damaged or cannot be written.
         """
         if not writes:
             check_store(folder)
@@ -226,7 +262,10 @@ class Manifest:
 
     @contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """Context manager of a transaction: durable when the block ends, undone if it raises."""
+        """Return a context manager that makes a transaction: durable when the block ends, undone if the block raises.
+
+        The block gets the connection to the database; other threads that use this object wait meanwhile.
+        """
         with self._lock, transaction(self._database):
             yield self._database
 
@@ -250,7 +289,7 @@ class Manifest:
                 database.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (name, value))
 
     def reserve_numbers(self) -> tuple[int, int]:
-        """Reserve a range of commit numbers; returns the first, and the one after the last."""
+        """Reserve a range of commit numbers; return the first number, and the one after the last."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'reserved'").fetchone()
             first = 1 if row is None else row[0]
@@ -260,11 +299,11 @@ class Manifest:
     # Parts
 
     def parts(self) -> list[StorePart]:
-        """Return all files with samples, in the order in which they were begun."""
+        """Return all parts (files with samples), in the order in which they were listed."""
         return [StorePart(*row) for row in self._all("SELECT * FROM parts ORDER BY id")]
 
     def add_segment(self) -> StorePart:
-        """Add a new segment (SQLite file of samples) to the list of files; the file does not exist yet."""
+        """List a new open segment (SQLite file of samples), and return its part; the file does not exist yet."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'segment'").fetchone()
             number = 1 if row is None else row[0] + 1
@@ -282,9 +321,13 @@ class Manifest:
         *,
         is_mended: bool = False,
     ) -> None:
-        """Record what a finished segment file contains, and copy its alarms and running totals into the manifest.
+        """List a segment as closed, with its contents, and copy its alarm events and accumulators into the manifest.
 
-        With ``is_mended`` its times are corrected, and so are those of all segments before it.
+        Args:
+            part: the segment, with its times, commit numbers and size as they are in the file.
+            alarms: its alarm events.
+            counters: the states of its accumulators.
+            is_mended: whether its times, and those of all segments before it, were corrected after the clock was set.
         """
         with self.transaction() as database:
             database.executemany(INSERT_ALARM, [astuple(row) for row in alarms])
@@ -309,8 +352,12 @@ class Manifest:
             )
 
     def replace_part(self, old: StorePart, new: Sequence[StorePart], intervals: Iterable[IntervalRow]) -> None:
-        """List Parquet files in place of the segment file that they were made from, whose file is to be
-        deleted then.
+        """List Parquet files in place of the segment file that they were made from; the caller then deletes that file.
+
+        Args:
+            old: the segment.
+            new: the parts to list; their ids are given here.
+            intervals: the intervals of the segment, which are stored in the manifest from now on.
         """
         with self.transaction() as database:
             database.execute("DELETE FROM parts WHERE id = ?", (old.id,))
@@ -327,9 +374,13 @@ class Manifest:
             database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (old.file,))
 
     def drop_parts(self, parts: Iterable[StorePart], before: int) -> None:
-        """Remove files, and silences that ended before a time, from the list; the caller then deletes the files.
+        """Remove parts, and intervals that ended before a time, from the manifest; the caller then deletes the files.
 
-        Samples that a sink does not have are lost for it, and counted: all of a part that it has not finished.
+        For a sink that has not got all samples of a part, all samples of that part are counted as lost.
+
+        Args:
+            parts: the parts.
+            before: nanoseconds since 1970 UTC.
         """
         with self.transaction() as database:
             for part in parts:
@@ -342,7 +393,7 @@ class Manifest:
             database.execute('DELETE FROM intervals WHERE "end" < ?', (before,))
 
     def files_to_unlink(self) -> list[str]:
-        """Return the names of files that are off the list and still have to be deleted."""
+        """Return the names of files that are no longer listed and still have to be deleted."""
         return [row[0] for row in self._all("SELECT file FROM unlinks")]
 
     def unlinked(self, file: str) -> None:
@@ -351,14 +402,17 @@ class Manifest:
             database.execute("DELETE FROM unlinks WHERE file = ?", (file,))
 
     def intervals(self, after: int = 0) -> list[IntervalRow]:
-        """Return the silences of devices in finished files that were stored after a commit number."""
+        """Return the intervals of sealed segments that were stored after a commit number, ordered by commit.
+
+        Intervals of open and closed segments are in the segment files.
+        """
         rows = self._all("SELECT * FROM intervals WHERE commit_number > ? ORDER BY commit_number", after)
         return [IntervalRow(*row) for row in rows]
 
     # Alarms, accumulators, maintenance
 
     def alarms(self, after: int = 0) -> list[AlarmRow]:
-        """Return the alarm events of finished segment files after a commit, in the order of their commits."""
+        """Return the alarm events of finished segments that were stored after a commit number, ordered by commit."""
         rows = self._all("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", after)
         return [AlarmRow(*row) for row in rows]
 
@@ -389,12 +443,23 @@ class Manifest:
             database.execute("DELETE FROM maintenance WHERE device = ?", (device,))
 
     def begin_maintenance_again(self, earliest: int, now: int) -> None:
-        """Set the begin of maintenance to now if it is unknown, because it was recorded without the time."""
+        """Set the begin of maintenance to now where it was recorded before the clock was set, and so is unknown.
+
+        Args:
+            earliest: nanoseconds since 1970 UTC; a begin before it is from a clock that was not set.
+            now: nanoseconds since 1970 UTC.
+        """
         with self.transaction() as database:
             database.execute("UPDATE maintenance SET begin = ? WHERE begin < ?", (now, earliest))
 
     def begin_mending(self, first: int, shift: int, earliest: int) -> None:
-        """Record that times before ``earliest`` are to be corrected from a commit on; correct those of maintenance."""
+        """Record that times from before the clock was set are to be corrected; correct the begin of maintenance now.
+
+        Args:
+            first: number of the first commit whose times are corrected.
+            shift: nanoseconds to be added.
+            earliest: nanoseconds since 1970 UTC; only times before it are corrected.
+        """
         with self.transaction() as database:
             database.execute("DELETE FROM facts WHERE name = 'mended'")
             database.execute("INSERT OR REPLACE INTO facts VALUES ('mend_by', ?), ('mend_from', ?)", (shift, first))
@@ -403,12 +468,12 @@ class Manifest:
     # Points
 
     def points(self) -> list[StoredPoint]:
-        """Return all points that the store ever had samples of."""
+        """Return all points of the store, also those that are no longer read, in the order of their ids."""
         rows = self._all("SELECT id, device, point, unit_of_measure, is_state FROM points ORDER BY id")
         return [StoredPoint(number, device, point, unit, bool(state)) for number, device, point, unit, state in rows]
 
     def point_names(self) -> PointNames:
-        """Return the names that all points have now, and had before."""
+        """Return the present names of all points, with the renames that were made before (`PointNames`)."""
         with self._lock:
             return _names_of(self._database)
 
@@ -418,7 +483,11 @@ class Manifest:
         return found
 
     def former_names(self) -> list[tuple[str, int]]:
-        """Return names that points had before and none has now, as ``device/point``, with the points' ids."""
+        """Return names that points had before and that no point has now, with the points that had them.
+
+        Returns:
+            Pairs of a name, ``device/point``, and the id of its point.
+        """
         return self._all(
             "SELECT DISTINCT device || '/' || renames.name, points.id"
             " FROM renames JOIN points ON points.id = renames.point WHERE NOT EXISTS"
@@ -426,15 +495,19 @@ class Manifest:
         )
 
     def renames(self) -> list[tuple[int, str, int]]:
-        """Return ids of points with earlier names, and the last commit under each name, in order."""
+        """Return the former names of points, in the order in which the points were renamed.
+
+        Returns:
+            For each, the id of the point, the former name, and the number of the last commit under that name.
+        """
         return self._all("SELECT point, name, last_commit FROM renames ORDER BY rowid")
 
     def describe_points(self, descriptions: Iterable[PointDescription], last_commit: int) -> None:
         """Write descriptions of points; a point with a new name keeps its id, and so its history.
 
         Args:
-            descriptions: the points; names that change among them change at once.
-            last_commit: number of the last commit, whose samples go by the names of before.
+            descriptions: the points. All new names are given at once, so that points may exchange their names.
+            last_commit: number of the last commit; samples up to it keep the names that the points had before.
         """
         described = list(descriptions)
         with self.transaction() as database:
@@ -453,7 +526,13 @@ class Manifest:
         self.descriptions += 1
 
     def point_ids(self, device: str, points: Sequence[str], states: frozenset[str] = frozenset()) -> list[int]:
-        """Return the ids of points of a device; new ones get one, and count as states if ``states`` names them."""
+        """Return the ids of points of a device, in the order of ``points``; points that are not listed yet are added.
+
+        Args:
+            device: name of the device.
+            points: names of the points.
+            states: names of those points whose values are states, true or false; used only for added points.
+        """
         found = dict(self._all("SELECT point, id FROM points WHERE device = ?", device))
         new = [point for point in points if point not in found]
         if new:
@@ -469,18 +548,25 @@ class Manifest:
     # Cursors
 
     def cursors(self) -> dict[str, tuple[int, int]]:
-        """Return by sink its cursor: the last commit that it got, and the number of samples dropped for it."""
+        """Return by sink the last commit that it got (its cursor), and the number of samples lost for it."""
         return {sink: (number, lost) for sink, number, lost in self._all("SELECT * FROM cursors")}
 
     def set_cursor(self, sink: str, number: int, lost: int, reported: Iterable[ReportedSample] = ()) -> None:
-        """Record the last commit that a sink got, and the last sent samples of points that it gets only in part."""
+        """Record up to which commit a sink has got everything (its cursor).
+
+        Args:
+            sink: name of the sink.
+            number: number of the commit.
+            lost: number of samples so far that the sink did not get because they were deleted before.
+            reported: the last sent samples of points with a report rule, by which the sink gets only some samples.
+        """
         rows = [(sink, each.device, each.point, each.time, json.dumps(each.value), each.reason) for each in reported]
         with self.transaction() as database:
             database.execute("INSERT OR REPLACE INTO cursors VALUES (?, ?, ?)", (sink, number, lost))
             database.executemany("INSERT OR REPLACE INTO reported VALUES (?, ?, ?, ?, ?, ?)", rows)
 
     def reported(self, sink: str) -> list[ReportedSample]:
-        """Return the last samples that a sink got of points of which it gets only some, by its report rules."""
+        """Return the last samples that a sink got of its points with a report rule; see `set_cursor`."""
         rows = self._all("SELECT device, point, time, value, reason FROM reported WHERE sink = ?", sink)
         return [
             ReportedSample(device, point, time, json.loads(value), reason)
@@ -489,7 +575,12 @@ class Manifest:
 
 
 def copy_points(source: Path, target: sqlite3.Connection) -> None:
-    """Write the points of one manifest, with all their names, into a copy of it."""
+    """Replace the points, with their present and former names, in a copy of a manifest by those of the original.
+
+    Args:
+        source: the file of the original manifest.
+        target: the open copy.
+    """
     target.execute("ATTACH ? AS source", (str(source),))
     with target:
         for table in ("points", "renames", "carried_names"):
@@ -504,7 +595,10 @@ def _names_of(database: sqlite3.Connection) -> PointNames:
 
 
 def _give_new_names(database: sqlite3.Connection, described: Sequence[PointDescription], last_commit: int) -> None:
-    """Rename points to their current names, unless another point still has such a name."""
+    """Rename the points whose descriptions have a new name, all at once, and record their former names.
+
+    A point keeps its name if another point has the new one and keeps it.
+    """
     moves = _names_of(database).moves(described)
     for old, one in moves.items():
         database.execute("INSERT INTO renames VALUES (?, ?, ?)", (old, one.was, last_commit))

@@ -1,4 +1,4 @@
-"""Reads samples and sums from one file of a store, whatever its format: SQLite if it is new, Parquet if sealed.
+"""Reads samples and sums from one file of a store, whatever its format: SQLite for a segment, Parquet if sealed.
 
 Knows how to ask each format; knows nothing of how parts overlap.
 
@@ -56,7 +56,7 @@ class Sums:
 
 
 SumsByBucket = dict[tuple[int, int], Sums]
-"""Number of the bucket and id of the point, and what is known of them."""
+"""The sums of samples, by the number of the time bucket (time // its length) and the id of the point."""
 
 _ROWS: Final = "SELECT time, point, value, reason, half_width, commit_number FROM samples WHERE time >= ? AND time < ?"
 _CHOSEN: Final = " AND point IN (SELECT value FROM json_each(?))"
@@ -69,7 +69,13 @@ _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason"
 
 
 def open_part_facts(folder: Path, part: StorePart) -> StorePart:
-    """Return what the manifest would say about a segment file that is being written, from its commits so far."""
+    """Return the entry that an open segment would have in the manifest now, from its commits so far.
+
+    A segment file without tables, to which nothing was written yet, gives ``part`` unchanged.
+
+    Raises:
+        FileNotFoundError: the file is not created yet, or the segment was sealed or dropped.
+    """
     path = folder / SEGMENTS / part.file
     try:
         with closing(open_for_reading(path)) as database:
@@ -81,7 +87,11 @@ def open_part_facts(folder: Path, part: StorePart) -> StorePart:
 
 
 def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
-    """Return the silences of devices that a segment file holds, while it is still being written."""
+    """Return the intervals in which devices were not read, and gaps, that a segment file holds.
+
+    Raises:
+        FileNotFoundError: the file is not created yet, or the segment was sealed or dropped.
+    """
     try:
         with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
             return intervals_of(database)
@@ -92,8 +102,16 @@ def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
 
 
 def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int) -> list[Row]:
-    """Return the samples in one file of the store from time ``low`` up to ``high``, of some points or
-    all; unordered.
+    """Return the samples in one file of the store within a period, in no particular order.
+
+    Args:
+        folder: the folder of the store.
+        part: the file.
+        ids: ids of the wanted points; None for all points.
+        low, high: the period in nanoseconds since 1970 UTC, ``high`` excluded.
+
+    Raises:
+        FileNotFoundError: the file was sealed or dropped.
     """
     if part.kind == "sealed":
         return rows_of_table(_sealed(folder, part, ids, low, high, _COLUMNS))
@@ -106,8 +124,17 @@ def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int
 def part_sums(
     folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int, bucket: int
 ) -> SumsByBucket:
-    """Return count, total, minimum and maximum of a file's samples from ``low`` to ``high``, by
-    ``bucket`` nanoseconds.
+    """Return count, total, minimum and maximum of the samples in one file of the store, by time bucket and point.
+
+    Args:
+        folder: the folder of the store.
+        part: the file.
+        ids: ids of the wanted points; None for all points.
+        low, high: the period in nanoseconds since 1970 UTC, ``high`` excluded.
+        bucket: length of a time bucket in nanoseconds.
+
+    Raises:
+        FileNotFoundError: the file was sealed or dropped.
     """
     if part.kind == "sealed":
         return _sealed_sums(
@@ -120,7 +147,10 @@ def part_sums(
 
 
 def _sealed(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int, columns: list[str]) -> Any:
-    """Return columns of a Parquet file of the store, without the row groups that have no wanted point or time."""
+    """Return columns of a Parquet file of the store as a table of pyarrow, with the wanted points and times alone.
+
+    Row groups of the file that have no wanted point or time are not read.
+    """
     pa = arrow()
 
     def moment(nanoseconds: int) -> Any:
@@ -133,7 +163,7 @@ def _sealed(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, 
 
 
 def rows_of_table(table: Any) -> list[Row]:
-    """Return the samples of a Parquet file as rows, as those of a SQLite segment are read."""
+    """Return the samples of a table read from a Parquet file as rows, equal to those of a segment file."""
     if not table.num_rows:
         return []
     columns = {name: table[name] for name in _COLUMNS if name != "time"}
@@ -183,7 +213,14 @@ def _sealed_sums(table: Any, bucket: int) -> SumsByBucket:
 
 
 def sums_of_rows(rows: Sequence[Row], bucket: int) -> SumsByBucket:
-    """Return count, total, minimum and maximum of samples by time bucket, for files that overlap and were merged."""
+    """Return count, total, minimum and maximum of samples by time bucket and point.
+
+    It is for samples that were merged from several files; `part_sums` reads the sums of one file.
+
+    Args:
+        rows: the samples.
+        bucket: length of a time bucket in nanoseconds.
+    """
     found: SumsByBucket = {}
     for time, point, value, reason, _, _ in rows:
         usable = reason < Reason.TIMEOUT and type(value) in (int, float)

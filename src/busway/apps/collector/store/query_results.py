@@ -44,7 +44,8 @@ class ColumnTable(ABC):
 class SampleTable(ColumnTable):
     """Samples from a store in columns, ordered by time; one entry of each list for each sample.
 
-    Time without reads is there as samples without a value, one for each point at its begin, with its reason.
+    An interval in which a device was not read, or a gap, is among them as one sample without a value for each of its
+    points, at its begin and with its reason.
 
     Attributes:
         device, point: names.
@@ -52,8 +53,8 @@ class SampleTable(ColumnTable):
         half_width: half the length of the transaction, nanoseconds.
         value: values; None where there is none.
         reason: numbers of reasons, 0 for good.
-        intervals: times in which a device was not read, as far as they concern what was asked.
-        gaps: times in which nothing was collected, likewise.
+        intervals: intervals in which a device with wanted points was not read, within the wanted time.
+        gaps: times within the wanted time in which nothing was collected.
     """
 
     device: list[str] = field(default_factory=list)
@@ -79,9 +80,10 @@ class SampleTable(ColumnTable):
         return [quality_of(reason) for reason in self.reason]
 
     def columns(self) -> dict[str, list[Any]]:  # columns have different types
-        """Return the columns by name, quality and reason in words; values as numbers, texts beside them.
+        """Return the columns by name: numbers in ``value``, texts in ``text``, quality and reason in words.
 
-        An integer that no float holds has its digits as text too, because a column of numbers may become one of floats.
+        An integer that no float holds has its digits in ``text`` too, because a column of numbers may become one of
+        floats.
         """
         return {
             "time": self.time,

@@ -49,7 +49,12 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class TimePiece:
-    """A part of a queried period, from ``low`` up to ``high``, with the store's files that have samples in it."""
+    """A piece of a queried period, with the parts (files of the store) that have samples in it.
+
+    Attributes:
+        low, high: the piece in nanoseconds since 1970 UTC, ``high`` excluded.
+        parts: the parts; each covers the whole piece.
+    """
 
     low: int
     high: int
@@ -63,7 +68,7 @@ class Store:
     """
 
     def __init__(self, folder: str | PathLike[str]) -> None:
-        """Set the folder of the store; nothing is read yet.
+        """Check that the folder has a store; nothing is read yet.
 
         Raises:
             ConfigError: there is no store in the folder.
@@ -72,7 +77,7 @@ class Store:
         check_store(self.folder)
 
     def points(self) -> list[StoredPoint]:
-        """Return all points, also those that are no longer read. Raises `ConfigError`."""
+        """Return all points of the store, also those that are no longer read. Raises `ConfigError`."""
         return self._from_manifest(Manifest.points)
 
     @overload
@@ -124,7 +129,11 @@ class Store:
     def pieces(
         self, points: str | Sequence[str] = "*", *, since: Moment | None = None, until: Moment | None = None
     ) -> Iterator[SampleTable]:
-        """Yield the samples that `read` returns in several tables of limited size, in the order of time."""
+        """Yield the samples that `read` returns in several tables of limited size, in the order of time.
+
+        The last table has the intervals and gaps of the whole period. The function takes the arguments of `read` and
+        raises the same errors, but has no limit for the number of samples.
+        """
         now = time.time_ns()
         low = 0 if since is None else moment(since, now)
         high = EVER if until is None else moment(until, now)
@@ -143,13 +152,13 @@ class Store:
     def alarms(
         self, points: str | Sequence[str] = "*", *, since: Moment | None = None, until: Moment | None = None
     ) -> list[AlarmEvent]:
-        """Return the journal of alarm events, in the order of commits.
+        """Return the alarm events of points, in the order in which they were stored.
 
         Args:
             points, since, until: as for `read`.
 
         Raises:
-            InvalidRequest: a pattern names no point, or a time is none.
+            InvalidRequest: a pattern names no point, or a time cannot be understood.
             ConfigError: the store cannot be read.
         """
         now = time.time_ns()
@@ -191,7 +200,7 @@ class Store:
         return None if points in ("*", "*/*") else [point.id for point in chosen]
 
     def _parts(self) -> list[StorePart]:
-        """Return the store's files with samples, with their current contents."""
+        """Return the parts (files) of the store that have samples, each with its present times and commits."""
         return self._tried(lambda: [part for part in map(self._facts, self._listed()) if part.low is not None])
 
     def _listed(self) -> list[StorePart]:
@@ -203,8 +212,10 @@ class Store:
         return self._unless_unmade(part, lambda: open_part_facts(self.folder, part), part)
 
     def _unless_unmade(self, part: StorePart, ask: Callable[[], Result], otherwise: Result) -> Result:
-        """Return the result of ``ask``, or ``otherwise`` if the file was announced in the manifest but
-        not created yet.
+        """Return the result of ``ask``, which reads a file; ``otherwise`` if the writer has not created the file yet.
+
+        Raises:
+            FileNotFoundError: the file was sealed or dropped.
         """
         try:
             return ask()
@@ -214,7 +225,7 @@ class Store:
             raise
 
     def _tried(self, ask: Callable[[], Result]) -> Result:
-        """Return the result of ``ask``, called again if a file was replaced or deleted meanwhile."""
+        """Return the result of ``ask``, which reads files; call it again if a file was sealed or dropped meanwhile."""
         for _ in range(_TRIES):
             try:
                 return ask()
@@ -223,13 +234,20 @@ class Store:
         return ask()
 
     def _rows_in_piece(self, chosen: list[StoredPoint]) -> int:
-        """Return the number of samples per piece for which about `_PIECE` belong to the chosen points."""
+        """Return how many samples of all points a piece may have, for about `_PIECE` samples of the chosen points."""
         return _PIECE * max(1, self._from_manifest(Manifest.count_points)) // max(1, len(chosen))
 
     def _walk(
         self, stretch: tuple[int, int, int], ask: Callable[[TimePiece], Result]
     ) -> Iterator[tuple[TimePiece, Result]]:
-        """Call ``ask`` for each piece of a period; if a piece's file has vanished, for the files that replaced it."""
+        """Cut a period into pieces, call ``ask`` with each, and yield each piece with the result.
+
+        If a file is sealed or dropped meanwhile, the rest of the period is cut again.
+
+        Args:
+            stretch: begin and end of the period (nanoseconds since 1970 UTC), and the number of samples of a piece.
+            ask: reads a piece.
+        """
         reached, high, most = stretch
         tries = 0
         while True:
@@ -268,7 +286,7 @@ class Store:
         return rows + self._from_manifest(Manifest.intervals)  # last: sealing moves them there
 
     def _intervals(self, devices: set[str], low: int, high: int) -> list[IntervalRow]:
-        """Return the intervals of these devices, and of all devices, that overlap a period, each once."""
+        """Return the intervals of these devices, and the gaps, that overlap a period, each once, ordered by begin."""
         rows = self._tried(self._all_intervals)
         latest = {(row.device, row.begin, row.reason): row for row in sorted(rows, key=lambda row: row.commit_number)}
         return sorted(
@@ -284,7 +302,15 @@ class Store:
 
 
 def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Iterator[TimePiece]:
-    """Divide a period where the store's files begin and end, and further above ``most`` samples."""
+    """Yield the pieces of a period, in order; times without samples are left out.
+
+    The period is cut where parts begin and end. What is estimated to have more than ``most`` samples is cut further.
+
+    Args:
+        parts: the parts (files) of the store, with their times and numbers of samples.
+        low, high: the period in nanoseconds since 1970 UTC, ``high`` excluded.
+        most: samples of a piece.
+    """
     spans = [(max(part.low or 0, low), min((part.high or 0) + 1, high), part) for part in parts if part.low is not None]
     spans = [each for each in spans if each[0] < each[1]]
     cuts = sorted({cut for begin, end, _ in spans for cut in (begin, end)})
@@ -300,12 +326,16 @@ def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Ite
 
 
 def _share(part: StorePart, begin: int, end: int) -> float:
-    """Return an estimate of how many samples of a file are within a period."""
+    """Return an estimate of how many samples of a part are between the times ``begin`` and ``end``."""
     return (part.rows or 0) * (end - begin) / ((part.high or 0) + 1 - (part.low or 0))
 
 
 def _marks(intervals: list[IntervalRow], points: list[StoredPoint], low: int) -> list[Row]:
-    """Return rows without a value for the begin of each silence, one for each point that was not read."""
+    """Return the samples without a value that show, in query results, when a device or the collector did not read.
+
+    There is one for each interval or gap and each of its points, at the begin of the interval but not before ``low``;
+    they are in the order of time.
+    """
     found = [
         (max(row.begin, low), point.id, None, row.reason, 0, row.commit_number)
         for row in intervals
@@ -356,7 +386,13 @@ def _add_up(sums: SumsByBucket, found: SumsByBucket) -> None:
 def _add_gaps(
     sums: SumsByBucket, intervals: list[IntervalRow], points: list[StoredPoint], stretch: tuple[int, int], bucket: int
 ) -> None:
-    """Add to time buckets without samples the reason why devices were not read then."""
+    """Add a bucket without samples, with the reason, for each time bucket and point in which the point was not read.
+
+    Buckets that have samples stay as they are.
+
+    Raises:
+        InvalidRequest: there would be more than `MOST_BUCKETS` buckets.
+    """
     low, high = stretch
     for row in intervals:
         end = high if row.end is None else min(row.end, high)

@@ -23,7 +23,7 @@ from .segment import alarms_of, counters_of, facts_of, intervals_of, is_unmade, 
 
 
 def close_open_segments(folder: Path, manifest: Manifest) -> None:
-    """Record segments that an earlier process left open as finished, and delete files that are not listed."""
+    """List the segments that an earlier process left open as finished, and delete files that are no longer listed."""
     for part in manifest.parts():
         if part.kind == "open":
             close_segment(folder, manifest, part)
@@ -31,10 +31,10 @@ def close_open_segments(folder: Path, manifest: Manifest) -> None:
 
 
 def close_segment(folder: Path, manifest: Manifest, part: StorePart) -> bool:
-    """Record in the manifest what a segment file contains; an empty segment is removed from the list.
+    """List a segment as finished, with what its file contains; a segment without commits is removed from the manifest.
 
     Returns:
-        Whether it contains commits.
+        Whether the segment contains commits.
     """
     path = folder / SEGMENTS / part.file
     found = part
@@ -57,12 +57,15 @@ def close_segment(folder: Path, manifest: Manifest, part: StorePart) -> bool:
 
 
 def intervals_since_end(folder: Path, manifest: Manifest, now: int) -> list[StateInterval | Gap]:
-    """Return what to record of the time since an earlier process ended: the ends of open silences, and the gap.
+    """Return the ends of intervals that an earlier process left open, and the gap from its end until now.
 
     Args:
         folder: the folder of the store.
         manifest: its manifest.
         now: nanoseconds since 1970 UTC.
+
+    Returns:
+        The ended intervals and the gap, to be committed; empty if nothing was ever committed.
     """
     alive = manifest.fact("alive")
     if alive is None:  # nothing was ever committed
@@ -74,7 +77,13 @@ def intervals_since_end(folder: Path, manifest: Manifest, now: int) -> list[Stat
 
 
 def _begin_of_gap(manifest: Manifest, alive: int, now: int) -> int:
-    """Return when the gap before this start began, by the present clock as far as that is known."""
+    """Return when the gap before this start began, in nanoseconds since 1970 UTC by the present clock, as far as known.
+
+    Args:
+        manifest: the manifest of the store.
+        alive: time of the last commit of the earlier process, by its clock.
+        now: the present time.
+    """
     if alive >= EARLIEST or alive <= now < EARLIEST:
         return alive
     if now < EARLIEST:  # the machine was started again, and counts from 1970 anew
@@ -84,7 +93,10 @@ def _begin_of_gap(manifest: Manifest, alive: int, now: int) -> int:
 
 
 def _open_intervals(folder: Path, manifest: Manifest) -> list[StateInterval]:
-    """Return the stored silences of devices that have no end yet."""
+    """Return the stored intervals in which a device was not read and that have no end yet, except for maintenance.
+
+    Maintenance continues after a restart.
+    """
     rows = list(manifest.intervals())
     for part in manifest.parts():
         if part.kind == "closed":
@@ -100,6 +112,10 @@ def _open_intervals(folder: Path, manifest: Manifest) -> list[StateInterval]:
 
 
 def _end_of(interval: StateInterval, alive: int) -> int:
-    """Return when a silence ended that a crashed process left open; ``alive``: when that process last wrote."""
+    """Return the end (nanoseconds since 1970 UTC) of an interval that an earlier process left open.
+
+    The end is the last commit of that process, at time ``alive``. If the clock was set between the begin and that
+    commit, the interval ends where it begins.
+    """
     is_known = (interval.begin < EARLIEST) is (alive < EARLIEST)  # else the clock was set in between, and not mended
     return max(alive, interval.begin) if is_known else interval.begin

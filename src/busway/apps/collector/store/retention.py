@@ -12,11 +12,11 @@ from .manifest import StorePart
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """How old and how large a store may become before files are deleted.
+    """The limits of a store: files with older samples, and the oldest files of a larger store, are deleted.
 
     Attributes:
-        age: seconds; None for ever.
-        size: bytes of all parts together, at least 1 MB; None for no limit.
+        age: seconds for which samples are kept; None for ever.
+        size: bytes of all files with samples together, at least 1 MB; None for no limit.
     """
 
     age: float | None = None
@@ -30,10 +30,10 @@ class Retention:
 
 
 def parts_to_drop(parts: Sequence[StorePart], retention: Retention, now: int) -> list[StorePart]:
-    """Return the finished files beyond the limits of retention, oldest first; never the open segment file.
+    """Return the finished parts (files) beyond the limits of retention, oldest first; never the open segment.
 
     Args:
-        parts: all parts.
+        parts: all parts of the store, the open segment too: its bytes count.
         retention: the limits.
         now: nanoseconds since 1970 UTC.
     """

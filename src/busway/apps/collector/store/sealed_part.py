@@ -34,9 +34,9 @@ _NOT_LATE: Final = 60 * 1_000_000_000
 _CHUNK: Final = 65_536
 """Rows that are fetched at once."""
 _ROW_GROUP: Final = 64 * 1024
-"""Rows that are read at least where one point is asked for."""
+"""Rows of a row group of Parquet: so many are read at least, even for one sample."""
 _NICENESS: Final = 5
-"""By how much polling goes before sealing."""
+"""How much lower the priority of sealing is than that of polling (nice)."""
 _KINDS: Final = {
     "real": ("real", "0.5"),
     "integer": ("integer", "0"),
@@ -51,9 +51,17 @@ PointTexts = Sequence[tuple[int, str, str, str | None]]
 
 
 def write_parts(segment: Path, points: PointTexts, parent: int) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Write the samples of a closed segment file as Parquet; returns each file with its name, bounds, rows and bytes.
+    """Write the samples of a closed segment as Parquet files, under unfinished names, and yield each file.
 
-    Ends without the rest where the process ``parent`` has ended: then the files will not be listed.
+    Ends without the rest if the process ``parent`` has ended: the files would not be listed.
+
+    Args:
+        segment: the segment file.
+        points: the points of the store, whose names are written too.
+        parent: number of the process that asked.
+
+    Yields:
+        The path of the written file, and what the manifest lists of it: its final name, bytes, times, commits and rows.
     """
     with closing(open_for_reading(segment)) as database:
         ranges = list(_ranges(database, segment.stem))
@@ -99,8 +107,9 @@ def _facts(table: Any) -> dict[str, int]:
 
 
 def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int, int]]:
-    """Return the Parquet files to write, with their names and periods: late samples by ten minutes
-    each, then the rest.
+    """Yield the Parquet files to write for a segment: late samples by ten minutes each, then all others.
+
+    For each file, its name and its period in nanoseconds since 1970 UTC: begin, and end, which is excluded.
     """
     begin = first_time_of(database)
     if begin is None:
@@ -113,7 +122,10 @@ def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int,
 
 
 def first_time_of(database: sqlite3.Connection) -> int | None:
-    """Return the time before which samples of a segment file count as late; None if it has none."""
+    """Return the time before which samples of a segment count as late, in nanoseconds since 1970 UTC.
+
+    None for a segment without samples or without commits.
+    """
     row = database.execute("SELECT min(at) FROM commits").fetchone()
     if row[0] is None or database.execute("SELECT 1 FROM samples LIMIT 1").fetchone() is None:
         return None
@@ -122,7 +134,13 @@ def first_time_of(database: sqlite3.Connection) -> int | None:
 
 
 def _table(segment: Path, kinds: set[str], low: int, high: int) -> Any:
-    """Return the samples of a segment file from ``low`` up to ``high``, sorted by point and time."""
+    """Return the samples of a segment from time ``low`` up to ``high``, as a table of pyarrow sorted by point and time.
+
+    Args:
+        segment: the segment file.
+        kinds: the SQLite types of the values in it.
+        low, high: nanoseconds since 1970 UTC, ``high`` excluded.
+    """
     pa = arrow()
     import adbc_driver_sqlite  # with its own SQLite: not beside an open connection of Python's
     from adbc_driver_manager import AdbcConnection, AdbcStatement
@@ -153,7 +171,7 @@ def _table(segment: Path, kinds: set[str], low: int, high: int) -> Any:
 
 
 def _order(points: Any, times: Any) -> Any:
-    """Return the places of rows by point and time (rule 4)."""
+    """Return the positions of rows in the order of point and time; fastest for rows in the order of time (rule 4)."""
     compute = arrow("compute")
     if compute.all(compute.greater_equal(times[1:], times[:-1])).as_py() is not False:
         return compute.sort_indices(points)
@@ -162,7 +180,10 @@ def _order(points: Any, times: Any) -> Any:
 
 
 def _query(kinds: set[str], low: int, high: int) -> str:
-    """Return the SQL query for samples of a period with a column for each type of value that there is."""
+    """Return the SQL query for the samples of a period, with one column for each type of value in ``kinds``.
+
+    Its first row is no sample: from it the driver takes the types of the columns (rule 2).
+    """
     samples, values = "", ""
     for name, (kind, sample) in _KINDS.items():
         if kind in kinds:
@@ -176,7 +197,10 @@ def _query(kinds: set[str], low: int, high: int) -> str:
 
 
 def _named(table: Any, points: PointTexts) -> Any:
-    """Return a table with time stamps and point names added, for people who open the Parquet file elsewhere."""
+    """Return the table with times as timestamps, and with the names of devices and points.
+
+    They are for people who open the Parquet file with other programs.
+    """
     pa = arrow()
     known = pa.array([id for id, *_ in points], pa.int32())
     indices = arrow("compute").index_in(table["point"].combine_chunks(), value_set=known)
@@ -187,16 +211,16 @@ def _named(table: Any, points: PointTexts) -> Any:
 
 
 class _NotNeeded(MetaPathFinder):
-    """Import hook that reports packages as not installed that pyarrow loads only to know their objects (rule 3)."""
+    """Import hook that hides numpy and pandas, which pyarrow would load if they are installed (rule 3)."""
 
     def find_spec(self, fullname: str, path: object, target: object = None) -> None:
-        """Raise `ModuleNotFoundError` for packages that pyarrow can do without; leave every other to Python."""
+        """Raise `ModuleNotFoundError` for numpy and pandas; return None, so that Python imports all other modules."""
         if fullname in ("numpy", "pandas"):
             raise ModuleNotFoundError(f"{fullname} is not needed here", name=fullname)
 
 
 def main() -> None:
-    """Write the sealed files of the segment file that standard input names, and list them on standard output."""
+    """Write the Parquet files of the segment that standard input names in JSON, and list them on standard output."""
     asked = json.load(sys.stdin)
     sys.meta_path.insert(0, _NotNeeded())
     os.nice(_NICENESS)

@@ -1,4 +1,4 @@
-"""Sealing: a finished segment becomes Parquet files, sorted by point and time, a tenth of its size or less.
+"""Sealing: turns a finished segment into Parquet files, sorted by point and time, a tenth of its size or less.
 
 Knows the steps and their order; knows nothing of commits that go on meanwhile, and nothing of what is in a file.
 
@@ -26,7 +26,7 @@ from .manifest import Manifest, StoredPoint, StorePart
 from .segment import intervals_of, open_for_reading
 
 Step = Callable[[str], None]
-"""Told the name of each step when it is done: tests end the process there."""
+"""A function that is called with the name of each step when it is done; tests end the process there."""
 
 _LONGEST: Final = 1800
 """Seconds that the other process may take for one segment."""
@@ -37,19 +37,38 @@ class SealingFailed(OSError):
 
 
 def can_seal() -> bool:
-    """Whether the packages are installed that convert segment files to Parquet."""
+    """Whether the packages that convert segments to Parquet (pyarrow and Arrow's driver for SQLite) are installed."""
     return find_spec("pyarrow") is not None and find_spec("adbc_driver_sqlite") is not None
 
 
 def arrow(module: str = "") -> Any:  # pyarrow has no types of its own
-    """Return pyarrow or one of its modules. Raises `MissingExtra`."""
+    """Import and return pyarrow, or one of its modules.
+
+    Args:
+        module: name of the module, such as ``parquet``; empty for pyarrow itself.
+
+    Raises:
+        MissingExtra: pyarrow is not installed.
+    """
     require("pyarrow", "a sealed part of the store")
     return import_module(f"pyarrow{'.' * bool(module)}{module}")
 
 
 def seal(folder: Path, manifest: Manifest, part: StorePart, step: Step) -> list[StorePart]:
-    """Turn a closed segment file into Parquet files, and return them. Raises `SealingFailed`, `OSError`,
-    `sqlite3.Error`.
+    """Turn a closed segment into Parquet files, list them in the manifest in its place, and delete the segment file.
+
+    Args:
+        folder: the folder of the store.
+        manifest: its manifest.
+        part: the closed segment.
+        step: called with the name of each step when it is done.
+
+    Returns:
+        The sealed parts; empty for a segment without samples.
+
+    Raises:
+        SealingFailed: the Parquet files could not be written; the segment is unchanged.
+        OSError, sqlite3.Error: a file or the manifest could not be written; no samples are lost.
     """
     source = folder / SEGMENTS / part.file
     with closing(open_for_reading(source)) as database:
@@ -70,7 +89,14 @@ def seal(folder: Path, manifest: Manifest, part: StorePart, step: Step) -> list[
 
 
 def _written(source: Path, points: list[StoredPoint], step: Step) -> list[tuple[Path, dict[str, Any]]]:
-    """Let another process write the Parquet files; returns the path of each, and its entry for the manifest."""
+    """Let another process write the Parquet files of a segment file, and wait for its end.
+
+    Returns:
+        For each file its present, unfinished path, and its entry for the manifest.
+
+    Raises:
+        SealingFailed: the process failed or took too long.
+    """
     asked = {
         "segment": os.fspath(source),
         "parent": os.getpid(),
@@ -93,20 +119,20 @@ def _written(source: Path, points: list[StoredPoint], step: Step) -> list[tuple[
 
 
 def _interpreter() -> list[str]:
-    """Return the command that starts this Python again, importing from where this process does."""
+    """Return the command that starts this Python again, importing modules from the same places as this process."""
     is_own = any(path in ("", os.getcwd()) for path in sys.path)
     return [sys.executable] if is_own else [sys.executable, "-P"]
 
 
 def remove_unlisted(folder: Path, manifest: Manifest) -> None:
-    """Delete files that the manifest has taken off its list."""
+    """Delete the files that are no longer listed in the manifest and still have to be deleted."""
     for file in manifest.files_to_unlink():
         unlink_part(folder / SEGMENTS / file)
         manifest.unlinked(file)
 
 
 def remove_unfinished(folder: Path, manifest: Manifest) -> None:
-    """Delete incomplete Parquet files that a crash left; their samples are still in the segment file."""
+    """Delete Parquet files that a crash left before they were listed; the segment file still has their samples."""
     parts = manifest.parts()
     listed = {part.file for part in parts}
     segments = {part.file.removesuffix(".sqlite") for part in parts if part.kind != "sealed"}

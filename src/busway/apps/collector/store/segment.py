@@ -36,7 +36,7 @@ SLOT: Final = 600 * 1_000_000_000
 LOG_LIMIT: Final = 32 * 1024 * 1024
 """Bytes of the write-ahead log from which on it is moved into the file after each commit."""
 LOG_STUCK: Final = 2 * LOG_LIMIT
-"""Bytes of the log that show that a reader holds it."""
+"""Bytes of the write-ahead log that show that a reader keeps it from shrinking."""
 
 _SCHEMA: Final = """
 BEGIN;
@@ -76,6 +76,15 @@ class Segment:
     """A segment file that is being written. Not safe for several threads; methods may raise `sqlite3.Error`."""
 
     def __init__(self, path: Path, *, every_commit_durable: bool) -> None:
+        """Open a segment file for writing; it is created if it is missing.
+
+        Args:
+            path: the file.
+            every_commit_durable: whether each commit waits for the disk, so that it survives a power failure.
+
+        Raises:
+            sqlite3.Error: the file cannot be opened.
+        """
         self.path = path
         self._log = path.with_name(path.name + "-wal")
         self._database = open_database(
@@ -95,7 +104,19 @@ class Segment:
         alarms: Sequence[KeyedAlarm] = (),
         counters: Sequence[KeyedCounter] = (),
     ) -> None:
-        """Write samples to the segment file in a transaction; `commit` or `rollback` must follow."""
+        """Begin a transaction and write a commit to the segment file; `commit` or `rollback` must follow.
+
+        Args:
+            number: number of the commit.
+            at: time of the commit, nanoseconds since 1970 UTC.
+            batches: samples, with the ids of their points.
+            intervals: intervals in which devices were not read, and gaps.
+            alarms: alarm events, with the ids of their points.
+            counters: states of accumulators that are in no batch, with the ids of their points.
+
+        Raises:
+            sqlite3.Error: the file cannot be written.
+        """
         database = self._database
         database.execute("BEGIN IMMEDIATE")
         for ids, batch in batches:
@@ -115,9 +136,13 @@ class Segment:
             database.executemany(INSERT_ALARM, [astuple(row) for row in _alarm_rows(alarms, number)])
 
     def commit(self) -> None:
-        """End the transaction, then move the write-ahead log into the file if it has grown.
+        """End the transaction that `begin` started, then move the write-ahead log into the file if the log has grown.
 
-        What was committed is committed, also where the log cannot be moved (a full disk): that is tried again.
+        If the log cannot be moved (a full disk), the commit holds all the same, and the next one tries again to move
+        the log.
+
+        Raises:
+            sqlite3.Error: the transaction cannot be committed.
         """
         self._database.execute("COMMIT")
         if self.log_size() > LOG_LIMIT:
@@ -125,7 +150,7 @@ class Segment:
                 self._database.execute("PRAGMA wal_checkpoint(PASSIVE)")
 
     def rollback(self) -> None:
-        """Undo the transaction that `begin` started."""
+        """Undo the transaction that `begin` started. Errors of SQLite are ignored."""
         with contextlib.suppress(sqlite3.Error):
             self._database.execute("ROLLBACK")
 
@@ -137,26 +162,40 @@ class Segment:
             return 0
 
     def has_ended(self, begun: int, now: int, most: int) -> bool:
-        """Whether the segment file is full or too old for another commit at ``now`` (rule 5); ``most``: bytes it may
-        have.
+        """Whether the segment is full or too old for another commit, so that the next segment must begin (rule 5).
+
+        Args:
+            begun: when the segment began, nanoseconds since 1970 UTC.
+            now: the present time, likewise.
+            most: bytes that the segment may have.
         """
         return now // SLOT != begun // SLOT or self.size() > most or self.is_stuck
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the segment file's write-ahead log keeps growing because a reader holds it open."""
+        """Whether the segment file's write-ahead log cannot shrink because a reader holds it open."""
         return self.log_size() > LOG_STUCK
 
     def size(self) -> int:
-        """Return the size of the segment file on disk in bytes."""
+        """Return the size of the segment file on disk in bytes, its write-ahead log included."""
         return size_of(self.path)
 
     def mend(self, first: int, shift: int) -> int:
-        """Correct times from before the wall clock was set (`clock_correction`); returns how many samples."""
+        """Correct times from before the wall clock was set by ``shift`` nanoseconds, from commit ``first`` on.
+
+        Returns:
+            The number of samples that were moved; see `clock_correction`.
+        """
         return mend_segment(self._database, first, shift)
 
     def sync(self) -> None:
-        """Make all commits so far durable on disk: they are in the log until SQLite moves them, and syncs the file."""
+        """Make all commits so far survive a power failure.
+
+        They are in the write-ahead log; SQLite makes durable itself what it moves from there into the file.
+
+        Raises:
+            OSError: the log cannot be written to the disk.
+        """
         sync_file(self._log)
 
     def limit_pages(self, pages: int) -> None:
@@ -170,7 +209,19 @@ class Segment:
 
 
 def insert_batch(database: sqlite3.Connection, ids: Sequence[int], batch: SampleBatch, number: int) -> None:
-    """Insert the samples of one read into the segment; values that SQLite takes as they are need no Python loop."""
+    """Insert the samples of one read into a segment. A value that cannot be stored becomes a sample without a value.
+
+    The reason of such a sample is `Reason.CONFIGURATION`.
+
+    Args:
+        database: the segment file, in a transaction.
+        ids: ids of the points of the batch.
+        batch: the samples.
+        number: number of the commit.
+
+    Raises:
+        sqlite3.Error: the file cannot be written.
+    """
     reasons = repeat(batch.reasons) if isinstance(batch.reasons, int) else batch.reasons
     try:
         _insert(database, ids, batch, batch.values, reasons, number)
@@ -207,7 +258,10 @@ def is_storable(value: object) -> bool:
 
 
 def stored_value(value: object) -> object:
-    """Return a value as SQLite stores it; None for a value that cannot be stored."""
+    """Return a value as SQLite stores it: integers of 2**63 and more as eight bytes, others unchanged.
+
+    None for a value that cannot be stored.
+    """
     if not is_storable(value):
         return None
     if isinstance(value, int) and value >= 2**63:
@@ -216,7 +270,13 @@ def stored_value(value: object) -> object:
 
 
 def sample_value(stored: int | float | str | bytes | None, reason: int, is_state: bool) -> Value | None:
-    """Return the value of a sample from its stored row."""
+    """Convert a value as SQLite stores it to the value of the sample.
+
+    Args:
+        stored: the stored value. Eight bytes are an integer of 2**63 or more.
+        reason: number of the sample's reason. It decides what a stored None is: no value if bad, NaN otherwise.
+        is_state: whether values of the point are states; then integers become True or False.
+    """
     if stored is None:
         return None if quality_of(reason) is Quality.BAD else float("nan")
     if isinstance(stored, bytes):
@@ -262,7 +322,12 @@ def _stored_number(value: float) -> object:
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
-    """Open a segment file for reading only. Raises `FileNotFoundError` if the file is gone."""
+    """Open a segment file for reading; the caller closes the connection.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        sqlite3.OperationalError: the file cannot be opened.
+    """
     if not path.exists():
         raise FileNotFoundError(os.fspath(path))
     try:
@@ -274,7 +339,13 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
 
 
 def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StorePart:
-    """Return what the manifest says about a segment file, from its commits."""
+    """Return the manifest's entry of a segment, with the times, commit numbers and count of samples from its file.
+
+    Args:
+        database: the segment file.
+        part: the entry so far.
+        size: bytes of the file.
+    """
     low, high, first, last, alive, rows = database.execute(
         "SELECT min(low), max(high), min(number), max(number),"
         " (SELECT at FROM commits ORDER BY number DESC LIMIT 1), coalesce(sum(samples), 0) FROM commits"
@@ -288,7 +359,7 @@ def is_unmade(error: sqlite3.OperationalError) -> bool:
 
 
 def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
-    """Return the alarm events of a segment file after a commit, in the order of their commits."""
+    """Return the alarm events of a segment file after a commit number, in the order of their commits."""
     try:
         rows = database.execute("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", (after,))
     except sqlite3.OperationalError as error:
@@ -299,9 +370,7 @@ def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
 
 
 def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
-    """Return the latest running total of each counter point in a segment file, with the counter value it continues
-    from.
-    """
+    """Return the latest state of each accumulator (running total) that has one in a segment file."""
     try:
         rows = database.execute("SELECT point, total, last, commit_number FROM counters")
     except sqlite3.OperationalError as error:
@@ -312,5 +381,5 @@ def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
 
 
 def intervals_of(database: sqlite3.Connection) -> list[IntervalRow]:
-    """Return the intervals of a segment file in which devices were not read, in the order of their commits."""
+    """Return the intervals without reads of devices, and the gaps, of a segment file, ordered by commit."""
     return [IntervalRow(*row) for row in database.execute("SELECT * FROM intervals ORDER BY commit_number")]

@@ -24,8 +24,13 @@ EVER: Final = 2**63 - 1
 def moment(given: Moment, now: int) -> int:
     """Convert a time given by a user to nanoseconds since 1970 UTC.
 
+    Args:
+        given: nanoseconds, a `datetime`, ISO 8601 text, or a duration before now such as ``1h``. A `datetime` or text
+            without an offset is UTC.
+        now: the present time, nanoseconds since 1970 UTC.
+
     Raises:
-        InvalidRequest: it is no time. Text without an offset is UTC.
+        InvalidRequest: the text is no time.
     """
     if isinstance(given, int):
         return given
@@ -43,7 +48,14 @@ def moment(given: Moment, now: int) -> int:
 
 
 def span(given: str | float) -> int:
-    """Return nanoseconds for a duration such as ``10s`` or ``5m``, or a number of seconds. Raises `InvalidRequest`."""
+    """Convert the length of a time bucket, given by a user, to nanoseconds.
+
+    Args:
+        given: a duration such as ``10s`` or ``5m``, or a number of seconds; 0.001 seconds to 366 days.
+
+    Raises:
+        InvalidRequest: the text is no duration, or the length is out of range.
+    """
     length = (duration(given) or 0.0) if isinstance(given, str) else float(given)
     if not 0.001 <= length <= 366 * 86_400:
         raise InvalidRequest(f"a bucket is 1ms to 366d, such as 10s or 5m, not {shown(given)}")
@@ -53,7 +65,12 @@ def span(given: str | float) -> int:
 def chosen_points(
     patterns: str | Sequence[str], points: Iterable[StoredPoint], former: Iterable[tuple[str, int]]
 ) -> list[StoredPoint]:
-    """Return the stored points that match patterns such as ``meter-7/*``, also under names they had before.
+    """Return the points that match patterns, ordered by device and point, each once.
+
+    Args:
+        patterns: ``device/point``, with ``*`` and ``?``; a device alone means all its points.
+        points: all points of the store.
+        former: names that points had before, ``device/point``, with the ids of the points; these names match too.
 
     Raises:
         InvalidRequest: a pattern names no point of the store.

@@ -46,7 +46,7 @@ Durability = Literal["process", "power"]
 
 @dataclass(frozen=True, slots=True)
 class StoreOptions:
-    """Options of writing a store: when a segment file ends, what is kept how long, and durability.
+    """Options of writing a store: durability, retention, when a segment ends, and sealing.
 
     Attributes:
         durability: ``process``: what was committed survives the end of the process, and a power failure costs the last
@@ -72,8 +72,8 @@ class Commit:
         batches: the samples.
         intervals: intervals and gaps.
         alarms: events of alarms.
-        shown: the last values after it, by whole reads; None for ``batches``. Where a rule keeps not every sample, a
-            read has the sample before in place of one that is not kept.
+        shown: all reads of the commit, to show last values; None if ``batches`` has them all. In place of a sample that
+            the report rules do not keep, a read has the last kept sample of the point.
     """
 
     number: int
@@ -85,25 +85,35 @@ class Commit:
 
     @property
     def last_values(self) -> Sequence[SampleBatch]:
-        """The samples from which last values are shown, including those that the report rules do not keep."""
+        """The reads from which last values are shown: ``shown``, or ``batches`` if every sample was kept."""
         return self.batches if self.shown is None else self.shown
 
 
 def no_step(name: str) -> None:
-    """Do nothing between two steps of a write; tests replace this."""
+    """Do nothing. The default for ``step``, which is called after each step of a write; tests pass another function."""
 
 
 class StoreWriter:
-    """Writes a store. `commit` is for one thread; `seal_closed` and `apply_retention` may run in one other."""
+    """Writes a store: commits samples, ends and seals segments, and deletes old files.
+
+    Most methods are for one thread, that of `commit`. `seal_closed` and `apply_retention` may run in one other thread.
+
+    Attributes:
+        folder: the folder of the store.
+        options: the options of writing.
+        manifest: the manifest of the store.
+    """
 
     def __init__(
         self, folder: Path | str, options: StoreOptions | None = None, *, now: int, step: Step = no_step
     ) -> None:
         """Open a store for writing, and create it if there is none.
 
+        What an earlier process left unfinished is closed, and the time since its end is committed as a gap.
+
         Args:
             folder: the folder of the store.
-            options: the options of writing.
+            options: the options of writing; None for the defaults.
             now: nanoseconds since 1970 UTC.
             step: called with the name of each step, for tests that end the process there.
 
@@ -167,7 +177,7 @@ class StoreWriter:
     # Commits
 
     def describe_points(self, descriptions: Iterable[PointDescription]) -> None:
-        """Store descriptions of points; a point with a new name keeps its history. In the thread of `commit`."""
+        """Store descriptions of points; a point with a new name keeps its history. Call in the thread of `commit`."""
         self.manifest.describe_points(descriptions, self._next - 1)
         self._groups.clear()
 
@@ -207,11 +217,20 @@ class StoreWriter:
         return Commit(number, now, batches, intervals, alarms)
 
     def begin_mending(self, shift: int) -> None:
-        """Prepare the correction of times from before the wall clock was set, by ``shift`` nanoseconds."""
+        """Record that times stored since this start before the wall clock was set are to be corrected by `mend_next`.
+
+        Args:
+            shift: nanoseconds to be added.
+        """
         self.manifest.begin_mending(self._first, shift, EARLIEST)
 
     def mend_next(self) -> bool:
-        """Correct times in one segment file; returns whether more may follow. Continues after a crash where it was.
+        """Correct the times of one more segment that were stored before the wall clock was set.
+
+        A correction that a crash ended is continued at the next start.
+
+        Returns:
+            Whether to call again: segments may be left, or the other thread works on the files.
 
         Raises:
             sqlite3.Error, OSError: the segment is as it was.
@@ -254,7 +273,7 @@ class StoreWriter:
         return self._awaits_clock and is_early and (part.last_commit or 0) >= self._first
 
     def sync(self) -> None:
-        """Make earlier commits survive a power failure, where commits alone do not. Raises `OSError`."""
+        """Make all commits so far survive a power failure, where durability is ``process``. Raises `OSError`."""
         if self._segment is not None:
             self._segment.sync()
 
@@ -270,7 +289,7 @@ class StoreWriter:
 
     @property
     def newest_commit(self) -> int:
-        """The number of the last commit; before the first one since the start, a number below that of the next."""
+        """The number of the last commit. Before the first commit since the start, a number below that of the first."""
         return self._next - 1
 
     def _take_number(self) -> int:
@@ -316,7 +335,10 @@ class StoreWriter:
     def roll(self) -> None:
         """End the open segment, the file that samples are written to; the next commit begins a new one.
 
-        Where the end cannot be listed (a full disk), the segment stays open, and ends with the next attempt.
+        If its end cannot be listed (a full disk), the segment stays open, and ends with the next attempt.
+
+        Raises:
+            sqlite3.Error, OSError: the end cannot be listed.
         """
         if self._part is None:
             return
@@ -336,7 +358,17 @@ class StoreWriter:
     # Upkeep, in another thread
 
     def seal_closed(self, most: int | None = None) -> int:
-        """Turn finished segment files into Parquet, ``most`` at most; returns how many. Without pyarrow they stay."""
+        """Turn finished segments into Parquet files, and return how many; 0 without pyarrow, or if sealing is off.
+
+        Segments whose times may still be corrected are left for later.
+
+        Args:
+            most: number of segments at most; None for all.
+
+        Raises:
+            SealingFailed: a Parquet file could not be written; its segment is unchanged.
+            OSError, sqlite3.Error: a file or the manifest could not be written; no samples are lost.
+        """
         if not self.options.seals or not can_seal():
             return 0
         with self._files:
@@ -348,7 +380,14 @@ class StoreWriter:
             return len(wanted)
 
     def apply_retention(self, now: int) -> list[StorePart]:
-        """Delete the files that are too old or too many, and return them."""
+        """Delete files and alarm events beyond the limits of retention; return the parts whose files were deleted.
+
+        Args:
+            now: nanoseconds since 1970 UTC.
+
+        Raises:
+            OSError, sqlite3.Error: a file or the manifest could not be written; the next call tries again.
+        """
         with self._files:
             dropped = parts_to_drop(self._sized_parts(), self.options.retention, now)
             age = self.options.retention.age
@@ -373,9 +412,10 @@ class StoreWriter:
 
 
 def _aged(parts: Sequence[StorePart], may_be_mended: Callable[[StorePart], bool]) -> Iterator[StorePart]:
-    """Yield the store's files, the last first, with the times that decide how old they are.
+    """Yield the parts (files) of a store, the last first, with the times that decide how old they are.
 
-    What a process wrote without ever knowing the time is as old as what was written next by one that did.
+    A part that was written while the clock was not set is as old as the next part with right times. A part whose times
+    may still be corrected counts as new.
     """
     next_high = EVER
     for part in reversed(parts):
