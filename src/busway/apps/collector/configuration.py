@@ -1,7 +1,7 @@
 """Reads a collector file into links, devices with their points, and read plans; reports all errors at once.
 
 Knows which section becomes which part of a collector; opens no port and no store. It reads the file, and the profiles
-that this names.
+that the file names.
 """
 
 import os
@@ -46,10 +46,10 @@ from .sinks.interface import Sink, TopicSink
 from .sinks.options import make_sink
 
 LINK_DEFAULTS: Final[Mapping[str, Any]] = {"port_wait": 0.0, "retries": 0, "open_after": 0}
-"""Options of links that have another default here: a missing port is not waited for, and silent devices are
-repeated and suspended by the schedule, which knows what else is due."""
+"""Options of links that have another default here: a link does not wait for a missing port and repeats nothing to silent
+devices, because the schedule does that and suspends them; it knows what else is due."""
 LEARNT_FILE: Final = "learnt.json"
-"""The file beside the store that keeps what was learnt."""
+"""Name of the file in the store's folder that keeps what was learnt about devices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,13 +57,16 @@ class CollectedDevice:
     """A device of a collector file, with its points and how they are read.
 
     Attributes:
-        name, link, unit: its name, that of its link, and its unit identifier.
-        profile, firmware: what kind of device it is; empty for unknown.
-        points: all its points, computed ones too.
+        name: name of the device.
+        link: name of its link.
+        unit: its unit identifier.
+        profile: its device profile, as the file names it.
+        firmware: its firmware version, as the file says; empty for unknown.
+        points: all its points, computed ones included.
         rules: limits and ranges of reads that it allows.
-        items: the points that are read, by class.
-        cost: the assumed cost of its reads until it is learnt.
-        fixed: whether the price of a register is known.
+        items: the points that are read, by poll class.
+        cost: the assumed cost of its reads until the real one is learnt.
+        fixed: whether the seconds per register of ``cost`` are certain, because its line is known.
     """
 
     name: str
@@ -78,11 +81,11 @@ class CollectedDevice:
     fixed: bool
 
     def book(self, known: DeviceKnowledge) -> PlanBook:
-        """Create the cache of the device's read plans, which starts with what earlier runs learnt about the device."""
+        """Return a new cache of the device's read plans, which starts with what is known about the device."""
         return PlanBook(self.items, self.rules, self.cost, fixed=self.fixed, knowledge=known)
 
     def descriptions(self) -> list[PointDescription]:
-        """Return what the store keeps about each point beside its samples, such as the unit of measure."""
+        """Return for each point what the store keeps beside its samples, such as the unit of measure."""
         return [
             PointDescription(self.name, point.name, point.unit_of_measure, point.type == "bit", point.was or None)
             for point in self.points
@@ -91,18 +94,18 @@ class CollectedDevice:
 
 @dataclass(frozen=True, slots=True)
 class CollectorConfiguration:
-    """Everything that a collector file says, checked as a whole.
+    """The checked contents of a collector file: links, devices with their points, poll periods, store and sinks.
 
     Attributes:
-        common: what it has in common with other configurations: links, security, control, metrics.
-        file: its sections.
-        text: the file as it was read.
-        store: the folder of the store.
-        periods: seconds by class.
-        devices: by name.
-        sinks: by name, the systems that samples are sent to.
-        pages: by name, the pages for Prometheus.
-        inputs: by name of the sink, the receiver of commands from the same server.
+        common: what files of other applications have too: links, security, control, metrics.
+        file: the sections of the file.
+        text: the text of the file.
+        store: path of the store's folder.
+        periods: poll periods in seconds, by poll class.
+        devices: the devices, by name.
+        sinks: the systems that samples are sent to, with the options of delivery, by name.
+        pages: the pages for Prometheus, by name.
+        inputs: by name of a sink, where commands from the server of that sink are received.
     """
 
     common: Configuration
@@ -117,12 +120,12 @@ class CollectorConfiguration:
 
     @property
     def name(self) -> str:
-        """Name of the collector file."""
+        """Path of the collector file, as it was given."""
         return self.common.name
 
     @property
     def links(self) -> Mapping[str, NamedLink]:
-        """The links that the file declares, by name."""
+        """The links of the file, by name."""
         return self.common.links
 
     @property
@@ -131,16 +134,16 @@ class CollectorConfiguration:
         return FilePath(self.store) / LEARNT_FILE
 
     def devices_of(self, link: str) -> list[CollectedDevice]:
-        """Return the devices that are polled over a link."""
+        """Return the devices that are polled over the link of this name; empty if there are none."""
         return [device for device in self.devices.values() if device.link == link]
 
     def known_of(self, device: CollectedDevice, knowledge: Knowledge) -> DeviceKnowledge:
-        """Return what is known about a device by its profile, firmware, link and unit identifier."""
+        """Return what ``knowledge`` has about a device with its present profile, firmware, endpoint and unit."""
         place = f"{self.links[device.link].settings.endpoint.url} unit {device.unit}"
         return knowledge.of(device.name, device.profile, device.firmware, place)
 
     def loads(self, knowledge: Knowledge) -> list[LinkLoad]:
-        """Return for each link the part of its time that polling will take."""
+        """Return the admission test of each link: the part of its time that polling takes, and what does not fit."""
         found = []
         for name, link in self.links.items():
             books = [
@@ -151,25 +154,28 @@ class CollectorConfiguration:
 
 
 def load_collector(path: str | os.PathLike[str]) -> CollectorConfiguration:
-    """Read and check a collector file, with its profiles.
+    """Read and check a collector file and the device profiles that it names.
+
+    Args:
+        path: the collector file; paths in it are relative to its folder.
 
     Raises:
-        ConfigError: the file cannot be read, or something in it or in a profile cannot be; then it has all
-            ``problems``, each with file, line and key.
+        FileError: the file or a profile is wrong; ``problems`` has all errors, each with file, line and key.
+        ConfigError: the file cannot be read.
     """
     name = os.fspath(path)
     return parse_collector(read_text(name), name)
 
 
 def parse_collector(text: str, name: str) -> CollectorConfiguration:
-    """Check the text of a collector file, with its profiles.
+    """Check the text of a collector file and the device profiles that it names.
 
     Args:
-        text: the content of the file.
-        name: its name, for sentences; paths in it are relative to its folder.
+        text: the contents of the file.
+        name: path of the file, for errors; paths in the text are relative to its folder. The file is not read.
 
     Raises:
-        FileError: all that is wrong, each with file, line and key.
+        FileError: the text or a profile is wrong; ``problems`` has all errors, each with file, line and key.
     """
     file, source = parse_with_source(text, CollectorFile, name)
     report = ConfigurationReport(source)
@@ -192,7 +198,10 @@ def parse_collector(text: str, name: str) -> CollectorConfiguration:
 def _sinks(
     file: CollectorFile, name: str, report: ConfigurationReport
 ) -> tuple[dict[str, tuple[Sink, DeliveryOptions]], dict[str, PrometheusSinkSection], dict[str, CommandInput]]:
-    """Return the file's sinks and sources of commands; relative paths are taken from the file's folder."""
+    """Return the file's sinks, pages for Prometheus, and inputs of commands, each by name; errors go to the report.
+
+    Relative paths in them become relative to the file's folder.
+    """
     sinks: dict[str, tuple[Sink, DeliveryOptions]] = {}
     pages: dict[str, PrometheusSinkSection] = {}
     inputs: dict[str, CommandInput] = {}
@@ -216,7 +225,7 @@ def _check_places(
     devices: Mapping[str, CollectedDevice],
     report: ConfigurationReport,
 ) -> None:
-    """Refuse devices and points that a sink would send under one name, because topics cannot have their characters."""
+    """Report devices and points that a sink would send under the same topic, because it replaces some characters."""
     for index, section in enumerate(file.sink):
         if section.name in sinks:
             sink, options = sinks[section.name]
@@ -257,6 +266,8 @@ _FILE: Final = "file://"
 
 @dataclass(frozen=True, slots=True)
 class _Profile:
+    """The points of a device profile, and the rules for reading a device of that kind."""
+
     points: tuple[Point, ...]
     rules: ReadRules
 
@@ -270,7 +281,15 @@ class _Profiles:
         self._by_unit: dict[str, bool] = {}
 
     def of(self, section: CollectedDeviceSection, asked: tuple[Source, Path]) -> _Profile:
-        """Return the points that a device's profile describes. Raises `FileError`."""
+        """Return the points and reading rules of a device's profile; read at the first use.
+
+        Args:
+            section: the device in the collector file.
+            asked: the collector file and the place of the section, for errors.
+
+        Raises:
+            FileError: the profile cannot be read, or something in it or in its parameters is wrong.
+        """
         parent, at = asked
         unit = 1 if section.unit is None else section.unit
         key = (section.profile, tuple(sorted(section.with_.items())), unit if self._needs_unit(section) else None)
@@ -304,7 +323,7 @@ _UNIT: Final = re.compile(r"\$\{[^}]*\b(unit|index)\b")
 
 
 def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source, at: Path) -> ConfigError:
-    """Return an error in a profile as one in the collector file, at the device that uses the profile."""
+    """Return an error of a profile as one of the collector file, at the device that names the profile."""
     if error.key in section.with_:
         return source.problem((*at, "with", str(error.key)), f"{section.profile}: {error.message}")
     is_path = "/" in section.profile or "." in section.profile
@@ -313,7 +332,7 @@ def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source,
 
 
 def _rules_of(unit: UnitSection) -> ReadRules:
-    """Return the limits for reading a unit. In a table that the unit declares, undeclared addresses may be read too."""
+    """Return the rules for reading a unit; all addresses of a table that its profile declares count as readable."""
     rules = unit.read.rules()
     readable = dict(rules.readable)
     for table in Table:
@@ -364,7 +383,10 @@ def _device(
 def _by_class(
     file: CollectorFile, section: CollectedDeviceSection, points: Sequence[Point], at: Path, report: ConfigurationReport
 ) -> dict[str, list[Point]] | None:
-    """Return the points grouped by poll class; None, and a problem in the report, if a class does not exist."""
+    """Return the points to be read, by poll class.
+
+    None, with a problem in the report, if a poll class is missing or does not exist, or there is nothing to read.
+    """
     usual = file.class_of(section)
     found: dict[str, list[Point]] = {}
     for point in points:
@@ -386,7 +408,13 @@ def _by_class(
 
 
 def _cost(settings: LinkSettings, line_baud: int | None, pause: float) -> tuple[ReadCost, bool]:
-    """Return what reads over a link cost in seconds, and whether the time per register is known for sure."""
+    """Return the assumed cost of reads over a link, and whether its seconds per register are certain.
+
+    Args:
+        settings: the settings of the link.
+        line_baud: speed in bit/s of the line behind a gateway; None for no such line.
+        pause: seconds that the device needs between two requests.
+    """
     if line_baud is not None:
         return baud_cost(line_baud), True
     port = None if settings.line is None else settings.line.port

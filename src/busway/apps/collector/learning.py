@@ -116,7 +116,7 @@ class CostLearner:
         return self._assumed.with_base(max(base, 1e-6))
 
     def _network_cost(self, slope: float) -> ReadCost:
-        """Return the cost for ``slope`` seconds per register; the base is `LEAST_BASE` of the narrowest read or more."""
+        """Return the cost for ``slope`` seconds per register; the base is at least `LEAST_BASE` of a narrow read."""
         _, narrowest, _ = min(self._seen, key=lambda seen: seen[1])
         least = LEAST_BASE * median(seconds for _, width, seconds in self._seen if width == narrowest)
         base = median(seconds - slope * width for _, width, seconds in self._seen)

@@ -41,11 +41,11 @@ __all__ = [
 
 
 class ReadItem(Protocol):
-    """Interface of something to be read from a device, with its position, such as a point."""
+    """Interface of an item, the place of one value in a table of a device; a `Point` has it."""
 
     @property
     def table(self) -> Table:
-        """Table that the item to be read is in."""
+        """Table that the item is in."""
 
     @property
     def start(self) -> int:
@@ -57,19 +57,19 @@ class ReadItem(Protocol):
 
     @property
     def group(self) -> Hashable | None:
-        """The group with which the item must be read in one request, or None."""
+        """The atomic group of the item: all its items must be read by one request. None for no group."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlainItem:
-    """An address range that one read must fetch, without a name or value type.
+    """The simplest `ReadItem`: a range of registers or bits that one read must fetch, without a value type.
 
     Attributes:
-        table: the table it stands in.
-        start: its first register or bit, 0-based.
-        width: registers or bits that it takes, 1 or more.
-        key: the caller's name for it.
-        group: the atomic group that it is read with, or None.
+        table: the table of the range.
+        start: first register or bit, 0-based.
+        width: number of registers or bits, 1 or more.
+        key: the caller's name for the range; not used here.
+        group: the atomic group that the range is read with, or None.
     """
 
     table: Table
@@ -84,9 +84,11 @@ class PlannedRead:
     """One read request of a plan: its range and the items it fetches.
 
     Attributes:
-        table, start, width: the range it asks for.
-        items: the items whose values it brings, wanted or not, by their start.
-        seconds: how long it takes.
+        table: the table to read.
+        start: first register or bit to read, 0-based.
+        width: number of registers or bits to read.
+        items: the items whose values the read brings, those not wanted included, by their start.
+        seconds: how long the read is expected to take.
     """
 
     table: Table
@@ -97,7 +99,7 @@ class PlannedRead:
 
     @property
     def end(self) -> int:
-        """The offset after the last register or bit of the read."""
+        """The 0-based register or bit after the last one of the read."""
         return self.start + self.width
 
 
@@ -111,11 +113,11 @@ class Unreadable:
 
 @dataclass(frozen=True, slots=True)
 class DevicePlan:
-    """The read requests that fetch the wanted points of a device in the shortest time.
+    """The read requests that fetch the wanted items of a device in the shortest time.
 
     Attributes:
         reads: the requests, by table, then by address.
-        unreadable: wanted items that no allowed request can fetch.
+        unreadable: wanted items that no allowed request can fetch, each with the reason.
         seconds: the time that all requests are expected to take together.
     """
 
@@ -127,13 +129,13 @@ class DevicePlan:
 def plan_reads(
     wanted: Iterable[ReadItem], rules: ReadRules, cost: ReadCost, *, others: Iterable[ReadItem] = ()
 ) -> DevicePlan:
-    """Compute the cheapest read requests that fetch some points or other items.
+    """Compute the cheapest read requests that fetch some items (such as points) of a device.
 
     Args:
         wanted: the items to read, in any order.
         rules: limits and ranges of reads that the device allows.
         cost: how long reads take.
-        others: items that are not due, but come for nothing where a read covers them.
+        others: items that need not be read; a read that covers them anyway lists them too.
 
     Returns:
         Reads that bring every wanted item, apart from those in ``unreadable``. Each item is in one read, the first that
@@ -151,12 +153,18 @@ def plan_reads(
 
 
 def predicted(reads: Iterable[PlannedRead], cost: ReadCost) -> float:
-    """Return the seconds that planned reads take if reads cost as given, not as the plan assumed."""
+    """Return the seconds that planned reads take together at the given cost, whatever cost the plan assumed."""
     return sum(cost.of(read.table, read.width) for read in reads)
 
 
 def undeclared(read: PlannedRead, known: Iterable[ReadItem], rules: ReadRules) -> list[ItemRange]:
-    """Return the parts of a read that belong to no known item and to no readable range."""
+    """Return the parts of a read that belong to no known item, no readable range and no exact block, in order.
+
+    Args:
+        read: the read.
+        known: all items of the device, in any order; those of other tables are ignored.
+        rules: the readable ranges and exact blocks of the device.
+    """
     declared = [
         ItemRange(each.start, each.start + each.width) for each in known if each.width and each.table is read.table
     ]
@@ -183,7 +191,7 @@ class _Block(NamedTuple):
 
 
 _Place: TypeAlias = tuple[int, int]
-"""Start and end of what is read, inside this file."""
+"""A range of registers or bits of one table: the first, and the one after the last."""
 _START: Final = itemgetter(0)
 _END: Final = itemgetter(1)
 
@@ -200,7 +208,7 @@ def _by_table(items: Iterable[ReadItem]) -> dict[Table, list[ReadItem]]:
 
 
 def _blocks(items: list[ReadItem]) -> list[_Block]:
-    """Return items combined into blocks by their groups, sorted by start, wider ones first."""
+    """Return items as blocks, one for each item or atomic group, sorted by start; of equal starts the wider first."""
     blocks: list[_Block] = []
     groups: dict[Hashable, list[ReadItem]] = {}
     for item in items:
@@ -218,7 +226,7 @@ def _blocks(items: list[ReadItem]) -> list[_Block]:
 
 
 def _in_order(blocks: list[_Block]) -> list[_Block]:
-    """Sort blocks (items that one read must fetch together) by start, wider ones first."""
+    """Sort blocks (items that one read must fetch together) in place and return them: by start, then wider first."""
     blocks.sort(key=_END, reverse=True)
     blocks.sort(key=_START)
     return blocks
@@ -252,7 +260,7 @@ def _plan_table(
 
 
 class _Borders:
-    """The positions in a table of registers or bits that no read may cross."""
+    """Decides which ranges of one table may be read, and which may be read together, by the rules of a device."""
 
     def __init__(self, table: Table, rules: ReadRules) -> None:
         self._label = table.label
@@ -264,7 +272,7 @@ class _Borders:
         self._borders = sorted(rules.borders.get(table, ()))
 
     def place_of(self, block: _Block) -> tuple[_Place | None, str]:
-        """Return the range to read for a block of items; or None and the reason why that is not allowed."""
+        """Return the range to read for a block of items, or None with the reason why no read may fetch the block."""
         start, end, items = block
         if self._exact is not None:
             found = self._exact.touched(start, end)
@@ -287,7 +295,7 @@ class _Borders:
         return (start, end), ""
 
     def cut_between(self, left: _Place, right: _Place) -> bool:
-        """Whether no read may fetch two neighbouring blocks of items together."""
+        """Whether two neighbouring ranges must not be fetched by one read, because of a border or hole between them."""
         end, start = left[1], right[0]
         has_hole = start > end
         if self._exact is not None and (
@@ -319,7 +327,10 @@ def _is_gapless(block: _Block) -> bool:
 
 
 class _Ranges:
-    """Sorted address ranges with a fast search for one that overlaps a given range; overlapping ones are merged."""
+    """A set of address ranges, with a fast search for one that overlaps a given range.
+
+    Ranges that overlap each other are merged.
+    """
 
     def __init__(self, spans: Sequence[ItemRange]) -> None:
         self._spans: list[ItemRange] = []
@@ -331,7 +342,7 @@ class _Ranges:
         self._starts = [span.start for span in self._spans]
 
     def touched(self, start: int, end: int) -> ItemRange | None:
-        """Return the last of the ranges that overlaps ``start``…``end``."""
+        """Return the last range that overlaps the one from ``start`` to before ``end``; None if no range does."""
         at = bisect_left(self._starts, end) - 1
         if at >= 0 and self._spans[at].end > start:
             return self._spans[at]
@@ -356,7 +367,7 @@ def _without_inner(places: list[_Place]) -> list[_Place]:
 
 
 def _cheapest(places: list[_Place], border: _Borders, limit: int, base: float, per_item: float) -> list[_Place]:
-    """Return the cheapest reads for sorted ranges: each stretch between two borders is planned by itself."""
+    """Return the cheapest reads that cover sorted ranges; no read crosses a border, or is wider than ``limit``."""
     chosen: list[_Place] = []
     begin = 0
     for at in range(1, len(places) + 1):
@@ -395,13 +406,13 @@ def _shortest_path(places: list[_Place], limit: int, base: float, per_item: floa
 
 
 def _one_each(table: Table, blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """Return one read request for each address range, with the items in it."""
+    """Return one read for each range that a block has; blocks with the same range share a read."""
     same = groupby(blocks, key=lambda block: (block.start, block.end))
     return [_read(table, start, end, list(each), cost) for (start, end), each in same]
 
 
 def _with_items(table: Table, places: list[_Place], blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """Return reads for ranges, each item assigned to the first read that covers it."""
+    """Return one read for each range, with its items: each item belongs to the first read that covers it."""
     starts = [block[0] for block in blocks]
     taken = bytearray(len(blocks))
     reads: list[PlannedRead] = []

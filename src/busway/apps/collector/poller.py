@@ -5,8 +5,8 @@ Knows the schedule, a link of asyncio and the decoders of points; knows no store
 1. Every read that is made for its values gives each of its points a sample: good, or bad with the reason. A probe of a
    silent device that fails gives none: the interval in which the device is suspended stands for its samples.
 2. The time of a sample is the middle of its transaction; half of its length is kept.
-3. Nothing that a device or a link does ends the engine. A defect in a sink or decoder is not its business: what they
-   raise ends the task, and its caller sees the error.
+3. Nothing that a device or a link does ends polling. A defect in a decoder or in a receiver of samples does: its
+   exception ends the task, and whoever awaits the task sees it.
 """
 
 import asyncio
@@ -34,11 +34,11 @@ from .samples import PointGroup, SampleBatch, StateInterval, failed_batch
 from .schedule import LinkSchedule, Turn, TurnKind, TurnOutcome
 
 MOST_DECODERS: Final = 512
-"""Compiled reads of one device that are kept."""
+"""Compiled reads of one device that are kept, at most."""
 KEPT_LATENCIES: Final = 1000
-"""Transactions of a link whose length is kept, for percentiles."""
+"""Answered transactions of a link whose response time is kept, for quantiles."""
 MOST_SHARED_DECODERS: Final = 4096
-"""Decoders that all devices share."""
+"""Decoders shared by devices that are kept, at most."""
 
 _log = logging.getLogger("busway.collector")
 
@@ -54,10 +54,10 @@ _GATEWAY_EXCEPTIONS: Final = frozenset(
 
 
 class PollLink(Protocol):
-    """Interface of a link that polling needs; `busway.AsyncLink` is one."""
+    """Interface of the link over which a poller sends its reads; `busway.AsyncLink` has it."""
 
     async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
-        """Send requests and return a reply or an error for each."""
+        """Send requests to a unit and return a reply or an error for each, in order; ``call_options`` as of a call."""
 
 
 @dataclass(slots=True, eq=False)
@@ -65,7 +65,12 @@ class _CompiledRead:
     """A planned read, ready to be sent: the request, the decoder of its reply, and the points whose samples it gives.
 
     Attributes:
-        data, at: its last reply, and the nanosecond when that was taken, for those who ask for raw values.
+        read: the planned read.
+        request: the request to send.
+        decoder: makes values from the data of the reply.
+        group: the device and the points, in the order of the values.
+        data: the data of the last reply, for requests of raw registers; empty before the first.
+        at: when that reply was read, nanoseconds since 1970 UTC.
     """
 
     read: PlannedRead
@@ -78,14 +83,14 @@ class _CompiledRead:
 
 @dataclass(frozen=True, slots=True)
 class _QueuedWrite:
-    """A command's write that waits for its turn on the link."""
+    """A command's write that waits for its turn on the link; arguments as of `LinkPoller.write`."""
 
     perform: Callable[[], Awaitable[None]]
     drop: Callable[[], None] | None
 
 
 _decoders: dict[tuple[Any, ...], ReadDecoder] = {}
-"""Decoders by their read and the identities of its points, which they keep alive. Devices of one profile share them."""
+"""Decoders by the range of a read and the identities of its points. Devices with the same profile share them."""
 
 
 def _decoder_of(read: PlannedRead) -> ReadDecoder:
@@ -103,20 +108,21 @@ class PolledDevice:
     """A device as its poller knows it: points, read plans, and what was read last.
 
     Attributes:
-        name: its name.
+        name: name of the device.
         unit: its unit identifier.
-        book: its plans.
-        timeout: how long to wait for it.
+        book: its read plans.
+        timeout: how long to wait for its replies.
         derived: totals and formulas computed from its reads; None without any.
         pause: seconds from a reply to the next request to it, at least.
-        ready_at: when it may be asked next.
-        scale_factors: the exponents that its points hold, by name.
-        reads, failures: how many were made for its values, and how many of these failed.
+        ready_at: when it may be asked next, seconds of the monotonic clock.
+        scale_factors: exponents read from the device that scale the values of other points, by name.
+        reads: reads made in polling rounds since the start, failed ones included.
+        failures: reads of polling rounds that failed since the start.
         last_seconds: how long its last transaction took.
         last_error: the last error; empty if there was none.
-        maintained: the maintenance that ended last.
-        suspended: the interval that is open while it is suspended or in maintenance.
-        single: the groups of points that were read alone.
+        maintained: the maintenance that ended last; None if none has.
+        suspended: the interval since when it is not polled, because it is silent or in maintenance; None while it is.
+        single: for each point that was read alone, before or after a write, the group with only that point.
     """
 
     name: str
@@ -137,7 +143,10 @@ class PolledDevice:
     _compiled: dict[int, _CompiledRead] = field(default_factory=dict)
 
     def registers_of(self, points: Container[str]) -> dict[str, bytes]:
-        """Return the registers of points as last read, two bytes each; empty for bits and computed points."""
+        """Return the raw registers of points as last read, by point: two bytes for each register.
+
+        Points that were not read yet, bits and computed points are left out.
+        """
         found: dict[str, bytes] = {}
         for each in sorted(self._compiled.values(), key=lambda one: one.at):
             if not each.data or each.read.table in (Table.COILS, Table.DISCRETE_INPUTS):
@@ -149,7 +158,7 @@ class PolledDevice:
         return found
 
     def compiled(self, read: PlannedRead) -> _CompiledRead:
-        """Return one planned read of the device with request and decoder, made at its first use."""
+        """Return one planned read of the device with its request, decoder and points; made at its first use."""
         found = self._compiled.get(id(read))
         if found is None or found.read is not read:
             if len(self._compiled) >= MOST_DECODERS:
@@ -164,17 +173,20 @@ class PolledDevice:
 
 
 class LinkPoller:
-    """Polls the devices of one link, in the task `run` of an event loop. All methods are for that thread.
+    """Polls the devices of one link, in the task `run` of an event loop. All methods are for the thread of that loop.
 
     Args:
-        name: the link's name.
+        name: name of the link.
         link: sends the requests.
         schedule: decides what is sent next; `add` adds devices to it.
-        clock: the clock of samples.
-        samples: takes each batch at once; must not block.
-        intervals: takes each interval as it begins and as it ends.
-        numbered: whether replies carry a number, so that timeouts may adapt.
-        now: seconds of the monotonic clock, that of the schedule.
+        clock: gives samples their time.
+        samples: called with each batch of samples at once; must not block.
+        intervals: called with each interval in which a device is not read, when it begins and again when it ends.
+        numbered: whether replies carry a transaction identifier, so that timeouts may adapt.
+        now: returns seconds of the monotonic clock, which is also the clock of the schedule.
+
+    Attributes:
+        devices: the polled devices, by name.
     """
 
     def __init__(
@@ -203,7 +215,10 @@ class LinkPoller:
         self._latencies: deque[float] = deque(maxlen=KEPT_LATENCIES)
 
     def latencies(self, parts: Sequence[float]) -> list[float]:
-        """Return the seconds within which these parts (0…1) of the last requests were answered; empty at first."""
+        """Return quantiles of the link's response times, in seconds: for each of ``parts`` (0…1), in order.
+
+        They are of the last `KEPT_LATENCIES` answered transactions. Empty before the first answer.
+        """
         kept = sorted(self._latencies)
         return [kept[min(int(part * len(kept)), len(kept) - 1)] for part in parts] if kept else []
 
@@ -222,12 +237,14 @@ class LinkPoller:
         """Begin to poll one more device of the link.
 
         Args:
-            name, unit: its name, and its unit identifier.
-            book: its plans.
-            periods: seconds by class.
-            derived: totals and formulas computed from its reads; None without any.
-            pause: seconds from a reply to the next request to it, at least.
-            on_line: whether it is on a serial line behind a gateway, where the silence of another holds up its replies.
+            name: name of the device.
+            unit: its unit identifier.
+            book: its read plans.
+            periods: poll periods in seconds, by poll class.
+            derived: totals and formulas to be computed from its reads; None without any.
+            pause: seconds from a reply to the next request to the device, at least.
+            on_line: whether it is on a serial line, local or behind a gateway, where another silent device holds up its
+                replies; its timeout then does not adapt.
         """
         timeout = ReplyTimeout(self.schedule.timeout, numbered=self._numbered and not on_line)
         if derived is not None:
@@ -237,19 +254,19 @@ class LinkPoller:
         self.wake()
 
     def remove(self, name: str) -> None:
-        """Stop polling a device of the link."""
+        """Stop polling a device of the link and forget it; the interval in which it was silent ends."""
         device = self.devices.pop(name, None)
         if device is not None:
             self._end_interval(device)
             self.schedule.remove(name)
 
     def pause(self, name: str, *, paused: bool, since: int | None = None) -> None:
-        """Begin or end the maintenance of a device: meanwhile it is not polled.
+        """Begin or end the maintenance of a device; a device in maintenance is not polled.
 
         Args:
-            name: the device.
-            paused: whether it begins.
-            since: nanoseconds since 1970 UTC at which its interval began; None for now.
+            name: name of the device.
+            paused: True begins the maintenance, False ends it.
+            since: when the maintenance began, nanoseconds since 1970 UTC; None for now.
         """
         device = self.devices[name]
         if name in self.schedule.devices:
@@ -262,7 +279,14 @@ class LinkPoller:
         self.wake()
 
     def lease(self, name: str, points: Sequence[str], period: float, seconds: float) -> None:
-        """Read some points of a device every ``period`` seconds for ``seconds``, with priority over regular polling."""
+        """Read some points of a device more often for a while, with priority over regular polling.
+
+        Args:
+            name: name of the device.
+            points: names of its points; others are ignored.
+            period: seconds between two reads.
+            seconds: how long this lasts from now on. Replaces an earlier lease of the device.
+        """
         wanted = set(points)
         items = [each for each in self.devices[name].book.points() if each.name in wanted]
         now = self._now()
@@ -270,12 +294,15 @@ class LinkPoller:
         self.wake()
 
     def write(self, name: str, perform: Callable[[], Awaitable[None]], drop: Callable[[], None] | None = None) -> bool:
-        """Queue a write to a device, before all reads; False if too many wait, or polling has ended.
+        """Queue a write to a device, to be made before the reads that are due.
 
         Args:
-            name: the device.
-            perform: makes the write on the link. It must not raise: it tells its outcome to who asked for it.
-            drop: called instead where polling ends before; nothing was sent then.
+            name: name of the device.
+            perform: makes the write on the link and reports its result itself; it must not raise.
+            drop: called instead of ``perform`` if polling ends first; nothing was sent then.
+
+        Returns:
+            False, with nothing queued, if too many writes wait or polling has ended; else True.
         """
         if self._has_ended:
             return False
@@ -284,19 +311,28 @@ class LinkPoller:
         return taken
 
     async def wait_for(self, name: str) -> None:
-        """Wait until the pause that a device needs between requests is over, before a write is sent."""
+        """Wait until the pause that a device needs between two requests is over."""
         device = self.devices[name]
         if device.ready_at > self._now():
             await asyncio.sleep(device.ready_at - self._now())
 
     def note_asked(self, name: str) -> None:
-        """Begin the pause that a device needs after a request, because one was sent to it to write a point."""
+        """Begin the pause that a device needs between two requests, after the caller has sent it one for a write."""
         device = self.devices.get(name)
         if device is not None and device.pause:
             device.ready_at = self._now() + device.pause
 
     def note_reading(self, name: str, point: Point, found: Reading, began: float) -> None:
-        """Pass on the sample of a point that was read before or after a write; ``began``: when the read began."""
+        """Pass on the value of a point that was read before or after a write, as a sample.
+
+        Nothing is passed on for a counter, whose samples are its totals, or if the device is no longer polled.
+
+        Args:
+            name: name of the device.
+            point: the point.
+            found: its value and the reason why that is not good.
+            began: when the read began, seconds of the monotonic clock; it ended now.
+        """
         device = self.devices.get(name)
         if device is None or point.rollover:  # a counter's sample is its total
             return
@@ -310,7 +346,7 @@ class LinkPoller:
         self._give(device, batch)
 
     def wake(self) -> None:
-        """Let the polling task check its schedule now, because it has changed."""
+        """Let the polling task check the schedule now, because the schedule has changed."""
         if self._wake is not None:
             self._wake.set()
 
@@ -352,20 +388,23 @@ class LinkPoller:
             pass
 
     def mend(self, shift: int) -> None:
-        """Correct the begin of current silences and pauses of devices, if it is from before the wall clock was set."""
+        """Add ``shift`` nanoseconds to each begin of a current silence or maintenance from before the clock was set."""
         for device in self.devices.values():
             begun = device.suspended
             if begun is not None and begun.begin < EARLIEST:
                 device.suspended = replace(begun, begin=begun.begin + shift)
 
     def close(self) -> None:
-        """Record the end of current silences of devices, because polling stops; maintenance continues."""
+        """Report the end of all current silences of devices, because polling stops; maintenance continues."""
         for device in self.devices.values():
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
                 self._end_interval(device)
 
     async def make(self, turn: Turn) -> None:
-        """Send the requests of one turn of the schedule (reads, or a write), and tell the schedule the outcome."""
+        """Send the requests of one turn of the schedule (reads, or a write), pass on the samples, report the outcome.
+
+        Waits first for the pause that the device needs between two requests.
+        """
         device = self.devices.get(turn.device)
         if device is not None:
             await self.wait_for(turn.device)
@@ -469,7 +508,11 @@ class LinkPoller:
         middle: int,
         half: int,
     ) -> TurnOutcome:
-        """Handle a failed read: create samples without value, and let the schedule judge the device."""
+        """Pass on bad samples for a failed read, and learn from the failure.
+
+        Returns:
+            The outcome of the turn so far: ``before``, of its earlier reads, combined with that of this read.
+        """
         reason, result = _judged(error)
         device.last_error = str(error)
         if turn.kind is TurnKind.ROUND:
@@ -519,7 +562,7 @@ class LinkPoller:
         self._intervals(device.suspended)
 
     def _give(self, device: PolledDevice, batch: SampleBatch) -> None:
-        """Pass on the samples of a read, unless its device was put into maintenance while it was in flight."""
+        """Pass on the samples of a read, unless the device was in maintenance at their time."""
         begun = device.suspended if self._is_maintained(device) else device.maintained
         if begun is None or not begun.begin <= batch.time < (begun.end or batch.time + 1):
             self._samples(batch)
@@ -536,7 +579,7 @@ class LinkPoller:
 
 
 def _judged(error: ModbusError) -> tuple[int, TurnOutcome]:
-    """Return the reason code for samples of a read that failed with an error, and whether the device was silent."""
+    """Return the reason for the samples of a read that failed, and what the error shows about the device."""
     if isinstance(error, ExceptionReply):
         unreachable = error.code in _GATEWAY_EXCEPTIONS
         return exception_reason(error.code), TurnOutcome.SILENT if unreachable else TurnOutcome.ANSWERED

@@ -1,6 +1,6 @@
 """The schedule of one link: decides which read request is sent next, and when.
 
-Pure: every call is handed the time; knows no clock and no socket. A driver asks `LinkSchedule.next`, makes the reads of
+Pure: every call is handed the time; knows no clock and no socket. A driver asks `LinkSchedule.next`, sends the reads of
 the turn that it gets, and tells `LinkSchedule.done`.
 
 1. Writes go first, then leased points, which are those on a screen, then rounds of classes, each by the earliest
@@ -32,24 +32,24 @@ from .plan_cache import Classes, PlanBook
 DEAD_SHARE: Final = 0.05
 """Part of a link's time that probes of silent devices may use together."""
 SLACK: Final = 0.05
-"""Part of its period that a class may be read early, together with others."""
+"""Part of its period by which a class may be read early, together with other classes."""
 LONGEST_BACKOFF: Final = 60.0
-"""Seconds between two probes of a silent device, at most, where the share allows."""
+"""Seconds between two probes of a silent device, at most, where `DEAD_SHARE` allows."""
 MOST_WRITES: Final = 256
-"""Writes that may wait for a link."""
+"""Writes that may wait for a link, at most."""
 MOST_WRITES_IN_A_ROW: Final = 8
-"""Writes that go before a read that is due."""
+"""Writes in a row that go before a read that is due, at most."""
 _SPREAD: Final = 0.618_033_988_75
-"""The golden section: multiples of it, modulo 1, are spread evenly however many there are."""
+"""The golden section: its multiples, modulo 1, are spread evenly however many there are."""
 _PLACED_LOAD: Final = 0.85
 """Part of the time between two devices that the reads of the first fill on average."""
 
 LEASED: Final = "(leased)"
-"""The class of points with an active viewer lease."""
+"""The poll class of leased points: those that a viewer watches, read more often for some seconds (`lease`)."""
 
 
 class TurnKind(Enum):
-    """Why a device is sent a request: a write, a polling round, a probe, or a read for learning."""
+    """Why a device is sent a request: a write, a polling round, a probe (does it answer?), or a read for learning."""
 
     WRITE = "write"
     ROUND = "round"
@@ -58,7 +58,7 @@ class TurnKind(Enum):
 
 
 class TurnOutcome(Enum):
-    """What a request showed about its device: that it answers, that it is silent, or nothing."""
+    """What a turn showed about its device: that it answers, that it is silent, or nothing because the link was down."""
 
     ANSWERED = "answered"  # also by an exception: the device lives
     SILENT = "silent"
@@ -67,17 +67,17 @@ class TurnOutcome(Enum):
 
 @dataclass(slots=True)
 class PollRound:
-    """One polling round of a device: reading the points of all poll classes (points with one period) that are due.
+    """One polling round of a device: one pass of reads that fetches the points of all poll classes that are due.
 
     Attributes:
-        device: its name.
+        device: name of the device.
         classes: the poll classes that are due.
-        due: when the round was due.
-        deadline: until when it should have ended.
-        reads: the reads that are still to be sent.
-        own: seconds that its own reads took so far.
-        began: when its first read began; None before.
-        skipped_since: the first due time of the device that was passed over before it; None where none was.
+        due: when the round was due. All times are seconds of the schedule's clock.
+        deadline: when the round should have ended.
+        reads: the reads still to be sent; empty until the round begins.
+        own: seconds that the reads of the round took so far.
+        began: when the first read was to be sent; None before.
+        skipped_since: the first due time of the device that was skipped before this round; None if none was.
     """
 
     device: str
@@ -91,20 +91,20 @@ class PollRound:
 
     @property
     def rank(self) -> int:
-        """Order in which waiting rounds are polled: points that a viewer watches go first."""
+        """Sort key of waiting rounds: 0 for a round with leased points, which goes first, else 1."""
         return 0 if LEASED in self.classes else 1
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """The next thing to do on a link: which device, why, and with which reads or write.
+    """What the link is to do next: send some reads to a device, or make a write.
 
     Attributes:
-        kind: why.
-        device: whom to ask.
-        reads: the reads to send, one after the other or as one batch.
-        write: the write given to `LinkSchedule.write`.
-        round: the round that it belongs to.
+        kind: why the device is asked.
+        device: name of the device.
+        reads: the reads to send, one after the other or as one batch; empty for a write.
+        write: the object given to `LinkSchedule.write`; None for reads.
+        round: the polling round that the reads belong to; None for other kinds.
     """
 
     kind: TurnKind
@@ -119,24 +119,25 @@ class ScheduledDevice:
     """A device in the schedule of a link: when its poll classes are due, and whether it answers.
 
     Attributes:
-        name: its name.
+        name: name of the device.
         book: its read plans.
-        periods: seconds by class.
-        due: when each poll class is due next.
-        lives: whether it has answered last time; None before the first answer.
-        silences: in a row.
+        periods: seconds by poll class.
+        due: when each poll class is due next. All times are seconds of the schedule's clock.
+        lives: whether it answered its last request; None before the first result.
+        silences: requests without an answer, in a row.
         probe_at: when it may be probed next, while it is silent.
-        suspended_at: since when its rounds have stopped.
-        was_down: whether the link was not there when it was asked last.
-        waiting: the round that has not begun.
-        release_at: when its next round begins to wait.
-        skipped_since: the first due time that was passed over since its last round began.
+        suspended_at: since when its rounds have stopped because it is silent; None while it answers.
+        was_down: whether the link was down at its last request.
+        waiting: its round that has not begun; None without one.
+        release_at: when its next poll class is due, so that a round begins to wait.
+        skipped_since: the first due time that was skipped since its last round began; None if none was.
         question_at: when a read for learning may be sent next.
-        leased_until: until when points of it are leased.
-        rounds, skipped: how many ended, and how many due times were passed over.
-        worst_wait, worst_fast: the longest time that a round waited for others, in seconds; of all rounds, and of those
-            of the fastest class.
-        is_paused: whether it is left alone (maintenance).
+        leased_until: when the lease of its points ends.
+        rounds: rounds completed so far.
+        skipped: due times skipped so far.
+        worst_wait: the longest delay of a round by requests other than its own, in seconds.
+        worst_fast: the same among rounds of the poll class with the shortest period.
+        is_paused: whether it is not polled, because of maintenance.
     """
 
     name: str
@@ -169,15 +170,15 @@ class LinkSchedule:
     """Decides which device of one link is sent which request next, and when.
 
     Args:
-        timeout: seconds that a silent read takes.
-        batch: reads of a round that may be asked at once; 1 on lines.
-        share: part of the time that probes of silent devices may use.
+        timeout: seconds that a read without a reply takes.
+        batch: reads of a round that may be sent at once; 1 on lines.
+        share: part of the link's time, 0…1, that probes of silent devices may use.
 
     Attributes:
         devices: the devices of the link, by name.
-        refused_writes: writes that found the queue full.
-        busy: seconds in which turns were made.
-        probing: seconds of those in which silent devices were probed.
+        refused_writes: writes refused because too many waited.
+        busy: seconds that all turns took so far.
+        probing: seconds of these that probes took.
     """
 
     def __init__(self, timeout: float, *, batch: int = 1, share: float = DEAD_SHARE) -> None:
@@ -204,7 +205,15 @@ class LinkSchedule:
     # Devices and what is asked of them.
 
     def add(self, name: str, book: PlanBook, periods: Mapping[str, float], now: float) -> None:
-        """Start to poll a device: ``periods`` are seconds by poll class; classes without points are left out."""
+        """Start to poll a device.
+
+        Args:
+            name: name of the device.
+            book: its read plans.
+            periods: seconds by poll class. Classes without points of the device are ignored; if no class is left, the
+                device is not added.
+            now: the time.
+        """
         known = {name: period for name, period in periods.items() if name in book.classes}
         if not known:
             return
@@ -215,7 +224,10 @@ class LinkSchedule:
             self._asking.append(name)
 
     def _first_dues(self, book: PlanBook, periods: Mapping[str, float], now: float) -> dict[str, float]:
-        """Return first due times: the fastest class after those of earlier devices, others at its due times."""
+        """Return the first due time of each poll class, spread so that devices do not all become due together.
+
+        The fastest class is due after the reads of devices added before; slower ones at one of its later due times.
+        """
         shortest = min(periods.values())
         first = now + self._placed % shortest
         for name, period in periods.items():
@@ -225,13 +237,13 @@ class LinkSchedule:
         return {name: first + int(step * int(period / shortest + 1e-9)) * shortest for name, period in periods.items()}
 
     def remove(self, name: str) -> None:
-        """Take a device out of the schedule; a read in progress still ends."""
+        """Stop polling a device and forget it; a read in progress still ends."""
         self.devices.pop(name, None)
         self._ready = [each for each in self._ready if each[3].device != name]
         heapq.heapify(self._ready)
 
     def pause(self, name: str, *, paused: bool, now: float) -> None:
-        """Stop polling a device, or go on with it."""
+        """Stop polling a device (``paused``), or poll it again; does nothing if it already is so."""
         device = self.devices[name]
         if device.is_paused is paused:
             return
@@ -242,7 +254,12 @@ class LinkSchedule:
             self._resume(device, now, at_once=True)
 
     def write(self, device: str, what: Any) -> bool:  # Any: the caller's own
-        """Queue a write to a device; False if too many wait."""
+        """Queue a write; return False, with nothing queued, if `MOST_WRITES` wait already.
+
+        Args:
+            device: name of the device.
+            what: what `next` returns as ``write`` of the turn; the schedule does not look into it.
+        """
         if len(self._writes) >= MOST_WRITES:
             self.refused_writes += 1
             return False
@@ -250,13 +267,23 @@ class LinkSchedule:
         return True
 
     def take_writes(self) -> list[Any]:  # Any: the caller's own
-        """Remove and return all writes that wait, because polling ends."""
+        """Remove all waiting writes from the queue and return them, oldest first; for the end of polling."""
         waiting = [what for _, what in self._writes]
         self._writes.clear()
         return waiting
 
     def lease(self, name: str, items: Sequence[Any], period: float, until: float, now: float) -> None:
-        """Read some points of a device every ``period`` seconds until a time, with priority over the poll classes."""
+        """Read some points of a device more often for a while, with priority over the poll classes.
+
+        Replaces an earlier lease of the device.
+
+        Args:
+            name: name of the device.
+            items: its points to read.
+            period: seconds between two reads.
+            until: when the lease ends.
+            now: the time.
+        """
         device = self.devices[name]
         device.book.set_class(LEASED, items)
         device.periods[LEASED] = period
@@ -268,7 +295,11 @@ class LinkSchedule:
     # What is next.
 
     def next(self, now: float) -> Turn | float:
-        """Return the next request to send, or the time to call this again unless a new write is queued before."""
+        """Return what to send now, or, if nothing is due, the time at which to call `next` again.
+
+        The caller sends the turn's requests and then calls `done`. It calls `next` earlier if the schedule is changed
+        meanwhile, such as by `write`, `add` or `lease`.
+        """
         self._credit_until(now)
         self._release_due(now)
         if self._writes and self._writes_in_a_row < MOST_WRITES_IN_A_ROW:
@@ -285,7 +316,7 @@ class LinkSchedule:
         return Turn(TurnKind.WRITE, device, write=what)
 
     def _due_read(self, now: float) -> Turn | None:
-        """Return the next read that is due, or the first request or probe of a device; None if nothing is due."""
+        """Return the next read of a round, first request to a new device, or probe that is due; None if nothing is."""
         if self._credit >= self.timeout - 1e-9:  # not even overload keeps a device from its first answer for ever
             asked = self._first_contact() or self._probe(now)
             if asked is not None:
@@ -324,7 +355,7 @@ class LinkSchedule:
                 self._release(device, now)
 
     def _release(self, device: ScheduledDevice, now: float) -> None:
-        """Start a polling round with the poll classes that are due, or add them to one that waits (rules 2 and 3)."""
+        """Let a round with the poll classes that are due wait, or add the classes to one that waits (rules 2 and 3)."""
         if LEASED in device.periods and now >= device.leased_until:
             del device.periods[LEASED], device.due[LEASED]
             device.book.set_class(LEASED, ())
@@ -374,7 +405,14 @@ class LinkSchedule:
     # What became of it.
 
     def done(self, turn: Turn, began: float, now: float, outcome: TurnOutcome) -> None:
-        """Record when a request to a device began and ended, and whether the device answered."""
+        """Record the result of a turn after its requests have ended.
+
+        Args:
+            turn: what `next` returned.
+            began: when the requests were sent.
+            now: when they ended.
+            outcome: whether the device answered.
+        """
         self.busy += now - began
         device = self.devices.get(turn.device)
         if device is None:
@@ -413,7 +451,10 @@ class LinkSchedule:
                 self._push_silent(other)
 
     def _resume(self, device: ScheduledDevice, now: float, *, at_once: bool) -> None:
-        """Poll a device at its due times again because it answers; one that was silent is probed first."""
+        """Poll a device at its due times again if it answers, else probe it now.
+
+        ``at_once``: a due time that has passed meanwhile is made up for by one round now.
+        """
         if not device.lives:
             device.probe_at = now
             self._push_silent(device)
@@ -424,7 +465,7 @@ class LinkSchedule:
         self._release_at(min(device.due.values()), device)
 
     def _unanswered(self, device: ScheduledDevice, now: float, *, down: bool) -> None:
-        """Suspend a device that did not answer, or probe it later (rule 4)."""
+        """Suspend a device that did not answer, and set the time of its next probe (rule 4)."""
         device.silences += 1
         device.was_down = down
         if device.lives or device.suspended_at is None:
@@ -455,7 +496,7 @@ class LinkSchedule:
         self._credited_at = now
 
     def _first_silent(self) -> ScheduledDevice | None:
-        """Return the silent device whose probe is due first."""
+        """Return the silent device whose probe is due first; None if no device is silent."""
         while self._silent:
             when, _, name = self._silent[0]
             device = self.devices.get(name)
@@ -465,7 +506,7 @@ class LinkSchedule:
         return None
 
     def _first_contact(self) -> Turn | None:
-        """Return a first request to a device that was never asked; None if there is no such device."""
+        """Return the first request to a device that was never asked; None if there is no such device."""
         for _ in range(len(self._new)):
             device = self.devices.get(self._new.popleft())
             if device is None or device.lives is not None:
@@ -519,9 +560,7 @@ class LinkSchedule:
 
     @property
     def blocking(self) -> float:
-        """Return for how long a polling round may be held up by others: the longest read and one
-        timeout, in seconds.
-        """
+        """Seconds for which other requests may hold up a polling round, at most: the longest read and one timeout."""
         longest = (
             read.seconds
             for device in self.devices.values()
@@ -531,18 +570,23 @@ class LinkSchedule:
 
     @property
     def revival_bound(self) -> float:
-        """Return within how many seconds a device that answers again is polled, unless the link is overloaded."""
+        """Seconds within which a silent device is polled again once it answers, unless the link is overloaded."""
         silent = sum(not device.lives for device in self.devices.values())
         return LONGEST_BACKOFF + (silent + 1) * self.timeout / self._share + self.blocking
 
 
 def lateness_bound(period: float, blocking: float) -> float:
-    """Return by how many seconds other requests may delay a polling round, if the admission test has passed."""
+    """Return the seconds by which a polling round may be late, at most, if the admission test has passed.
+
+    Args:
+        period: poll period of the class, in seconds.
+        blocking: `LinkSchedule.blocking` of the link.
+    """
     return max(SLACK * period, blocking)
 
 
 def _next_on_grid(due: float, period: float, now: float) -> float:
-    """Return the first due time after now that is a whole number of periods after ``due``."""
+    """Return the first time after ``now`` that is a whole number of periods, one or more, after ``due``."""
     following = due + period
     if following > now:
         return following
