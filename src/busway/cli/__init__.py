@@ -2,21 +2,21 @@
 
 =================  =====================================================================================================
 `arguments`        Options that several commands share, and the conversion of their texts to checked values
-`captures`         What commands that read capture files share: options, opening the file, what is said about it
+`captures`         What commands that read capture files share: options, opening the file, warnings about what is missing
 `certs`            `busway certs`: makes certificates to try Modbus/TCP Security with, and shows what certificates say
-`check`            `busway check`: asks a device what the specification asks for, and says what it does not do
+`check`            `busway check`: checks a device against the specification, and reports where it differs
 `cloning`          `busway simulate --clone`: records a live device into a simulation file
 `collect`          `busway collect`: polls devices and stores their values, until Ctrl-C or SIGTERM
-`collect_demo`     `busway collect demo`: a small plant on a serial line, a gateway in front of it
-`collect_status`   What `busway collect` and its demonstration show while they run: the page, and the status on stdout
+`collect_demo`     `busway collect demo`: a plant on a serial line, a gateway in front of it, a collector with its page
+`collect_status`   Serves the page of a running collector and prints its status, for `busway collect` and fleets
 `config`           `busway config`: explains a configuration file or its errors, and lists the options
 `counters`         `busway counters`: shows the diagnostic counters of a device, read over Modbus
 `decode`           `busway decode`: explains frames from a log, a manual or a capture file
 `decode_capture`   `busway decode CAPTURE`: explains the Modbus frames of a capture file, field by field
-`demo`             `busway demo`: a small plant on a serial line, a gateway in front of it
-`dissection`       How commands print an explained frame: a line for each field, or an object of JSON
+`demo`             `busway demo`: a small plant on a serial line, a gateway in front of it, a client that polls it
+`dissection`       Prints an explained frame: as lines, one for each field, or as a JSON object
 `exits`            The exit codes of all commands, and which error ends with which code
-`files`            Files that commands read, new files and capture files that they write
+`files`            Files that commands read; new files and capture files that they write
 `fleet`            `busway fleet`: several collectors share the links of a plant, as a coordinator says
 `fleet_demo`       `busway fleet demo`: 200 devices, three collectors that share them, and one of these is killed
 `fleet_servers`    `busway fleet server-config`: configuration of NATS servers, and a secret for each role
@@ -32,12 +32,12 @@
 `read`             `busway read`: shows values of a device, once or repeatedly
 `read_points`      `busway read --points FILE`: reads the points of a device by name, in few requests
 `reloading`        SIGHUP while a service runs: its files are read again; on an error the old settings stay
-`replay`           `busway replay`: what was said in a capture file, what was wrong, and a simulator of it
+`replay`           `busway replay`: reports what was said and what was wrong in a capture file; writes a simulation
 `sd_notify`        Tells systemd (sd_notify) that the program is ready, reloads, stops or is alive
 `scan`             `busway scan`: finds the units that answer on a serial line, or behind an address
 `serve`            `busway serve`: serves one or several devices, until Ctrl-C or SIGTERM
-`service_options`  Options that `busway serve`, `gateway` and `simulate` have in common; what they print at the start
-`signals`          Signals: Ctrl-C and SIGTERM end commands that run until they are stopped
+`service_options`  Options that `busway serve`, `gateway` and `simulate` share, and what these print at the start
+`signals`          Ctrl-C and SIGTERM end running commands; SIGHUP lets them read their files again
 `simulate`         `busway simulate`: serves simulated devices whose values change as a file says
 `sniff`            `busway sniff`: shows the traffic of a serial line. It listens and never sends
 `sources`          Where the devices of `busway simulate` come from: a file, a ready-made device, or a register map

@@ -1,6 +1,6 @@
 """Options that several commands share, and the conversion of their texts to checked values.
 
-Knows how an argument is written and named in a sentence; sends nothing.
+Knows how arguments are written and how errors name them; sends nothing.
 """
 
 import contextlib
@@ -50,7 +50,16 @@ _NUMBER = re.compile(r"\d{1,18}|0[xX][0-9a-fA-F]{1,16}")
 
 
 def whole_number(text: str, name: str, low: int, high: int) -> int:
-    """Return the number in an option's text, decimal or ``0x…``; `ConfigError` names option and range."""
+    """Return the whole number that an option's text gives, in decimal or as ``0x…``.
+
+    Args:
+        text: the text of the option; a sign is not allowed.
+        name: name of the option, for the error: ``--count``.
+        low, high: smallest and largest number allowed.
+
+    Raises:
+        ConfigError: the text is no such number, or the number is out of range.
+    """
     number = int(text, 16 if text[:2].lower() == "0x" else 10) if _NUMBER.fullmatch(text) else -1
     if not low <= number <= high:
         raise ConfigError(f"a whole number {low}…{high} is needed, not {text!r}", key=name)
@@ -58,7 +67,16 @@ def whole_number(text: str, name: str, low: int, high: int) -> int:
 
 
 def seconds(text: str, name: str, *, low: float = 0.001, high: float = 86_400) -> float:
-    """Parse a duration in seconds: ``500ms``, ``1s``, ``2`` (seconds), ``1h``. `ConfigError` names the option."""
+    """Return the seconds that an option's text gives: ``500ms``, ``1s``, ``2`` (seconds), ``1h``.
+
+    Args:
+        text: the text of the option.
+        name: name of the option, for the error: ``--timeout``.
+        low, high: shortest and longest time allowed, in seconds.
+
+    Raises:
+        ConfigError: the text is no time, or the time is out of range.
+    """
     time = duration(text, bare=True)
     if time is None:
         raise ConfigError(f"a time such as 500ms, 1s or 2m is needed, not {text!r}", key=name)
@@ -68,7 +86,12 @@ def seconds(text: str, name: str, *, low: float = 0.001, high: float = 86_400) -
 
 
 def limits_of(kind: type[Any], option: str) -> tuple[float, float]:
-    """Return the smallest and the largest number that an option of a parameter class accepts."""
+    """Return the smallest and the largest number that an option of a parameter class accepts.
+
+    Args:
+        kind: the parameter class, from `busway.options`.
+        option: name of one of its options that has a `Range`.
+    """
     from ..options.declaration import Range, declared
 
     limits = declared(kind)[option].limits
@@ -77,7 +100,10 @@ def limits_of(kind: type[Any], option: str) -> tuple[float, float]:
 
 
 def refuse_unknown_option(value: str) -> None:
-    """Refuse an argument that is a misspelt option; a minus sign may begin a number or ``-inf``."""
+    """Raise `ConfigError` if a value looks like a misspelt option: one or two minus signs and a letter.
+
+    Negative numbers, ``-inf`` and ``-nan`` are values. For commands whose parser takes unknown options as values.
+    """
     if re.match(r"--?[a-zA-Z]", value) and value.lower() not in ("-inf", "-infinity", "-nan"):
         raise ConfigError(f"there is no such option; a text that begins so is written behind --: -- {value}", key=value)
 
@@ -108,7 +134,11 @@ def opened_unit(
 
 
 def show_traffic(verbose: int) -> None:
-    """Log messages (1), frames (2) or bytes (3 and more) of all connections on stderr from now on."""
+    """Log the traffic of all connections of this process on stderr from now on.
+
+    Args:
+        verbose: how often ``-v`` was given. 0: nothing is logged; 1: messages; 2: frames too; 3 and more: every byte.
+    """
     if not verbose:
         return
     import logging

@@ -1,4 +1,4 @@
-"""What commands that read capture files share: their options, opening the file, and what is said about it.
+"""Options of commands that read capture files, the opening of the file, and warnings about what was not read.
 
 Knows paths and texts; what is in a capture is known by `busway.observe.capture_files`.
 """
@@ -29,7 +29,7 @@ _FRAMINGS: Final = ("mbap", "rtu", "ascii")
 
 
 def names_capture(text: str) -> bool:
-    """Whether an argument names a capture file: by its end, or by what the file of this name begins with."""
+    """Whether an argument names a capture file: by its suffix (``.pcap``, …), or by the file's first bytes."""
     from ..observe.capture_files.packet_file import is_capture_file
 
     if text.lower().endswith(_NAMES):
@@ -45,10 +45,10 @@ def names_capture(text: str) -> bool:
 
 @contextmanager
 def open_packets(name: str) -> Iterator["PacketFile"]:
-    """Context manager that opens a capture file; ``-`` is standard input.
+    """Context manager that opens a capture file and yields an iterator over its packets; ``-`` is standard input.
 
     Raises:
-        ConfigError: it cannot be opened, or read; names it.
+        ConfigError: the file cannot be opened; the error names the file.
     """
     from ..observe.capture_files.packet_file import PacketFile
 
@@ -60,7 +60,15 @@ def open_packets(name: str) -> Iterator["PacketFile"]:
 
 
 def traffic_of(ports: str | None, framing: str | None) -> "CapturedTraffic":
-    """Return what finds the frames, with the options ``--port`` and ``--framing``."""
+    """Return the object that finds the Modbus frames in the packets of a capture.
+
+    Args:
+        ports: text of ``--port``, such as ``502,5020``; None for 502.
+        framing: text of ``--framing``: ``mbap``, ``rtu`` or ``ascii``; None for ``mbap``.
+
+    Raises:
+        ConfigError: a port or the framing is invalid.
+    """
     from ..observe.capture_files.traffic import MODBUS_PORT, CapturedTraffic
     from ..observe.dissect import Framing
 
@@ -82,7 +90,13 @@ def time_text(time: float) -> str:
 
 
 def say_what_was_left_out(file: "PacketFile", traffic: "CapturedTraffic", frames: int) -> None:
-    """Warn that the file is truncated, or that the Modbus frames in it are on other ports."""
+    """Warn on stderr if a capture file is truncated, or if no Modbus frames were found in it and why.
+
+    Args:
+        file: the file, read to its end.
+        traffic: what was found in its packets.
+        frames: number of Modbus frames that were shown.
+    """
     if file.truncated_at is not None:
         warn(
             f"the file ends inside a record at offset {file.truncated_at}; {counted(file.packets, 'packet')} were read"

@@ -1,8 +1,8 @@
 """``busway certs``: makes certificates to try Modbus/TCP Security with, and shows what certificates say.
 
-1. Nothing is overwritten without ``--force``, and before anything is written it is known that all of it can be.
+1. Existing files are overwritten with ``--force`` only; all names are checked before the first file is written.
 2. File names go to stdout, one per line; what to try next goes to stderr.
-3. The authority is one for tests: its key lies beside what it signs.
+3. The authority is for tests: its key lies beside the certificates that it signs.
 """
 
 import re
@@ -34,10 +34,10 @@ A directory that is called show is written ./show.
 
 HOSTS = ("localhost", "127.0.0.1", "::1")
 ROLE = "Operator"
-"""The role where none is named; what it may do, a policy says."""
+"""Role of the client's certificate if ``--role`` is not given; a policy says what the role may do."""
 DAYS = 365
 TRY_PORT = 8802
-"""Of the commands to try: 802 needs a privileged user."""
+"""Port in the commands that are suggested: the port of Modbus/TCP Security, 802, needs a privileged user."""
 
 
 def certs(

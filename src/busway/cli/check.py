@@ -1,4 +1,4 @@
-"""``busway check``: asks a device what the specification asks for, and says what it does not do.
+"""``busway check``: checks a device against the specification, and reports where it differs.
 
 The checks are `busway.apps.check`; here are their arguments, what is printed while they run, and the report files.
 """
@@ -151,7 +151,7 @@ def _items(text: str, key: str, count: int) -> "Items":
 
 
 def _scratch(text: str | None) -> tuple["Items | None", "Items | None"]:
-    """Return the registers and the coils that ``--scratch`` names."""
+    """Return the registers and the coils that ``--scratch`` permits to write; None for those not named."""
     found: dict[Table, Items] = {}
     for part in [] if text is None else text.split(","):
         address, colon, size = part.strip().rpartition(":")

@@ -2,7 +2,7 @@
 
 1. The device is only read. With ``--map`` each point of the map is read once, without it the tables are searched.
 2. The file goes to stdout, or with ``--out`` into a file; progress and what could not be recorded go to stderr.
-3. A file that is there is not overwritten without ``--force``, and that is known before the device is asked.
+3. An existing file is overwritten with ``--force`` only; that is checked before the device is asked.
 """
 
 import re
@@ -29,19 +29,19 @@ _LAST = 65_535
 
 @dataclass(frozen=True, slots=True)
 class CloneOptions:
-    """The options of ``busway simulate --clone``, as texts.
+    """The options of ``busway simulate --clone``, as texts of the command line.
 
     Attributes:
-        url: the device.
-        unit: unit identifier.
-        map: a register map in CSV.
-        out: where the file goes; stdout without it.
-        watch: how long to learn how values change.
+        url: URL of the device.
+        unit: unit identifier, 0…255; None for that of the link.
+        map: path of a register map in CSV, whose points are read; None: the tables are searched.
+        out: path of the simulation file; None for stdout.
+        watch: how long to observe how the values change, such as ``60s``; None for not at all. Needs ``map``.
         ranges: offsets to search without a map: ``0-999,40000-40199``.
         thorough: whether to search blocks that seem empty too.
-        force: whether ``out`` may be written over.
+        force: whether ``out`` may be overwritten.
         timeout, retries: the options of the link.
-        verbose: level of the trace.
+        verbose: how much traffic is logged: 0 none, 1 messages, 2 frames, 3 bytes.
     """
 
     url: str
@@ -66,7 +66,12 @@ def refuse_without_clone(options: CloneOptions) -> None:
 
 
 def clone_device(options: CloneOptions) -> int:
-    """Record a live device, and write the simulation file that imitates it."""
+    """Record a live device, and write the simulation file that imitates it; returns the exit code.
+
+    Raises:
+        ConfigError: options contradict each other, or the file exists; nothing was sent.
+        ModbusError: the device cannot be read.
+    """
     from ..apps.simulator.device_text import device_text
 
     duration = None if options.watch is None else seconds(options.watch, "--watch")
@@ -109,7 +114,7 @@ def _recorded(unit: "BlockingUnit", options: CloneOptions, duration: float | Non
 
 
 def _moments(duration: float) -> Iterator[float]:
-    """Yield, as time passes, the seconds since a recording began, until ``duration``."""
+    """Yield the seconds since the first call, about once a second, and sleep in between; the last is ``duration``."""
     began = time.monotonic()
     due = 0.0
     while due < duration:
@@ -119,7 +124,7 @@ def _moments(duration: float) -> Iterator[float]:
 
 
 def _ranges(text: str) -> list[range]:
-    """Parse address ranges such as ``0-999,40000``."""
+    """Return the ranges of offsets that ``--range`` names, such as ``0-999,40000``. Raises `ConfigError`."""
     found = []
     for part in text.split(","):
         match = _RANGE.fullmatch(part.strip())

@@ -1,7 +1,7 @@
 """``busway collect demo``: a small plant on a serial line, a gateway in front of it, and a collector with its page.
 
-1. Everything is on loopback and in a folder of its own, which is removed at the end.
-2. It ends by itself, or at Ctrl-C.
+1. Everything is on loopback and in a temporary folder, which is removed at the end.
+2. The demonstration ends after its time, or at Ctrl-C.
 """
 
 import asyncio
@@ -38,7 +38,12 @@ line_baud = {baud}
 
 
 async def collect_demo(limit: float, page: str) -> None:
-    """Run the whole demonstration for ``limit`` seconds, with its page at host and port ``page``, or on a free port."""
+    """Run the collector's demonstration for ``limit`` seconds, or until a signal.
+
+    Args:
+        limit: seconds.
+        page: host and port of the collector's page; if the port is taken, a free one is used.
+    """
     from ..apps.collector.collector import Collector
     from ..apps.collector.configuration import load_collector
 
@@ -60,7 +65,7 @@ async def collect_demo(limit: float, page: str) -> None:
 
 
 def _written(folder: Path, url: str, page: str) -> Path:
-    """Write the demonstration's collector file, and a profile for each device, into a folder. Returns its path."""
+    """Write the demonstration's collector file and a profile for each device into a folder; returns the file's path."""
     from ..apps.simulator.plant import PLANT_FILE
     from ..config.files.device import parse_device_file
     from .demo import BAUD

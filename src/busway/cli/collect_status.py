@@ -1,4 +1,4 @@
-"""What `busway collect` and its demonstration show while they run: the page, and the status on stdout."""
+"""Serves the page of a running collector and prints its status, for `busway collect`, its demonstration and fleets."""
 
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING
@@ -14,8 +14,12 @@ if TYPE_CHECKING:
 
 
 async def open_page(stack: AsyncExitStack, collector: "Collector", zone: "ZoneWatch | None" = None) -> None:
-    """Serve the collector's web page, with its zone if it is one of a fleet, and print its address; if that fails,
-    print why and continue polling.
+    """Serve the collector's web page until ``stack`` ends, and print its address; on an error, print a warning only.
+
+    Args:
+        stack: exit stack that stops the page when it closes.
+        collector: the running collector; its file says where the page is, or ``off`` for no page.
+        zone: the watched zone, for a collector of a fleet; None for no page of a fleet.
     """
     at = collector.configuration.file.collector.page
     if at == "off":
@@ -27,7 +31,7 @@ async def open_page(stack: AsyncExitStack, collector: "Collector", zone: "ZoneWa
 
 
 async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
-    """Serve the page of the demonstration, on a free port if the usual one is taken; if that fails, print why."""
+    """Serve the page of the demonstration, on a free port if its port is taken; on an error, print a warning only."""
     at = collector.configuration.file.collector.page
     try:
         try:
@@ -59,6 +63,12 @@ async def _open_page_at(
 
 
 def print_status(collector: "Collector", *, as_json: bool) -> None:
+    """Print the status of a collector on stdout: samples kept and lost, load of links, sinks, and devices in trouble.
+
+    Args:
+        collector: the running collector.
+        as_json: whether to print one JSON object, which has all devices, instead of lines.
+    """
     store, devices = collector.store_status(), collector.status()
     if as_json:
         print_json(

@@ -2,7 +2,7 @@
 
 1. ``check`` opens what the file names (certificates, the audit log's folder), and no connection. It recognises files of
    collectors, gateways and simulations by their keys, and checks them as what they are.
-2. What was understood goes to stdout; what is odd, or wrong, to stderr, each with file, line and key.
+2. What the file configures goes to stdout; warnings and errors go to stderr, each with file, line and key.
 """
 
 import sys
@@ -95,7 +95,7 @@ def _kind_of(file: str) -> str:
 
 
 def _unit_keys(units: object) -> Iterator[str]:
-    """Return the path of each key of units and their points: ``unit[0].point[2].behaviour``."""
+    """Yield the path of each key of parsed ``[[unit]]`` tables and their points: ``unit[0].point[2].behaviour``."""
     for number, unit in enumerate(units if isinstance(units, list) else []):
         for key, value in unit.items() if isinstance(unit, dict) else []:
             yield f"unit[{number}].{key}"
@@ -178,7 +178,7 @@ def _print_options(url: str | None) -> None:
 
 
 def _all_options() -> Iterator[tuple[str, list["Option"]]]:
-    """Return the options of links and servers and the keys of all sections of files, each once."""
+    """Yield titles with their options: of links, of servers, and keys of sections of files; each option once."""
     from ..config.files.schema import keys_of, sections_of
     from ..options.offer import LINKS, SERVERS, Offer
 
@@ -202,7 +202,7 @@ def _print_keys(title: str, options: Iterable["Option"]) -> None:
 
 
 def _schemas() -> dict[str, type["Section"]]:
-    """Return the schemas of files by the option that chooses them; that of configuration files without one."""
+    """Return the schemas of files by the option that chooses each; ``""`` has that of configuration files."""
     from ..config.files import collector, device, gateway, simulation, system
 
     return {

@@ -2,7 +2,7 @@
 
 1. Diagnostic counters (function 08, sub-functions 0B…12) and diagnostic register (02), event counter (11), event log
    (12), exception status (07). Nothing is cleared and nothing is written.
-2. What a device does not offer is said on stderr, each refusal once. It is an error only where it offers nothing.
+2. Each function that a device refuses is named on stderr. It is an error only if the device refuses all of them.
 3. A device that does not answer is not asked ten times: the first question without a reply ends the command.
 """
 
@@ -63,10 +63,10 @@ class Fact:
     """One value of a device's diagnostics (functions 08, 11, 12, 07), with its name.
 
     Attributes:
-        function: ``08/0B``, ``11``.
-        name: what the specification calls it, with underscores.
-        value: the number; of the event log a list of bytes, the newest first.
-        meaning: in words.
+        function: function code, with a sub-function in hexadecimal: ``08/0B``, ``11``.
+        name: the specification's name of the value, with underscores: ``bus_message_count``.
+        value: the number; for the event log a list of bytes, the newest first.
+        meaning: what the value counts or says, in words.
     """
 
     function: str
@@ -106,7 +106,7 @@ def counters(
 
 
 def _questions() -> list[tuple[str, str, Callable[["BlockingUnit"], list[Fact]]]]:
-    """Return what to ask a device: for each function its code, its name, and a function that asks."""
+    """Return what to ask a device: code and name of each function, and a callable that asks a unit for facts."""
     questions: list[tuple[str, str, Callable[[BlockingUnit], list[Fact]]]] = []
     for code, meaning in COUNTERS:
         function, name = f"08/{code:02X}", code.name.lower().removeprefix("return_")
@@ -152,7 +152,7 @@ def _status_text(status: int) -> str:
 
 
 def event_text(event: int) -> str:
-    """Return the meaning of an event byte of function 12 in words (§6.10)."""
+    """Return the meaning of an event byte of function 12, in words (Application Protocol V1.1b3 §6.10)."""
     if event in _OTHER_EVENTS:
         return _OTHER_EVENTS[event]
     if event & _RECEIVE_EVENT:

@@ -2,7 +2,7 @@
 
 1. Each frame has a line with packet, time and addresses above it. Packets are numbered as Wireshark numbers them.
 2. A reply is compared with its request, also where several are in flight.
-3. What is broken, or missing in the capture, is said in its place; the exit code is then 6.
+3. What is broken or missing in the capture is printed at its place among the frames; the exit code is then 6.
 """
 
 from collections import OrderedDict
@@ -21,11 +21,21 @@ if TYPE_CHECKING:
     from ..observe.dissect import Dissection, Dissector
 
 _MOST_ASKED: Final = 4096
-"""Requests that wait for their replies."""
+"""Most requests that are kept until their replies come; beyond that, the oldest is dropped."""
 
 
 def decode_capture(name: str, *, ports: str | None, framing: str | None, as_json: bool) -> int:
-    """Explain the frames of a capture file on stdout. Raises `ConfigError` where the file is broken."""
+    """Print the Modbus frames of a capture file on stdout, field by field; returns the exit code.
+
+    Args:
+        name: path of the file; ``-`` for standard input.
+        ports: text of ``--port``; None for 502.
+        framing: text of ``--framing``; None for ``mbap``.
+        as_json: whether to print one JSON object for each frame.
+
+    Raises:
+        ConfigError: an option is invalid, or the file is broken; frames before the broken place are printed.
+    """
     from ..observe.capture_files.traffic import ChannelEnd
 
     traffic = traffic_of(ports, framing)
@@ -47,10 +57,10 @@ def _events(file: "PacketFile", traffic: "CapturedTraffic") -> Iterator["Traffic
 
 
 class _Explaining:
-    """Prints the frames of one capture file.
+    """Prints the frames of one capture file, each with its packet, time and addresses.
 
     Attributes:
-        code: exit code by what was printed so far.
+        code: exit code of the command: ``BROKEN`` once something broken was printed.
         shown: number of frames and faults printed so far.
     """
 
@@ -62,7 +72,7 @@ class _Explaining:
         self._lines: dict[int, Dissector] = {}
 
     def show(self, event: "CapturedFrame | FaultyBytes") -> None:
-        """Print a frame, or what is wrong in the capture."""
+        """Print a frame, field by field, or what is broken or missing at this place of the capture."""
         from ..observe.capture_files.traffic import FaultyBytes
 
         said = event.text if isinstance(event, FaultyBytes) else ""
@@ -111,7 +121,7 @@ def _ends(event: "CapturedFrame | FaultyBytes") -> str:
 
 
 def _addresses(event: "CapturedFrame | FaultyBytes") -> tuple[str, str]:
-    """Return where a frame came from and went to; the name of a line, and nothing."""
+    """Return source and destination of a frame as text; for a frame on a serial line, the line's name and ``""``."""
     from ..framing.received import Direction
     from ..observe.capture_files.traffic import node_text
 

@@ -1,10 +1,10 @@
 """``busway demo``: a small plant on a serial line, a gateway in front of it, and a client that polls it over TCP.
 
-1. They are real conversations: any other client can join in while it runs. Only the wire of the line is made of
-   software, with the time that each character takes; where a system has no pseudo-terminals, a connection is in its
-   place.
+1. Devices, gateway and client talk real Modbus, and any other client can join in. Only the wire of the line is made of
+   software, with the time that each character takes; on a system without pseudo-terminals, a TCP connection replaces
+   the line.
 2. On a terminal one table is drawn anew; elsewhere there is one block of lines per second.
-3. It ends by itself, with a summary and three commands to try; ``--forever`` keeps it up until Ctrl-C.
+3. The demonstration ends after its time, with a summary and three commands to try; ``--forever`` runs it until Ctrl-C.
 """
 
 import asyncio
@@ -43,18 +43,18 @@ Examples:
 
 HOST = "tcp://127.0.0.1"
 TICK_SECONDS = 0.1
-"""How often the plant moves on."""
+"""Seconds between two steps of the plant, which change its values."""
 POLL_SECONDS = 0.25
-"""How often each value is read."""
+"""Seconds between two reads of each value."""
 BLOCK_SECONDS = 1.0
-"""How often lines are printed where there is no terminal."""
+"""Seconds between two blocks of lines if stdout is no terminal."""
 BAUD = 19_200
 LINE_TIMEOUT = 0.4
-"""Seconds that the gateway waits for a device."""
+"""Seconds that the gateway waits for a reply of a device."""
 METER_DELAY = 0.15
-"""Seconds that the slow one takes."""
+"""Seconds by which the slow device, the meter, delays its replies."""
 DEATH_AFTER, DEATH_LASTS, DEATH_EVERY = 3.0, 3.0, 8.0
-"""Seconds: when the dying one is dead, again and again."""
+"""Seconds: the failing device, the thermometer, is silent from the first on, for the second, again at every third."""
 
 
 @dataclass(slots=True)
@@ -62,7 +62,7 @@ class Polled:
     """What the polling client of the demonstration has read: values, latencies and errors.
 
     Attributes:
-        values: the latest value by name, in its unit of measure; None after an error.
+        values: the latest value by name of the point, in its unit of measure; None after an error.
         latencies: seconds from request to reply, for each request that got its reply.
         errors: number of requests that got none.
     """
@@ -113,7 +113,15 @@ async def _run(port: int, limit: float | None) -> None:
 
 
 async def started_plant(stack: AsyncExitStack, port: int) -> "tuple[Plant, str]":
-    """Start a plant behind a gateway, until ``stack`` ends. Returns the plant and the gateway's URL."""
+    """Start a plant of simulated devices and a gateway in front of it; both run until ``stack`` closes.
+
+    Args:
+        stack: exit stack that stops them.
+        port: TCP port of the gateway on loopback; 0, or a port that is taken, gives a free one.
+
+    Returns:
+        The plant and the gateway's URL.
+    """
     from ..apps.simulator.plant import Plant
 
     plant = Plant()
@@ -135,7 +143,10 @@ async def started_plant(stack: AsyncExitStack, port: int) -> "tuple[Plant, str]"
 
 
 def _line(stack: AsyncExitStack) -> tuple[str, str]:
-    """Return the URLs of both ends of a serial line; the near one is empty if the far end's server opens it."""
+    """Return the URLs of the gateway's and the devices' end of a paced line.
+
+    On a system without pseudo-terminals these are an empty text and a TCP endpoint for the devices.
+    """
     try:
         from ..testing.line import PacedLine
     except ImportError:  # a system without terminals
@@ -192,7 +203,7 @@ async def _move(plant: "Plant") -> None:
 async def _poll(
     link: "AsyncLink", plant: "Plant", polled: Polled, stop: asyncio.Event, limit: float | None, url: str
 ) -> None:
-    """Read every point of the plant again and again, each device in a task, and show values until the time is over."""
+    """Read all points of the plant, one task per device, and show the values, until ``limit`` seconds or a signal."""
     tags = {unit: list(points.sections.values()) for unit, points in plant.points.items()}
     view: View = LiveView() if sys.stdout.isatty() else LineView()
     began = time.monotonic()
@@ -213,7 +224,7 @@ async def _poll(
 
 
 async def _poll_unit(unit: "AsyncUnit", sections: Sequence["PointSection"], polled: Polled) -> None:
-    """Read the points of one device of the plant again and again."""
+    """Read the points of one device of the plant every `POLL_SECONDS`, until cancelled."""
     while True:
         due = time.monotonic() + POLL_SECONDS
         for section in sections:
@@ -237,10 +248,17 @@ class View(Protocol):
     """Interface of a display of the values that the demonstration has read."""
 
     def show(self, url: str, tags: "Tags", polled: Polled, elapsed: float) -> None:
-        """Show the values that were read last on the terminal."""
+        """Show the latest values of all points.
+
+        Args:
+            url: URL of the gateway.
+            tags: the points of each unit.
+            polled: what has been read so far.
+            elapsed: seconds since the polling began.
+        """
 
     def close(self) -> None:
-        """End the display of values on the terminal."""
+        """End the display; what it shows last stays on the terminal."""
 
 
 class LineView:
@@ -309,7 +327,7 @@ def _shown(value: Any) -> str:
 
 
 def percentile(sorted_values: Sequence[float], percent: float) -> float:
-    """Return the percentile of sorted values (nearest rank); 0 without values."""
+    """Return the value at ``percent`` (0…100) of ascending values, by nearest rank; 0.0 if there are no values."""
     if not sorted_values:
         return 0.0
     return sorted_values[max(math.ceil(len(sorted_values) * percent / 100), 1) - 1]

@@ -7,7 +7,7 @@ code  meaning
 1     ``check``: a must of the specification does not hold
 2     wrong use: an invalid argument, option, file or URL; nothing was sent
 3     no reply came, or the outcome of a write is not known
-4     the device refused with an exception code
+4     refused: by the device with an exception code, by a policy (``policy test``), as a plan (``collect plan``)
 5     no connection, or it ended; a server that cannot listen
 6     the reply, a frame given to ``decode``, or a store given to ``store check`` is broken; a device died at ``check``
 7     written, but ``write --verify`` did not find it: the device holds something else, or was not read back

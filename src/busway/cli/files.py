@@ -19,10 +19,11 @@ PRIVATE: Final = 0o600
 
 
 def open_capture(name: str) -> "Capture":
-    """Create a capture file that only its owner can read (0600), replacing an old one.
+    """Create a capture file that only its owner can read (0600), replacing an older capture file.
 
     Raises:
-        ConfigError: it cannot be written, is reached by a link of another user, or holds something else; names it.
+        ConfigError: the file cannot be written, is reached by a link of another user, or is no capture file of busway;
+            the error names the file.
     """
     from ..observe.capture import Capture, is_capture
     from ..safe_files import open_to_replace
@@ -38,22 +39,22 @@ def open_capture(name: str) -> "Capture":
 
 
 def refuse_to_replace(path: str, *, force: bool) -> None:
-    """Raise `ConfigError` where a file is there that may not be replaced, before anything is done for it."""
+    """Raise `ConfigError` if the file ``path`` exists and may not be replaced; called before other work is done."""
     if not force and os.path.lexists(path):
         raise _there_already(path)
 
 
 def write_new(path: str, text: str, *, force: bool, kind: str) -> None:
-    """Write a text file that is not there yet; with ``force`` one that is there is replaced.
+    """Write a new text file; an existing file is replaced only with ``force``.
 
     Args:
         path: the file.
-        text: its contents.
-        force: whether a file that is there may be replaced.
-        kind: what is written, for the sentence of a refusal.
+        text: its contents, written as UTF-8.
+        force: whether an existing file may be replaced.
+        kind: what is written, such as ``recording``, for the error.
 
     Raises:
-        ConfigError: it is there, or cannot be written; names the file.
+        ConfigError: the file exists, or cannot be written; the error names the file.
     """
     from ..safe_files import open_to_replace, past_links
 
@@ -80,7 +81,10 @@ __all__ = ["capturing", "open_capture", "read_text", "refuse_to_replace", "write
 
 @contextlib.contextmanager
 def capturing(name: str | None) -> Iterator[None]:
-    """Context manager that records the traffic of links and servers in a capture file; does nothing without a name.
+    """Context manager that records the traffic of all links and servers of this process in a capture file.
+
+    Args:
+        name: path of the capture file; None records nothing.
 
     Raises:
         ConfigError: the file cannot be written.

@@ -6,8 +6,8 @@
 4. ``demo`` starts a plant, a nats-server and three collectors of its own (`fleet_demo`).
 5. ``write`` asks the collector that owns a link to write a value to a point (`fleet_write`).
 6. ``server-config`` writes the configuration of NATS servers with an account for each role (`fleet_servers`).
-7. ``status`` asks the coordinator alone: it also shows a zone none of whose collectors lives.
-8. ``restore`` is for a coordinator that has lost its entries, or has older ones; not while a collector lives.
+7. ``status`` asks the coordinator alone, so it works for a zone in which no collector runs.
+8. ``restore`` is for a coordinator that has lost its entries, or has older ones; it is refused while a collector runs.
 """
 
 import asyncio
@@ -60,7 +60,7 @@ the password of --user, BUSWAY_FLEET the coordinator, BUSWAY_FLEET_CREDENTIALS a
 ACTIONS = {
     "demo": 1, "apply": 2, "run": 1, "sink": 2, "write": 4, "status": 1, "drain": 2, "restore": 1, "server-config": 2,
 }  # fmt: skip
-"""Words of each action, with the action itself."""
+"""Number of words on the command line for each action, the action itself included."""
 LOOK = 4.0
 """Seconds after which a collector that has not renewed its entry is shown as silent: it renews every three."""
 
@@ -198,7 +198,11 @@ def fleet(
 
 
 def _action(words: list[str]) -> list[str]:
-    """Return what to do, and the words that it is about: a file, a name, or device, point and value."""
+    """Return the words if they are an action and as many more as the action takes: a file, a name, or a value.
+
+    Raises:
+        ConfigError: there is no such action, or it has too few or too many words.
+    """
     if len(words) != ACTIONS.get(words[0]):
         raise ConfigError(
             "must be demo, apply FILE, run, sink NAME, write DEVICE POINT VALUE, status, drain NAME, restore or "
@@ -238,7 +242,10 @@ def _demo(limit: float, verbose: int) -> int:
 
 
 async def _with_coordinator(url: str, zone: str, options: "CoordinatorOptions", work: Any) -> int | None:
-    """Do the work of one action with an open coordinator; returns its exit code, None for done."""
+    """Open the coordinator of a zone, await ``work(coordinator)``, close it, and return the exit code of the work.
+
+    None instead of an exit code means that the work is done.
+    """
     from ..apps.fleet.coordinators import open_coordinator
 
     table = await open_coordinator(url, zone, options)
@@ -258,7 +265,11 @@ async def _apply(table: "Coordinator", file: str, zone: str, options: "Coordinat
 
 
 async def _make_streams(table: "Coordinator", zone: str, options: "CoordinatorOptions") -> None:
-    """Make what collectors and sinks need at NATS, because their accounts may not; print what cannot be made."""
+    """Create the streams of a zone and its bucket for commands at NATS; warn about each that cannot be created.
+
+    The accounts of collectors and sinks may not have the right to create them. Another coordinator than NATS needs
+    none.
+    """
     client = getattr(table, "client", None)
     if client is None:
         return
@@ -294,8 +305,14 @@ async def _take_commands(
     stack: AsyncExitStack,
     member: "FleetCollector",
 ) -> None:
-    """Take commands over the fleet and publish last values, where the coordinator is NATS; if that fails, print why
-    and continue polling.
+    """Let a collector execute commands and publish last values over NATS; on an error, print a warning only.
+
+    Args:
+        zone: name of the zone.
+        options: options of the coordinator.
+        table: the coordinator; if it is not NATS, nothing is done.
+        stack: exit stack that ends both when it closes.
+        member: the collector.
     """
     client = getattr(table, "client", None)
     if client is None:
@@ -429,7 +446,10 @@ async def _show_status(table: "Coordinator", zone: str, *, as_json: bool) -> Non
 
 
 def _hole_texts(hole: "LeaseHole | None") -> list[str]:
-    """Return when no collector owned a shard last and for how long, and why."""
+    """Return two texts about the last time in which no collector owned a shard: when and how long, and why.
+
+    Both are ``-`` if there was no such time.
+    """
     if hole is None:
         return ["-", "-"]
     began = datetime.fromtimestamp(hole.begin).astimezone().isoformat(" ", "seconds")
@@ -444,7 +464,7 @@ def _age_text(lag: "SinkLag") -> str:
 
 
 async def _sink_lags(table: "Coordinator", zone: str) -> "dict[str, SinkLag]":
-    """Return by sink what of the zone's stream waits for it; nothing where there is no stream."""
+    """Return for each sink how far it is behind the zone's stream; empty if the coordinator is not NATS."""
     from ..apps.fleet.streams import sink_lags
 
     client = getattr(table, "client", None)

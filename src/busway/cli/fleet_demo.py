@@ -1,8 +1,8 @@
 """``busway fleet demo``: a plant of 200 devices, three collectors that share it, and one of them is killed.
 
-1. Everything is on loopback and in a folder of its own, which is removed at the end. The nats-server is one of its own.
+1. Everything is on loopback and in a temporary folder, which is removed at the end. The nats-server is one of its own.
 2. Collectors and sink are processes as a user starts them. Each is ended by its handle, also after Ctrl-C.
-3. It ends by itself. What is shown was measured while it ran.
+3. The demonstration ends when its scenes are over. The times that it prints were measured while it ran.
 """
 
 import asyncio
@@ -32,14 +32,14 @@ COLLECTORS: Final = ("west", "middle", "east")
 KILLED: Final = "west"
 LINKS, UNITS = 20, 10
 SHARDS: Final = 256
-"""As `busway fleet run` has without an option."""
+"""Number of shards of the zone, the default of `busway fleet run`."""
 SERVER_FOLDERS: Final = "/usr/sbin:/usr/local/sbin:/usr/local/bin"
-"""Where Debian and others install nats-server, beside the folders of PATH."""
+"""Folders in which nats-server is looked for after those of ``PATH``; Debian installs it there."""
 START_SECONDS: Final = 60.0
 ENDS_IN: Final = 8.0
-"""Seconds in which a process ends in order; it is killed after that."""
+"""Seconds that a process has to end after SIGTERM; then it is killed."""
 CALM: Final = 6.0
-"""Seconds between two scenes."""
+"""Seconds between two scenes of the demonstration."""
 PROFILE = """\
 [[unit]]
 [[unit.point]]
@@ -79,7 +79,13 @@ profile = "meter.toml"
 
 
 async def fleet_demo(limit: float) -> None:
-    """Run the whole demonstration, for ``limit`` seconds at most."""
+    """Run the fleet's demonstration until its scenes are over, ``limit`` seconds have passed, or a signal comes.
+
+    Raises:
+        MissingExtra: a package for NATS is not installed.
+        ConfigError: nats-server is not installed.
+        LinkDown: a process does not start, or ends too early.
+    """
     require("nats", "busway fleet demo")
     require("msgpack", "busway fleet demo")
     program = shutil.which("nats-server") or shutil.which("nats-server", path=SERVER_FOLDERS)
@@ -102,11 +108,11 @@ async def fleet_demo(limit: float) -> None:
 
 
 class FleetDemo:
-    """The demonstration: what it has started, and what it has seen.
+    """Plays the demonstration: starts nats-server, devices, collectors and a sink, and prints what happens.
 
     Args:
-        stack: ends what is started.
-        folder: for the plant's file, the stores and the archive.
+        stack: exit stack that ends all that is started.
+        folder: folder for the plant's file, the stores and the archive of the sink.
     """
 
     def __init__(self, stack: AsyncExitStack, folder: Path) -> None:
@@ -117,7 +123,14 @@ class FleetDemo:
         stack.push_async_callback(self._end_programs)
 
     async def play(self, program: str) -> None:
-        """Play all scenes: three collectors share the links, one is killed, the others take over, it comes back."""
+        """Play all scenes: three collectors share the links, one is killed, the others take over, it comes back.
+
+        Args:
+            program: path of nats-server.
+
+        Raises:
+            LinkDown: a process does not start or ends too early, or the links are not shared in time.
+        """
         from ..apps.fleet.control_entries import apply_configuration
         from ..apps.fleet.coordinators import open_coordinator
         from ..apps.fleet.zone_watch import ZoneWatch
@@ -143,7 +156,7 @@ class FleetDemo:
         await asyncio.sleep(CALM)
 
     def tell_outcome(self) -> None:
-        """Print how many samples have reached the sink."""
+        """Print how many samples have reached the sink; nothing if the sink has written none."""
         archive = self._folder / "archive.jsonl"
         if archive.exists():
             with archive.open("rb") as lines:
@@ -152,7 +165,7 @@ class FleetDemo:
     # What runs.
 
     async def _start_server(self, program: str) -> str:
-        """Start a nats-server on a free port of loopback. Returns its URL."""
+        """Start a nats-server on a free port of loopback. Returns its URL; raises `LinkDown` if it does not start."""
         folder = self._folder / "nats"
         folder.mkdir()
         words = [program, "-a", "127.0.0.1", "-p", "-1", "-js", "-sd", str(folder), "--ports_file_dir", str(folder)]
@@ -168,7 +181,7 @@ class FleetDemo:
             await asyncio.sleep(0.1)
 
     async def _start_plant(self) -> Path:
-        """Serve the devices in this process. Returns the path of the collectors' file."""
+        """Serve the devices of all links in this process and write the collectors' file. Returns the file's path."""
         from ..server.device import Device
         from ..server.serving import serve
 
@@ -197,7 +210,7 @@ class FleetDemo:
         await self._start_program(name, [sys.executable, "-m", "busway", "fleet", *words, *self._at])
 
     async def _start_program(self, name: str, words: list[str]) -> asyncio.subprocess.Process:
-        """Start a program that writes what it says into a file, and that Ctrl-C of the terminal does not reach."""
+        """Start a program whose output goes to the file ``NAME.log``, in a session that Ctrl-C does not reach."""
         with (self._folder / f"{name}.log").open("wb") as log:
             process = await asyncio.create_subprocess_exec(
                 *words, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True, cwd=self._folder
@@ -206,7 +219,7 @@ class FleetDemo:
         return process
 
     async def _end_programs(self) -> None:
-        """End collectors and sink, all at once, and then their server."""
+        """End all collectors and the sink at the same time, and then the nats-server."""
         server = self._programs.pop("nats-server", None)
         await asyncio.gather(*map(_end, self._programs.values()))
         if server is not None:
@@ -215,7 +228,7 @@ class FleetDemo:
     # What happens.
 
     async def _kill_one(self, watch: "ZoneWatch") -> None:
-        """Kill a collector as a crash does, and tell when the others have its links."""
+        """Kill one collector as a crash does, wait until the others poll its links, and print how long that took."""
         process = self._programs[KILLED]
         process.kill()
         await process.wait()
@@ -225,7 +238,11 @@ class FleetDemo:
         say(f"after {time.monotonic() - begun:.1f} s the others poll all links (a lease holds for 15 s)")
 
     async def _until_shared(self, watch: "ZoneWatch", names: set[str]) -> None:
-        """Wait until exactly these collectors own all shards; print each change of the shares."""
+        """Wait until exactly these collectors own all shards; print each change of the shares.
+
+        Raises:
+            LinkDown: one of the collectors has ended, or `START_SECONDS` have passed.
+        """
         from ..apps.fleet.shards import shard_of
 
         wanted = {shard_of(f"line-{number}", SHARDS) for number in range(LINKS)}
@@ -255,7 +272,7 @@ class FleetDemo:
 
 
 async def _end(process: asyncio.subprocess.Process) -> None:
-    """End a process in order; kill it if that takes too long."""
+    """End a process with SIGTERM; kill it if it has not ended after `ENDS_IN` seconds."""
     if process.returncode is None:
         process.terminate()
         try:
@@ -275,7 +292,7 @@ def _ports_of(file: Path) -> str:
 
 
 async def _move(devices: "list[Device]") -> None:
-    """Let the values of all devices change, a fifth of them at a time."""
+    """Change the values of the devices for ever, those of a fifth of the devices every 0.2 s."""
     turn = 0
     while True:
         for place in range(turn % 5, len(devices), 5):

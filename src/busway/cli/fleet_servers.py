@@ -2,8 +2,8 @@
 
 1. A secret is the seed of a key pair (nkey), made by the package nkeys. It is in a file of its own that only its owner
    can read (0600), and never printed. Servers get the public key only.
-2. A seed that is there already is used again, and never overwritten: remove the file to make a new one.
-3. Other files are overwritten with ``--force`` only. Before anything is written, it is known that all of it can be.
+2. An existing seed is used again, and never overwritten: remove the file to make a new one.
+3. Other existing files are overwritten with ``--force`` only; all are looked for before the first is written.
 """
 
 import os
@@ -39,20 +39,20 @@ def write_server_files(
     force: bool,
     sites: str | None = None,
 ) -> None:
-    """Write the configuration of the servers of some zones, and seeds of users that are missing.
+    """Write the configuration files of the NATS servers of some zones, and missing seeds of users; print all paths.
 
     Args:
-        zones: names, with commas.
-        out: the folder to write to.
-        servers: as `parsed_servers`.
-        version: of nats-server: 2.9.
+        zones: names of zones, separated by commas.
+        out: the folder to write to; created if it is missing.
+        servers: ``[NAME=]HOST[:PORT],…``, as `parsed_servers` takes it.
+        version: version of nats-server: ``2.9``.
         store: the folder of the streams on each server.
         tls: the folder of certificates on each server; None for no encryption.
-        force: whether to overwrite configuration files.
-        sites: edge sites, ``ZONE=HOST[:PORT],…``; each is a zone with a server of its own.
+        force: whether existing configuration files may be overwritten.
+        sites: edge sites, ``ZONE=HOST[:PORT],…``; each is a zone with a server of its own. None for no edge sites.
 
     Raises:
-        ConfigError: something given is wrong, or a file is there already or cannot be written.
+        ConfigError: an argument is invalid, or a file exists already or cannot be written.
         MissingExtra: the package nkeys is not installed.
     """
     from ..apps.fleet.server_files import (
@@ -110,7 +110,15 @@ def write_server_files(
 
 
 def parsed_servers(text: str, *, any_number: bool = False) -> "list[NatsServer]":
-    """Return the servers in ``[NAME=]HOST[:PORT],…``; without names they are n1, n2, n3. Raises `ConfigError`."""
+    """Return the servers that a text ``[NAME=]HOST[:PORT],…`` lists; those without a name are n1, n2, n3 by position.
+
+    Args:
+        text: the list.
+        any_number: whether any number of servers is allowed; otherwise one, three or five.
+
+    Raises:
+        ConfigError: a server is written wrongly, two have the same name or address, or their number is not allowed.
+    """
     from ..apps.fleet.server_files import CLIENT_PORT, LEAF_PORT, ROUTE_PORT, NatsServer
 
     found: list[NatsServer] = []
@@ -129,7 +137,15 @@ def parsed_servers(text: str, *, any_number: bool = False) -> "list[NatsServer]"
 
 
 def parsed_sites(text: str | None, zones: Sequence[str]) -> "list[NatsServer]":
-    """Return the servers of edge sites in ``ZONE=HOST[:PORT],…``. Raises `ConfigError`."""
+    """Return the servers of edge sites that a text ``ZONE=HOST[:PORT],…`` lists; each is named after its zone.
+
+    Args:
+        text: the list; None for no sites.
+        zones: names of the zones that are no edge sites.
+
+    Raises:
+        ConfigError: a site is written wrongly, or its zone is one of ``zones`` or named twice.
+    """
     from ..apps.fleet.shards import checked_name
 
     found = [] if text is None else parsed_servers(text, any_number=True)
@@ -141,7 +157,7 @@ def parsed_sites(text: str | None, zones: Sequence[str]) -> "list[NatsServer]":
 
 
 def parsed_version(text: str) -> tuple[int, int]:
-    """Return the first two numbers of a version of nats-server. Raises `ConfigError`."""
+    """Return major and minor number of a version of nats-server. Raises `ConfigError` for others and below 2.9."""
     match = _VERSION.fullmatch(text)
     version = (int(match[1]), int(match[2])) if match else (0, 0)
     if version < (2, 9):
@@ -150,7 +166,11 @@ def parsed_version(text: str) -> tuple[int, int]:
 
 
 def public_key(path: Path) -> str:
-    """Return the public key of a seed file, which is made if it is missing. Raises `ConfigError`."""
+    """Return the public key of the NATS user whose seed a file holds; a missing file is created with a new seed.
+
+    Raises:
+        ConfigError: the file cannot be created or read, or holds no seed of a user; the error names the file.
+    """
     nkeys = import_module("nkeys")
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, PRIVATE_FILE)
@@ -173,7 +193,11 @@ def public_key(path: Path) -> str:
 
 
 def _password(path: Path) -> str:
-    """Return the password of an edge site in a file, which is made if it is missing. Raises `ConfigError`."""
+    """Return the password of an edge site from its file; a missing file is created with a new password.
+
+    Raises:
+        ConfigError: the file cannot be created or read, or holds no password; the error names the file.
+    """
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, PRIVATE_FILE)
     except FileExistsError:
@@ -203,7 +227,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a file as a whole: a server that reads it meanwhile gets the old one or the new one."""
+    """Replace a file as a whole: a server that reads it meanwhile gets the old contents or the new."""
     beside = path.with_name(f".{path.name}.new")
     try:
         beside.unlink(missing_ok=True)

@@ -2,8 +2,9 @@
 
 1. With ``--stream`` a collector sends its samples into the stream, and keeps them in its store until every sink has
    them; it runs no sink of the file itself.
-2. A sink is a process of its own, with its table of the zone's configuration. Its place in the stream has its name. It
-   follows a newer configuration; one that it cannot take is told, and it goes on by the one before.
+2. A sink is a process of its own, configured by its ``[[sink]]`` table in the zone's configuration. Its place in the
+   stream is kept under its name. It follows newer configurations; one that it cannot use is reported, and it continues
+   with the one before.
 """
 
 import asyncio
@@ -24,11 +25,11 @@ if TYPE_CHECKING:
     from ..apps.fleet.streams import NatsStream, StreamOptions, StreamSink
 
 LOOK: Final = 5.0
-"""Seconds between two looks whether the zone has a newer configuration, and for one of them."""
+"""Seconds between two checks whether the zone has a newer configuration, and the timeout of one check."""
 
 
 def nats_client(table: "Coordinator") -> Any:
-    """Return the NATS client of a coordinator. Raises `ConfigError` for one of another kind."""
+    """Return the NATS client of a coordinator. Raises `ConfigError` if the coordinator is not NATS."""
     client = getattr(table, "client", None)
     if client is None:
         raise ConfigError("samples go through a stream of NATS JetStream: nats://host:4222", key="--coordinator")
@@ -38,17 +39,17 @@ def nats_client(table: "Coordinator") -> Any:
 async def open_stream(
     stack: AsyncExitStack, table: "Coordinator", zone: str, shards: int, replicas: int
 ) -> "NatsStream":
-    """Open the stream of a zone for the samples of one collector, and follow what its sinks have.
+    """Open the stream of a zone for the samples of one collector, and follow the cursors of the stream's sinks.
 
     Args:
-        stack: ends what is begun here.
+        stack: exit stack that ends the following when it closes.
         table: the coordinator.
-        zone: its name.
-        shards: how many the zone has.
-        replicas: servers that keep each message.
+        zone: name of the zone.
+        shards: number of shards of the zone.
+        replicas: number of servers that keep each message.
 
     Raises:
-        ConfigError: the stream cannot be used, or has too few replicas.
+        ConfigError: the coordinator is not NATS, the stream cannot be used, or it has too few replicas.
         StreamDown: no server has answered.
     """
     from ..apps.fleet.lease_driver import end_tasks
@@ -64,7 +65,10 @@ async def open_stream(
 
 
 def print_stream_status(member: "FleetCollector") -> None:
-    """Print how far the samples of a collector have come: into the stream, and to all its sinks."""
+    """Print how many commits of a collector wait to be sent into the stream, and how many its sinks do not have yet.
+
+    Nothing is printed for a collector without a stream.
+    """
     if member.outbox is None:
         return
     status = member.outbox.status()
@@ -77,10 +81,18 @@ def print_stream_status(member: "FleetCollector") -> None:
 async def run_sink(
     table: "Coordinator", zone: str, name: str, stream: "StreamOptions", every: float, *, as_json: bool
 ) -> None:
-    """Pass the samples of a zone's stream on to one sink of its configuration, also of a newer one, until a signal.
+    """Pass the samples of a zone's stream on to one of its sinks until a signal; follows newer configurations.
+
+    Args:
+        table: the coordinator.
+        zone: name of the zone.
+        name: name of the sink in the zone's configuration.
+        stream: options of the stream.
+        every: seconds between two prints of the status.
+        as_json: whether the status is printed as JSON.
 
     Raises:
-        ConfigError: the zone has no such sink, or the coordinator no stream.
+        ConfigError: the zone has no configuration or no such sink, or the coordinator is not NATS.
     """
     from ..apps.fleet.control_entries import read_configuration
     from ..apps.fleet.lease_driver import end_tasks
@@ -124,7 +136,11 @@ async def run_sink(
 async def _sink_of(
     shared: "SharedConfiguration", table: "Coordinator", zone: str, name: str, stream: "StreamOptions"
 ) -> "StreamSink":
-    """Return what passes samples on to a sink of a configuration. Raises `ConfigError`."""
+    """Return an object that passes a zone's samples on to the sink ``name`` of a configuration; not started yet.
+
+    Raises:
+        ConfigError: the configuration has no such sink, or the sink cannot work without a store.
+    """
     from ..apps.collector.report_rules import sink_rules
     from ..apps.fleet.chosen_samples import ChosenSamples, refuse_what_needs_a_store, sinks_without_alarms
     from ..apps.fleet.lease_times import LeaseTimes
@@ -147,7 +163,7 @@ async def _sink_of(
 
 
 async def _newer(table: "Coordinator", revision: int) -> "SharedConfiguration | None":
-    """Return the configuration of the zone if it is another revision; None also where it cannot be read now."""
+    """Return the zone's configuration if its revision is not ``revision``; None if it is, or cannot be read now."""
     from ..apps.fleet.control_entries import read_configuration
 
     try:

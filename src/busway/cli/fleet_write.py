@@ -1,9 +1,9 @@
 """``busway fleet write``: writes a value to a point of a zone by the collector that owns its link.
 
 1. Links of devices are those of the zone's configuration; all checks are the collector's.
-2. A write has a key, that of ``--key`` or a new one, and is sent once. Where no answer came, the same command with the
+2. A write has a key, that of ``--key`` or a new one, and is sent once. If no answer came, the same command with the
    same key may be given again.
-3. The exit code says what became of it: 0 done, 2 refused (nothing was sent), 3 unknown, or too late, 4 failed, 7 the
+3. The exit code says how the write ended: 0 done, 2 refused (nothing was sent), 3 unknown, or too late, 4 failed, 7 the
    device holds another value, 5 no collector owns the link.
 """
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..apps.fleet.coordinator import Coordinator
 
 MORE_SECONDS: Final = 30.0
-"""Seconds after the expiry of a command in which its answer may come: it may be read back, and recorded."""
+"""Seconds to wait for the answer after a command has expired: the value may be read back, and the write recorded."""
 _CODES: Final = {
     "done": ExitCode.DONE,
     "refused": ExitCode.WRONG_USE,
@@ -43,21 +43,21 @@ async def write_point(
     seconds: float,
     as_json: bool,
 ) -> int:
-    """Write a value to a point, print what became of it, and return the exit code.
+    """Write a value to a point by the collector that owns its link, print the outcome, and return the exit code.
 
     Args:
         table: the coordinator of the zone.
-        zone: its name.
+        zone: name of the zone.
         words: device, point and value.
-        key: names the write for ever; None for a new one.
-        by: who writes; None for the account of this process.
-        seconds: within which it may be sent to the device.
+        key: identifies the write for ever, so that it is sent once; None for a new key.
+        by: name of who writes; None for the account of this process.
+        seconds: time in which the write may be sent to the device.
         as_json: whether to print the answer as JSON.
 
     Raises:
         ConfigError: the coordinator takes no commands, or the zone has no such device; nothing was sent.
         LinkDown: no collector owns the link; nothing was sent.
-        WriteOutcomeUnknown: no answer came.
+        WriteOutcomeUnknown: no answer came; the write may have been sent.
     """
     from ..apps.fleet.control_entries import read_configuration
     from ..apps.fleet.fleet_commands import send_command
@@ -86,7 +86,7 @@ async def write_point(
 
 
 def link_of(text: str, device: str) -> str:
-    """Return the link of a device in the text of a collector file. Raises `ConfigError`."""
+    """Return the name of a device's link from the text of a collector file. Raises `ConfigError` for other devices."""
     links = {each["name"]: each["link"] for each in tomllib.loads(text).get("device", ())}
     if device not in links:
         there = ", ".join(sorted(links)[:10]) + (", …" if len(links) > 10 else "")
@@ -95,7 +95,7 @@ def link_of(text: str, device: str) -> str:
 
 
 def value_of(text: str) -> Any:  # JSON
-    """Return the value that an argument means: ``on`` and ``off``, a number or other JSON, else a text."""
+    """Return the value that an argument means: a bool for ``on`` and ``off``, a number or other JSON, else a text."""
     if text in _STATES:
         return _STATES[text]
     try:
@@ -105,7 +105,7 @@ def value_of(text: str) -> Any:  # JSON
 
 
 def print_answer(answer: dict[str, Any], *, as_json: bool) -> int:
-    """Print what became of a write, and return the exit code."""
+    """Print the outcome of a write as the collector has answered it, and return the exit code."""
     state = answer["state"]
     holds_another = state == "failed" and answer.get("read_back") is not None
     if as_json:

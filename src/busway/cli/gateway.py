@@ -3,9 +3,9 @@
 1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
 2. A listener that the network reaches is read-only unless there is a policy, or writes are allowed by name.
 3. SIGHUP reads the files again; unchanged parts keep their connections, and an invalid file changes nothing.
-4. The first SIGTERM or Ctrl-C lets what was asked be answered, for ``[gateway] drain`` seconds; the second ends it at
-   once.
-5. ``check`` and ``--systemd-unit`` open nothing that is served.
+4. After the first SIGTERM or Ctrl-C, open requests have ``[gateway] drain`` seconds to be answered; the second ends the
+   gateway at once.
+5. ``check`` and ``--systemd-unit`` open no listener and no upstream.
 """
 
 import asyncio
@@ -62,7 +62,7 @@ A listener that the network reaches is read-only without a policy; --allow-write
 
 CHECK = "check"
 _PATHS = frozenset({"--policy", "--audit", "--capture"})
-"""Options whose values are paths, which a service starts elsewhere."""
+"""Options whose values are paths; they become absolute in a unit file, because a service starts in another folder."""
 
 
 def gateway(
@@ -127,7 +127,10 @@ def gateway(
 def _remembering_drain(
     read: "Callable[[], GatewayConfiguration]",
 ) -> "tuple[Callable[[], GatewayConfiguration], Callable[[], float]]":
-    """Return the same reader, and a function that gives the ``drain`` seconds of the file that was read last."""
+    """Return a reader as ``read``, and a function that returns ``drain`` of the configuration it has read last.
+
+    ``drain`` is in seconds; 0.0 before the first reading.
+    """
     seconds = 0.0
 
     def read_and_remember() -> "GatewayConfiguration":
@@ -144,7 +147,16 @@ def _is_url(word: str) -> bool:
 
 
 def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> "Callable[[], GatewayConfiguration]":
-    """Return a function that reads the gateway's configuration, at the start and at each reload."""
+    """Return a function that reads the gateway's configuration; it is called at the start and at each reload.
+
+    Args:
+        words: URLs of listeners and, as the last one, the upstream; or one file.
+        changes: options of listeners that replace those of the file.
+        deadline: text of ``--client-deadline``, which goes with URLs only.
+
+    Raises:
+        ConfigError: the words are neither, or the deadline is invalid.
+    """
     from ..apps.gateway.configuration import load_gateway, simple_gateway
     from ..options.client import CLIENT_DEADLINE
     from ..options.gateway import GatewayListenerParameters
@@ -174,7 +186,11 @@ def _check(words: list[str]) -> None:
 
 
 def check_file(file: str) -> None:
-    """Print what a gateway file means, without starting it; warnings and errors go to stderr."""
+    """Print listeners, upstreams and routes of a gateway file on stdout, without starting it; warnings go to stderr.
+
+    Raises:
+        ConfigError: the file is invalid, or names a file that cannot be used.
+    """
     from ..apps.gateway.configuration import load_gateway
     from ..apps.gateway.overview import ROUTING_HEADINGS, gateway_rows, routing_rows
 
@@ -246,7 +262,10 @@ def _standing(gateway: "Gateway") -> str:
 
 
 async def _drain(gateway: "Gateway", seconds: float, at_once: asyncio.Event, manager: "Manager") -> None:
-    """Wait until all open requests of the gateway are answered; a second signal stops at once."""
+    """Wait until the gateway has answered all open requests, at most ``seconds``; ``at_once`` ends the wait.
+
+    Warns on stderr how many requests were left unanswered.
+    """
     waiting = gateway.open_requests
     manager.stopping(f"{counted(waiting, 'request')} to answer")
     if waiting:

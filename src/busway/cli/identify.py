@@ -3,7 +3,7 @@
 1. Device identification (43/14): the highest level that the device has; some refuse a level above their own, so the
    levels are tried from the highest down.
 2. Report server id (17).
-3. What a device does not offer is said on stderr. It is an error only where it offers neither.
+3. Each of the two functions that a device does not offer is named on stderr. It is an error only if it offers neither.
 """
 
 from collections.abc import Callable
@@ -25,7 +25,7 @@ Examples:
 """
 
 Fact = tuple[str, str, bytes]
-"""Function, name, value."""
+"""One value by which a device identifies itself: function, name of the object, and its bytes."""
 
 LEVELS: Final = ("extended", "regular", "basic")
 

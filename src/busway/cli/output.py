@@ -4,10 +4,10 @@ Knows rows and how they look; knows no device.
 
 1. A value is shown as `busway write` takes it: states as ``on`` and ``off``, floats with the fewest digits that give
    the same registers back.
-2. JSON is one object per line, so that a program reads a stream of any length. What JSON has no number for (``nan``,
-   ``inf``) is a text.
+2. JSON is one object per line, so that a program reads a stream of any length. ``nan`` and ``inf``, which JSON does not
+   have, are texts.
 3. CSV has a header line, written once.
-4. What devices and certificates say of themselves is never printed as it came (`printable`); JSON escapes it likewise.
+4. Texts of devices and certificates are printed without control characters (`printable`); JSON escapes them likewise.
 """
 
 import math
@@ -26,14 +26,15 @@ class TableRow:
     """One value to print, with its address and its bytes.
 
     Attributes:
-        address: where it stands.
-        value: what was read or written.
-        raw: its registers in wire order; for one bit one byte, 0 or 1; empty where it could not be read.
+        address: the address of the value.
+        value: what was read or written; None for a value that could not be read.
+        raw: bytes of its registers in wire order; for one bit one byte, 0 or 1; empty for a value that could not be
+            read.
         type: name of its value type; ``bit`` for one bit.
-        reason: why it could not be read; empty where it was.
+        reason: why it could not be read; empty if it was read.
         written: whether it was written, and not read.
-        verified: whether it was found when it was read back; None where it was not read back.
-        holds: what the device holds instead, where ``verified`` is False.
+        verified: whether the device held it when it was read back; None if it was not read back.
+        holds: what the device holds instead, if ``verified`` is False.
     """
 
     address: Address
@@ -47,7 +48,7 @@ class TableRow:
 
     @property
     def outcome(self) -> str:
-        """Text about the result of writing the value; empty for a value that was only read."""
+        """The result of a write as text: ``written``, or what reading back has shown; empty if it was only read."""
         if not self.written:
             return ""
         if self.verified is None:
@@ -66,7 +67,14 @@ class TableRow:
 
 
 def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any], raw: bytes) -> list[TableRow]:
-    """Return the rows to print for values at consecutive addresses; ``form`` is None for coils and discrete inputs."""
+    """Return the rows to print for values at consecutive addresses, in order.
+
+    Args:
+        place: address of the first value.
+        form: value type; None for coils and discrete inputs.
+        values: the values.
+        raw: their bytes in wire order; one byte, 0 or 1, for each bit.
+    """
     size = 1 if form is None else 2 * form.registers
     rows = []
     for index, (address, value) in enumerate(zip(_addresses(place, form, len(values)), values, strict=True)):
@@ -77,7 +85,7 @@ def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any
 
 
 def failed_rows(place: Address, form: ValueType[Any] | None, count: int, reason: str) -> list[TableRow]:
-    """Return the rows of values that could not be read, one for each of ``count`` values."""
+    """Return the rows to print for ``count`` values at consecutive addresses that could not be read for ``reason``."""
     name = _type_name(place, form)
     return [TableRow(address, None, b"", name, reason) for address in _addresses(place, form, count)]
 
@@ -92,7 +100,14 @@ def _type_name(place: Address, form: ValueType[Any] | None) -> str:
 
 
 def fewest_digits(value: float, size: int) -> float:
-    """Return the shortest decimal that has the same ``size`` bytes: 0.1 for what is 0.10000000149 in 32 bits."""
+    """Return the float with the fewest decimal digits that is packed into the same bytes as ``value``.
+
+    For example 0.1 for 0.10000000149 in 4 bytes. Infinities, NaN and sizes other than 2 and 4 are returned unchanged.
+
+    Args:
+        value: a float that a device holds.
+        size: its size in the device, in bytes.
+    """
     letter = {2: ">e", 4: ">f"}.get(size)
     if letter is None or not math.isfinite(value):
         return value
@@ -108,7 +123,7 @@ def fewest_digits(value: float, size: int) -> float:
 
 
 def shown_value(value: Any) -> str:
-    """Return a value as text to be printed for people."""
+    """Return a value as text for people: ``on`` or ``off``, ``0b…`` for 16 bits, texts without control characters."""
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, tuple):  # sixteen bits, the least significant first
@@ -119,7 +134,7 @@ def shown_value(value: Any) -> str:
 
 
 def json_value(value: Any) -> Any:
-    """Return a value as JSON can represent it: infinities and NaN become texts."""
+    """Return a value as JSON can represent it: infinities and NaN become texts, tuples become lists."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return list(value) if isinstance(value, tuple) else value
@@ -132,11 +147,19 @@ class Writer(Protocol):
         """Print these rows of values on stdout."""
 
     def close(self) -> None:
-        """End the printing of rows, such as the end of a table."""
+        """End the printing of rows; a table that was redrawn in place stays on the terminal."""
 
 
 def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writer:
-    """Return the writer of rows for these options and this stdout. Raises `ConfigError` if options contradict."""
+    """Return the writer of rows for these options and the kind of stdout.
+
+    Args:
+        as_json, as_csv: whether ``--json``, ``--csv`` is given.
+        repeats: whether the same rows are written again and again; a terminal then has one table redrawn in place.
+
+    Raises:
+        ConfigError: both options are given.
+    """
     if as_json and as_csv:
         raise ConfigError("does not go with --json", key="--csv")
     if as_json:
@@ -151,7 +174,7 @@ def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writ
 class LineWriter:
     """Prints values as columns: address, value, bytes; with the time in front if there is one.
 
-    What could not be read has been said on stderr.
+    Values that could not be read are left out: the command has printed their errors on stderr.
     """
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
@@ -218,7 +241,7 @@ class CsvWriter:
 
 
 class TableWriter:
-    """Prints values as a table with headings."""
+    """Prints values as a table with headings, a new one at each call; values that could not be read are left out."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         from rich.console import Console
@@ -230,7 +253,7 @@ class TableWriter:
 
 
 class LiveTableWriter:
-    """Prints values as one table that is redrawn in place."""
+    """Prints values as one table on a terminal that is redrawn in place; values that could not be read are left out."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -260,7 +283,7 @@ class LivePage:
         return sys.stdout.isatty()
 
     def show(self, lines: Sequence[Sequence[str]], time: str) -> None:
-        """Replace the lines on the terminal by these lines."""
+        """Replace the lines on the terminal by these lines of cells, with ``time`` (ISO 8601 or empty) below."""
         from rich.table import Table as RichTable
         from rich.text import Text
 
@@ -294,7 +317,7 @@ def _table(rows: Sequence[TableRow], time: str) -> Any:
 
 
 def print_aligned(lines: Sequence[Sequence[str]]) -> None:
-    """Print lines of cells, each column as wide as its widest cell."""
+    """Print lines of cells on stdout, each column as wide as its widest cell; all lines have equally many cells."""
     if not lines:
         return
     lines = [[printable(cell) for cell in cells] for cells in lines]
@@ -305,7 +328,7 @@ def print_aligned(lines: Sequence[Sequence[str]]) -> None:
 
 
 def print_csv(header: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
-    """Print rows as CSV, with a header line unless it is empty."""
+    """Print rows as CSV on stdout, after a header line unless ``header`` is empty."""
     import csv
 
     writer = csv.writer(sys.stdout, lineterminator="\n")
@@ -315,12 +338,17 @@ def print_csv(header: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
 
 
 def print_json(fields: dict[str, Any]) -> None:
-    """Print one JSON object on a line."""
+    """Print one JSON object on a line of stdout."""
     print(json_text(fields))
 
 
 def json_text(document: Any, *, indent: int | None = None) -> str:
-    """Return JSON text for any stdout and terminal: characters that cannot be shown or encoded become ``…``."""
+    """Return JSON text that any stdout and terminal can show: other characters become JSON escapes such as ``\\u001b``.
+
+    Args:
+        document: what JSON can represent.
+        indent: spaces of indentation for each level; None for one line.
+    """
     import json
 
     encoding = (getattr(sys.stdout, "encoding", None) or "utf-8").lower().replace("-", "")
@@ -331,13 +359,13 @@ def json_text(document: Any, *, indent: int | None = None) -> str:
 
 
 class _Progress:
-    """Whether sentences about progress are printed."""
+    """The setting whether sentences about progress are printed; one for the process."""
 
     shown = True
 
 
 def show_progress(shown: bool) -> None:
-    """Choose whether `say` prints from now on: not with the option ``--quiet``."""
+    """Set whether `say` prints from now on; the option ``--quiet`` turns it off."""
     _Progress.shown = shown
 
 

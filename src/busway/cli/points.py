@@ -2,7 +2,7 @@
 
 1. The device file goes to stdout or into a file; what could not be carried over goes to stderr, a line each, and into
    the head of the file.
-2. A file that is there is not written over, unless that is asked for.
+2. An existing file is overwritten with ``--force`` only.
 """
 
 import os

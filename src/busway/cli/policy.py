@@ -1,7 +1,7 @@
 """``busway policy``: tells what a policy permits, and lists its rules, without a server.
 
-1. ``test`` asks what a server would ask: first whether the host may connect, then the rules. A request that depends on
-   what stands in a register (function 22 under limits) is judged as a gateway judges it, which cannot read it.
+1. ``test`` decides as a server does: first whether the host may connect, then by the rules. A request that depends on
+   the old value of a register (function 22 under limits) is decided as by a gateway, which cannot read the register.
 2. Exit code 0: allowed; 4: refused.
 3. The file is a policy file, or a configuration or gateway file that has a policy.
 """
@@ -109,7 +109,11 @@ def _access_rules(file: str) -> "AccessRules":
 
 
 def _checked_host(text: str) -> str:
-    """Return a numeric address in the form in which a server sees that of a client. Raises `ConfigError`."""
+    """Return the address in ``--peer`` in the form in which a server sees the addresses of clients.
+
+    Raises:
+        ConfigError: the text is no numeric address, or names a network.
+    """
     from ..options.networks import Networks, host_of_peer
 
     host = host_of_peer(text)

@@ -2,11 +2,11 @@
 
 Knows how commands are found and how they end; knows nothing of what they do.
 
-1. Only the module of the command that runs is imported: start-up time is what a user of a shell feels.
+1. Only the module of the command that runs is imported, so that the program starts quickly.
 2. An error is one sentence on stderr that names what is wrong; there is never a traceback for anything that a user, a
    device or a network did. A defect of ours is one sentence too; BUSWAY_TRACEBACK=1 shows where it is.
-3. Every argument reaches its command as text. Commands turn text into values themselves, so that one sentence says
-   what is wrong in the words of the protocol.
+3. Every argument reaches its command as text. Commands turn text into values themselves, so that one sentence says what
+   is wrong in the words of the protocol.
 """
 
 import errno
@@ -58,9 +58,9 @@ _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
 class Verbatim:
-    """Type of command-line arguments whose text is passed on unchanged.
+    """Argument type for typer that passes the text of an argument to the command unchanged.
 
-    Typer would load pydantic (0.1 s) to turn text into text.
+    Without it typer would load pydantic (0.1 s) to turn text into text.
     """
 
     @staticmethod
@@ -144,7 +144,7 @@ class Program(TyperGroup):
         sys.exit(int(code))
 
     def _run(self, given: list[str], name: str, complete_var: str | None, extra: dict[str, Any]) -> int:
-        """Run one command, print its error as one sentence, and return the exit code."""
+        """Run the command that ``given`` names, print its error as one sentence, and return the exit code."""
         code: int
         try:
             result = super().main(given, name, complete_var, standalone_mode=False, **extra)
@@ -168,7 +168,7 @@ class Program(TyperGroup):
 
 
 def _verbatim(params: list[Any]) -> list[Any]:
-    """Make the parser pass the arguments of a command on as unchanged texts."""
+    """Make the parser pass the texts of these parameters to the command unchanged; returns the parameters."""
     for param in params:
         param._runtime_param = Verbatim
     return params
@@ -184,7 +184,7 @@ def _option_row(param: Any) -> tuple[str, str]:
 
 
 def load(name: str) -> Any:
-    """Load the command of ``busway`` with this name."""
+    """Import the module of a command and return the command for the parser."""
     module = import_module(f".{name}", __package__)
     single = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     settings = {**_SETTINGS, **getattr(module, "SETTINGS", {})}
@@ -200,7 +200,11 @@ def _fail(sentence: str, code: ExitCode, *, prefix: str = "busway: ") -> ExitCod
 
 
 def _fail_unexpectedly(error: Exception) -> ExitCode:
-    """Report an error that is no `ModbusError`: wrong usage, a missing package, a lost stream, or a defect."""
+    """Report an error that is no `ModbusError`, and return the exit code.
+
+    Such an error is a wrong usage, a missing package, a lost stream, or a defect; a defect is raised again if
+    BUSWAY_TRACEBACK is set.
+    """
     if hasattr(error, "format_message"):  # the parser's errors: of click, or of typer's copy of it
         return _fail(_usage_sentence(error), ExitCode.WRONG_USE)
     if isinstance(error, ImportError) and (missing := missing_extra(error)) is not None:

@@ -124,7 +124,7 @@ def _bucket_rows(table: "BucketTable") -> Iterator[dict[str, Any]]:
 
 
 _CHUNK = 1000
-"""Rows that are aligned with each other."""
+"""Number of rows whose columns are aligned with each other; longer results are printed in such pieces."""
 
 
 def _print(rows: Iterable[dict[str, Any]], *, as_json: bool, as_csv: bool) -> None:
@@ -166,13 +166,17 @@ def _cell(name: str, value: Any, *, whole: bool) -> str:
 
 
 def _iso(nanoseconds: int) -> str:
-    """Return a time as ISO 8601 text in UTC, with nanoseconds."""
+    """Return a time, given in nanoseconds since 1970 UTC, as ISO 8601 text in UTC with nanoseconds."""
     whole, rest = divmod(nanoseconds, 1_000_000_000)
     return f"{datetime.fromtimestamp(whole, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"
 
 
 def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> int:
-    """Write tables of samples to a new Parquet file."""
+    """Write tables of samples to a new Parquet file, and return the exit code.
+
+    Raises:
+        ConfigError: the file exists, or cannot be written.
+    """
     from ..apps.collector.store.sealing import arrow
 
     path = Path(name)

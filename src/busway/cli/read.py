@@ -3,7 +3,7 @@
 1. Every address, type and count is checked before the first byte goes out.
 2. With several addresses, one that the device refuses does not keep the others from being read; the exit code is that
    of the first failure.
-3. While it watches, a failure is said and watching goes on.
+3. With ``--watch`` a failure is printed on stderr, and reading goes on.
 4. In JSON and CSV a value that could not be read is a record too, with the reason.
 """
 
@@ -58,11 +58,11 @@ holding:0 and holding:0x10 count from 0.
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """One address that ``busway read`` is to read, with value type and count."""
+    """One argument of ``busway read``: the address to read, with value type, byte order and number of values."""
 
     place: Address
     form: ValueType[Any] | None
-    """None for coils and discrete inputs."""
+    """Value type of the registers; None for coils and discrete inputs."""
     order: str
     count: int
 
@@ -119,7 +119,7 @@ def _read_points(
     url: str, names: list[str], file: str, unit: str | None, period: float | None, as_json: bool, as_csv: bool,
     timeout: str | None, retries: str | None, capture: str | None, verbose: int,
 ) -> int:  # fmt: skip
-    """Read the points of a device file by their names, and print them."""
+    """Read the points of a device file by their names, print them, and return the exit code."""
     from .read_points import PointReader, load_points, read_points
 
     number, section = load_points(file, None if unit is None else whole_number(unit, "--unit", 0, 255))
@@ -134,7 +134,12 @@ def _read_points(
 
 
 def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool) -> Wanted:
-    """Return what one argument of ``busway read`` asks for: address, type and count. Raises an error if invalid."""
+    """Return what one argument of ``busway read`` asks for: address, value type, order and count.
+
+    Raises:
+        ConfigError, InvalidRequest: the address, type, order or count is invalid, or one request cannot hold the
+            values.
+    """
     if text.startswith("-"):
         raise ConfigError("there is no such option", key=text)
     place = parse_address(text)

@@ -1,9 +1,9 @@
 """``busway read --points FILE``: reads the points of a device by name, in as few requests as its rules allow.
 
-1. What is wrong with the file is said as a whole, and nothing is sent then.
+1. All errors of the file are reported together, and nothing is sent then.
 2. A read that fails is a record of each of its points, with the reason. A read of several points that the device
    refuses is asked again point by point: one bad register does not spoil the rest.
-3. What others depend on is read first: how many members a group has.
+3. Points that say how many members a group has are read first, and members that do not exist are not read.
 """
 
 import time
@@ -36,8 +36,8 @@ class PointRecord:
 
     Attributes:
         point: the point.
-        reading: its value, or why there is none.
-        raw: its items in wire order; empty where they are not known.
+        reading: its value and quality, or the reason why it has no value.
+        raw: its registers in wire order, or one byte, 0 or 1, for a bit; empty if they are not known.
     """
 
     point: Point
@@ -63,14 +63,17 @@ class PointRecord:
 
 
 def load_points(name: str, unit: int | None) -> "tuple[int | None, UnitSection]":
-    """Load a unit with its points from a device file, and return it with its number.
+    """Load a unit with its points from a device file, and return the unit's number and its description.
 
     Args:
         name: a device file, a simulation file, ``device:NAME``, or a register map whose name ends in ``.csv``.
-        unit: the number that was asked for; None for the one that the file has.
+        unit: the number that was asked for; None for the only one that the file has.
+
+    Returns:
+        The number to ask, None if neither argument nor file has one, and the section of the unit.
 
     Raises:
-        ConfigError: the file cannot be, or it is not clear which of its units is meant.
+        ConfigError: the file is invalid, or has several units of which none is ``unit``.
     """
     from ..apps.simulator.includes import load_declaration
     from ..apps.simulator.register_map import read_register_map
@@ -91,7 +94,15 @@ def load_points(name: str, unit: int | None) -> "tuple[int | None, UnitSection]"
 
 
 def chosen_points(section: "UnitSection", names: Sequence[str]) -> list[Point]:
-    """Return the points of a unit whose names match: all, or those of some names and patterns (``string.*``)."""
+    """Return the points of a unit whose names match, in the order of the file.
+
+    Args:
+        section: the description of the unit.
+        names: names and patterns, such as ``string.*``; none for all points.
+
+    Raises:
+        ConfigError: a name matches no point.
+    """
     points = section.described()
     for name in names:
         if not any(fnmatchcase(point.name, name) for point in points):
@@ -104,9 +115,15 @@ class PointReader:
     """Reads certain points of a unit, repeatedly, in few requests.
 
     Args:
-        unit: the device.
-        section: its description.
-        names: those that are wanted, or patterns; none for all.
+        unit: the unit to ask.
+        section: the description of its points.
+        names: names and patterns of the points that are wanted; none for all.
+
+    Attributes:
+        points: the points that are wanted.
+
+    Raises:
+        ConfigError: a name matches no point; nothing was sent.
     """
 
     def __init__(self, unit: "BlockingUnit", section: "UnitSection", names: Sequence[str]) -> None:
@@ -136,7 +153,13 @@ class PointReader:
         return [point for point in self._all.values() if point.name in found]
 
     def read(self) -> list[PointRecord]:
-        """Read all wanted points once; returns a record for each that exists, in the order of the file."""
+        """Read all wanted points once; returns a record for each point that exists, in the order of the file.
+
+        A failure is the reason in a record, and sets ``code``.
+
+        Raises:
+            InvalidRequest: a request cannot be sent to the unit.
+        """
         self.code = ExitCode.DONE
         counting = self._counting()
         records = self._read([point for point in self._stored if point.name in counting])
@@ -147,9 +170,7 @@ class PointReader:
         return [records[point.name] for point in self.points if point.name in records and _exists(point, records)]
 
     def _counting(self) -> set[str]:
-        """Return the points whose values say how many members a repeated group has, and the points those are computed
-        from.
-        """
+        """Return the names of the points that say how large a repeated group is, and of those they depend on."""
         names = {name for point in self._stored for name, _ in point.exists}
         return {point.name for point in self._with_inputs([self._all[name] for name in names])}
 
@@ -188,7 +209,14 @@ class PointReader:
         replies: list[tuple[ReadDecoder, bytes]],
         found: dict[str, PointRecord],
     ) -> None:
-        """Send one read request; if the device refuses it, read each of its points separately."""
+        """Send one read request; if the device refuses it, read each of its points separately.
+
+        Args:
+            points: the points to read, of one table.
+            start, width: offset of the first item and number of items.
+            replies: gets each reply with its decoder.
+            found: gets a record for each point that could not be read.
+        """
         from ..client.operations import READ
 
         table = points[0].table
@@ -214,7 +242,7 @@ class PointReader:
 
 
 def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
-    """Whether a member of a repeated group exists, by the group's size as read from the device."""
+    """Whether a point exists: a member of a repeated group does up to the group's size that the device has reported."""
     for name, place in point.exists:
         record = records.get(name)
         if record is not None and record.reading.value is not None and place > record.reading.value:
@@ -231,7 +259,7 @@ def _items(decoder: ReadDecoder, point: Point, data: bytes) -> bytes:
 
 
 def reason_of(error: ModbusError) -> int:
-    """Return the reason code of a point that has no value because of an error."""
+    """Return the reason (`Reason`) for a point that has no value because of this error."""
     if isinstance(error, ExceptionReply):
         return exception_reason(error.code)
     if isinstance(error, BadReply):
@@ -242,7 +270,17 @@ def reason_of(error: ModbusError) -> int:
 
 
 def read_points(reader: PointReader, *, unit: int | None, as_json: bool, as_csv: bool, period: float | None) -> int:
-    """Read points once, or repeatedly until Ctrl-C, and print them. Returns the exit code."""
+    """Read points once, or every ``period`` seconds until Ctrl-C, and print them.
+
+    Args:
+        reader: reads the points.
+        unit: unit identifier, for JSON; None to leave it out.
+        as_json, as_csv: the form of the output; ConfigError if both are True.
+        period: seconds between two rounds; None for one round.
+
+    Returns:
+        The exit code: of the first failure of a single round; 0 after several rounds.
+    """
     with closing(_PointWriter(unit, as_json=as_json, as_csv=as_csv, repeats=period is not None)) as writer:
         if period is None:
             writer.write(reader.read())
@@ -274,7 +312,7 @@ class _PointWriter:
             self._page.close()
 
     def write(self, records: Sequence[PointRecord], now: str = "") -> None:
-        """Print the points of one round of reading."""
+        """Print the points of one round of reading, with the time ``now`` unless it is empty."""
         if self._as_json:
             for record in records:
                 print_json(({"time": now} if now else {}) | ({} if self._unit is None else {"unit": self._unit})

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 async def read_again_on_hangup(
     service: "Service", told: Callable[[bool], None] = lambda is_over: None
 ) -> AsyncIterator[None]:
-    """Context manager that reloads the configuration at each SIGHUP and prints the result.
+    """Context manager that reloads the configuration of a service at each SIGHUP and prints the result.
 
     Args:
         service: the running service.
-        told: called with False before, and with True after.
+        told: called with False before a reload, and with True after it, whether it succeeded or not.
     """
     loop = asyncio.get_running_loop()
     tasks: set[asyncio.Task[None]] = set()

@@ -1,7 +1,7 @@
-"""``busway replay``: what was said in a capture file, what was wrong, and a simulator file that answers as it did.
+"""``busway replay``: reports what was said and what was wrong in a capture file, and writes a simulation file of it.
 
-What is found is `busway.apps.replay`; here are the arguments, the report and the file. Packets are numbered as
-Wireshark numbers them.
+The analysis is `busway.apps.replay`; here are the arguments, the report and the file. Packets are numbered as Wireshark
+numbers them.
 """
 
 import sys
@@ -42,7 +42,7 @@ Captures are pcap or pcapng, of Ethernet, Linux cooked, loopback or raw IP, or o
 """
 
 _MOST_RANGES: Final = 12
-"""Ranges of items that are shown of one function."""
+"""Most ranges of items that are shown for one function code and table."""
 
 
 def replay(
@@ -96,7 +96,7 @@ def replay(
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """The options of ``--simulate``, as texts."""
+    """What ``busway replay --simulate`` is to write: path, server, which values, delays, and whether to overwrite."""
 
     path: str | None
     server: str | None
@@ -105,7 +105,7 @@ class _Wanted:
     force: bool
 
     def check(self) -> None:
-        """Refuse what goes with ``--simulate`` only, a word that is none, and a file that is there."""
+        """Raise `ConfigError` for an option that needs ``--simulate``, a wrong ``--values``, or a file that exists."""
         if self.values not in (None, "first", "last"):
             raise ConfigError(f"first or last is needed, not {self.values!r}", key="--values")
         if self.path is not None:
@@ -117,7 +117,7 @@ class _Wanted:
                 raise ConfigError("goes with --simulate only", key=option)
 
     def write(self, devices: "RecordedDevices") -> None:
-        """Write the simulation file, if one is wanted, and what it cannot say as warnings."""
+        """Write the simulation file if ``--simulate`` is given, and print warnings about what it cannot reproduce."""
         if self.path is None:
             return
         file = devices.file(self.server, last=self.values == "last", delays=self.delays)
@@ -244,7 +244,7 @@ def _range(table: "Table", first: int, end: int) -> str:
 
 
 def _time(span: float) -> str:
-    """Return a number of seconds as text in the unit that fits."""
+    """Return a time span, given in seconds, as text in ms or s."""
     return f"{span * 1e3:.1f} ms" if span < 1 else f"{span:.1f} s"
 
 

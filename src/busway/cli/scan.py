@@ -31,7 +31,7 @@ A line is listened to first; where others talk, nothing is sent. Nothing is ever
 """
 
 MANY = 10
-"""So many units that all answer alike are one device that does not look at the unit."""
+"""Smallest number of asked units that, if all answer alike, are taken for one device that ignores the unit."""
 
 
 def scan(
@@ -88,7 +88,7 @@ def _units(text: str | None, endpoint: Endpoint) -> list[int]:
 
 
 def _settings(endpoint: Endpoint, baud: str | None, parity: str | None) -> Iterator[Endpoint]:
-    """Return the endpoint with each combination of rate and parity to try; checked before anything is sent."""
+    """Yield the endpoint with each combination of baud rate and parity to try. Raises `ConfigError`."""
     from ..client.settings import link_settings
 
     for name, text in (("--baud", baud), ("--parity", parity)):

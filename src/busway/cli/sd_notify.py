@@ -2,10 +2,10 @@
 
 Knows the datagrams of systemd's protocol and the two variables that ask for them; knows nothing of what runs.
 
-1. Without ``NOTIFY_SOCKET`` nothing is sent, and nothing costs anything.
+1. Without ``NOTIFY_SOCKET`` nothing is sent.
 2. A manager that does not listen is no reason to stop: what cannot be sent is dropped.
-3. ``WATCHDOG=1`` is sent twice in the time that ``WATCHDOG_USEC`` gives, out of the event loop: one that is stuck sends
-   nothing, and is restarted.
+3. ``WATCHDOG=1`` is sent twice in the time that ``WATCHDOG_USEC`` gives, by a task of the event loop: a loop that is
+   stuck sends nothing, and the manager restarts the program.
 4. Written here: the protocol is one datagram with a line of text, too little for a dependency.
 """
 
@@ -25,10 +25,10 @@ class Manager:
     """Connection to the service manager, such as systemd, that started this program; without one, nothing is sent.
 
     Args:
-        environment: instead of that of the process.
+        environment: environment variables to use instead of those of the process.
 
     Attributes:
-        watchdog: seconds within which it wants to hear from us; None where it does not.
+        watchdog: seconds within which the manager expects `alive`; None without a watchdog.
     """
 
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
@@ -96,7 +96,7 @@ def _address(name: str) -> str:
 
 
 def _watchdog(variables: Mapping[str, str]) -> float | None:
-    """Return the watchdog's interval in seconds, if it watches this process."""
+    """Return the interval of the service manager's watchdog in seconds; None if this process has no watchdog."""
     microseconds, process = variables.get("WATCHDOG_USEC", ""), variables.get("WATCHDOG_PID", "")
     if not (microseconds.isascii() and microseconds.isdecimal()) or not int(microseconds):
         return None

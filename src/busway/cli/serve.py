@@ -51,7 +51,7 @@ A listener that the network reaches is read-only without a policy; --allow-write
 """
 
 ITEMS = 1000
-"""Of each table without a file."""
+"""Number of items in each table of unit 1 if no file is given."""
 BUILT_IN = f"""\
 [[unit]]
 unit = 1

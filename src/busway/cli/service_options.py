@@ -1,4 +1,4 @@
-"""Options that ``busway serve``, ``gateway`` and ``simulate`` have in common, and what they print at the start.
+"""Options that ``busway serve``, ``gateway`` and ``simulate`` have in common, and what these print at the start.
 
 Knows options and the service that is built of them; knows neither servers nor gateways.
 
@@ -58,11 +58,15 @@ CONTROL = typer.Option(
 )
 
 READ_ONLY = "read-only"
-"""The policy that needs no file."""
+"""The word that ``--policy`` takes instead of a file, for a policy that permits reads only."""
 
 
 def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressList | None":
-    """Return the address list of ``--allow`` and ``--deny``, None without. Raises `ConfigError` with the option."""
+    """Return the list of addresses that may connect, from ``--allow`` and ``--deny``; None if neither is given.
+
+    Raises:
+        ConfigError: an address or network is invalid; the error names the option.
+    """
     from ..access.addresses import AddressList
     from ..options.networks import Networks
 
@@ -72,7 +76,14 @@ def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressLis
 
 
 def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: options of several types
-    """Return the listener options on the command line, which override a file. Raises `ConfigError` with the option."""
+    """Return the listener options given on the command line, by name; they replace those of the file.
+
+    Args:
+        priority: hosts and networks of ``--priority``.
+
+    Raises:
+        ConfigError: a host or network is invalid; the error names the option.
+    """
     from ..options.networks import Networks
 
     return {"priority": Networks(priority, key="--priority")} if priority else {}
@@ -103,7 +114,7 @@ def is_file(policy: str | None) -> bool:
 
 
 def announce(service: "Service") -> None:
-    """Print what the program serves: listeners, metrics, and which listeners are read-only."""
+    """Print what the program serves: endpoints on stdout; read-only listeners and the place of metrics on stderr."""
     if service.read_only:
         warn(f"read-only, for want of a policy: {', '.join(service.read_only)}; --allow-writes takes writes")
     if service.metrics:

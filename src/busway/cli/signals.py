@@ -10,7 +10,10 @@ from typing import Any
 
 @contextlib.contextmanager
 def stop_event() -> Iterator[asyncio.Event]:
-    """Context manager that yields an event set by Ctrl-C or SIGTERM; a second Ctrl-C interrupts as usual."""
+    """Context manager that yields an event set by Ctrl-C or SIGTERM; a second Ctrl-C interrupts as usual.
+
+    To be entered in the running event loop. Outside the main thread, which alone has signals, the event is never set.
+    """
     loop = asyncio.get_running_loop()
     event = asyncio.Event()
     before: dict[int, object] = {}
@@ -33,7 +36,7 @@ def stop_event() -> Iterator[asyncio.Event]:
 def stop_events() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
     """Context manager that yields two events: the first Ctrl-C or SIGTERM sets one, the next signal sets the other.
 
-    A third interrupts as usual.
+    A third signal interrupts as usual.
     """
     loop = asyncio.get_running_loop()
     first, second = asyncio.Event(), asyncio.Event()
@@ -58,7 +61,10 @@ def stop_events() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
 
 @contextlib.contextmanager
 def on_hangup(call: Callable[[], None]) -> Iterator[None]:
-    """Context manager that calls a function in the event loop at each SIGHUP, on systems that have it."""
+    """Context manager that calls a function in the running event loop at each SIGHUP.
+
+    Without effect on systems without SIGHUP and outside the main thread.
+    """
     number = getattr(signal, "SIGHUP", None)
     if number is None or threading.current_thread() is not threading.main_thread():
         yield
@@ -75,7 +81,7 @@ def on_hangup(call: Callable[[], None]) -> Iterator[None]:
 def stop_flag() -> Iterator[threading.Event]:
     """Context manager that yields a flag set by Ctrl-C or SIGTERM, without an event loop; a second Ctrl-C interrupts.
 
-    Nothing is interrupted where it stands: what was received is not lost.
+    The first signal does not interrupt the running code, so nothing that was received is lost.
     """
     flag = threading.Event()
     before: dict[int, Any] = {}  # what signal.signal gave

@@ -2,10 +2,10 @@
 
 1. As `serve`: the endpoints go to stdout as they are bound, one per line, everything else to stderr; a listener that
    the network reaches is read-only unless there is a policy, or writes are allowed by name; SIGHUP reads files again.
-2. Units and behaviours are those of the start: what is read again is policy, lists and certificates.
-3. ``--fault`` switches on a fault that the file has, or puts a fault profile on; what it does goes to stderr.
-4. With ``--api`` the address of the page goes to stderr once it answers, with its token behind ``#`` if one was
-   made here; one that was given in a file is not shown.
+2. Units and behaviours stay those of the start; SIGHUP reads policy, address lists and certificates again.
+3. ``--fault`` switches on a fault of the file, or a fault profile; what the fault does is printed on stderr.
+4. With ``--api`` the address of the page goes to stderr once it answers. A token that was made here stands behind
+   ``#``; a token from a file is not shown.
 """
 
 import asyncio
@@ -189,9 +189,17 @@ def simulate(
 
 
 def _loaded(source: Chosen, faults: Iterable[str], *, keeps_state: bool, **options: Any) -> "Simulation":
-    """Return the simulation of a source, with the faults of ``--fault`` switched on; ``options`` as of `Simulation`.
+    """Return the simulation of a source, with the faults of ``--fault`` switched on; it does not run yet.
 
-    A check of a file needs no state of an earlier run, and must not put one aside.
+    Args:
+        source: where the simulation comes from.
+        faults: the texts of ``--fault``.
+        keeps_state: whether the state of an earlier run is loaded. False for the check of a file, which must not touch
+            it.
+        options: keyword arguments of `Simulation`.
+
+    Raises:
+        ConfigError: the source or a fault is invalid.
     """
     from ..apps.simulator.added_faults import put_on_by_words
     from ..apps.simulator.simulation import Simulation
@@ -243,7 +251,7 @@ def _page(simulation: "Simulation", api: str, token_file: str | None, file: str)
 
 
 def check_file(file: str) -> None:
-    """Print what a simulation file comes to, without running it; errors are raised."""
+    """Print the units and faults of a simulation file on stdout, without running it. Raises `ConfigError`."""
     from ..apps.simulator.includes import load_declaration
     from ..apps.simulator.simulation import Simulation
 

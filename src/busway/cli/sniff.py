@@ -109,7 +109,15 @@ class _Sniffing:
         self._wall = time.time() - self._began  # added to the clock of the frames it gives the time of day
 
     def run(self, lasting: float | None, stop: "Event") -> int:
-        """Listen to the line until the time is over or a signal comes; then print the statistics."""
+        """Listen to the line and print its frames until the time is over or a signal comes; then print the statistics.
+
+        Args:
+            lasting: seconds; None for no limit.
+            stop: set by a signal.
+
+        Returns:
+            The exit code; `ExitCode.NO_CONNECTION` if the serial port has vanished and is still gone at the end.
+        """
         until = float("inf") if lasting is None else self._began + lasting
         try:
             while time.monotonic() < until and not stop.is_set():

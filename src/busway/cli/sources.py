@@ -54,11 +54,11 @@ UNIT = typer.Option(None, "-u", "--unit", metavar="U", help="With --clone or --m
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """The simulation that the arguments choose, and the name of its source.
+    """The source of a simulation that the arguments choose.
 
     Attributes:
         name: the name of the file or device.
-        load: reads it, now and whenever it is read again.
+        load: reads the source; called at the start and at each reload. Raises `ConfigError`.
     """
 
     name: str
@@ -68,17 +68,18 @@ class Chosen:
 def chosen_source(
     file: str | None, device: str | None, map_file: str | None, unit: str | None, changes: dict[str, Any]
 ) -> Chosen:
-    """Load the simulation that the arguments of ``busway simulate`` name.
+    """Return the source of the simulation that the arguments of ``busway simulate`` name; no file is read yet.
 
     Args:
         file: path of a simulation file.
-        device: a ready-made device.
+        device: name of a ready-made device.
         map_file: path of a register map.
         unit: the unit number for the register map.
-        changes: options of listeners that go before those of the file.
+        changes: options of listeners that replace those of the file.
 
     Raises:
-        ConfigError: none is named, or more than one.
+        ConfigError: none is named or more than one, there is no such device, or ``unit`` is given without a register
+            map.
     """
     from ..apps.simulator.includes import load_declaration
     from ..config.profiles import PREFIX, ready_made

@@ -33,7 +33,7 @@ Programs are asked over the socket that they make at their start (--control).
 """
 
 _WHOLE = ("listener", "connection", "process")
-"""Columns that a narrow terminal does not break."""
+"""Columns whose cells are not wrapped on a narrow terminal."""
 
 
 def status(
@@ -52,7 +52,12 @@ def status(
 
 
 def _ask(where: str | None) -> list[dict[str, Any]]:
-    """Return the status of running programs: of a named one, or of all. Raises `LinkDown` if there is none."""
+    """Return the status of running programs: of the one that ``where`` names, or of all that this user has started.
+
+    Raises:
+        LinkDown: there is no such program.
+        ConfigError: ``where`` is invalid.
+    """
     from ..apps.control.addresses import control_directories
     from ..apps.control.client import ask, find_one, find_running
 

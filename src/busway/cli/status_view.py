@@ -1,8 +1,8 @@
 """Formats the status of a program as sections of rows, with words, times and sizes for people.
 
-Knows the JSON of a control service; prints nothing. What it does not know by name it shows by its name.
+Knows the JSON of a control service; prints nothing. Entries without a heading of their own have their key as heading.
 
-1. A column of which no row says anything (zero, empty, no) is left out.
+1. A column in which all rows are zero, empty or false is left out, except the usual ones.
 """
 
 import time
@@ -57,7 +57,7 @@ _STYLES: Final[Mapping[str, Mapping[str, str]]] = {
     "pool": {"priority": "bold"},
     "state": {"up": "green", "suspect": "yellow", "backing off": "red"},
 }
-"""Colours by heading and word."""
+"""Colours of cells, by heading of the column and text of the cell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +65,8 @@ class StatusSection:
     """One section of a printed status: a title and rows.
 
     Attributes:
-        title: a line above it; empty if there is none.
-        columns: headings; empty where the rows speak for themselves.
+        title: a line above the rows; empty if there is none.
+        columns: headings; empty if the rows need none.
         rows: cells, as many in each row.
     """
 
@@ -87,7 +87,11 @@ class StatusSection:
 
 
 def sections_of(told: JsonObject) -> list[StatusSection]:
-    """Return all sections to print for the status of one program."""
+    """Return all sections to print for the status of one program.
+
+    Args:
+        told: the JSON object that the program's control service has sent.
+    """
     state = told["status"]
     sections = [StatusSection(headline(told))]
     sections += server_sections(state)
@@ -165,7 +169,7 @@ def upstream_sections(upstreams: Sequence[JsonObject]) -> list[StatusSection]:
 
 
 def _when(pause: float | None) -> str:
-    """Return when the next attempt to connect is made, as text."""
+    """Return when the next attempt is made, as text; ``pause`` is in seconds, None for the next request."""
     return f"in {duration(pause)}" if pause else "with the next request"
 
 
@@ -195,7 +199,7 @@ def headline(told: JsonObject) -> str:
 
 
 def connections_line(state: JsonObject) -> str:
-    """Return one line with the number of open connections and their limit."""
+    """Return one line with the number of open connections and their limit; empty if the status has no limit."""
     if "supported_connections" not in state:
         return ""
     remote = state.get("remote_connections", len(_connections(state)))
@@ -204,14 +208,17 @@ def connections_line(state: JsonObject) -> str:
 
 
 def interface_rows(listener: JsonObject) -> Iterator[list[str]]:
-    """Return rows for the network interfaces that other hosts use to reach a listener."""
+    """Yield a row for each network interface by which other hosts reach a listener; loopback is left out.
+
+    The cells are endpoint, name, address, netmask and gateway.
+    """
     for one in listener.get("interfaces") or ():
         if not (one["address"].startswith("127.") or one["address"] == "::1"):
             yield [listener["endpoint"], one["name"], one["address"], one["netmask"], one["gateway"]]
 
 
 def certificate_lines(listener: JsonObject) -> Iterator[list[str]]:
-    """Return lines about the certificate and the TLS handshakes of a listener."""
+    """Yield rows of three cells about a listener's certificate and TLS handshakes; none for one without TLS."""
     security = listener.get("security")
     if not security:
         return
@@ -253,7 +260,12 @@ def size(number: float) -> str:
 
 
 def shown(name: str, value: Any) -> str:
-    """Return a value of a program's status as text for people."""
+    """Return a value of a program's status as text for people.
+
+    Args:
+        name: key of the value; by it a number is seconds, bytes or a plain number.
+        value: the value from the JSON.
+    """
     if value is None or value == "":
         return "-"
     if isinstance(value, bool):

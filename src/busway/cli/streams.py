@@ -20,13 +20,19 @@ class OutputLostError(Exception):
 
 
 class ReaderGoneError(Exception):
-    """Error: the reader of stdout has closed it (``busway read … | head -1``). No `OSError`: typer would end with code
-    1.
+    """Error: the reader of stdout has closed it (``busway read … | head -1``).
+
+    It is no `OSError`, because typer would end the program with code 1.
     """
 
 
 class Guarded:
-    """A text stream that raises one kind of error for each way in which writing to it can fail (rules 1 and 2)."""
+    """A text stream whose failures raise `ReaderGoneError` or `OutputLostError`, or nothing if it is not needed.
+
+    Args:
+        stream: the stream that it writes to.
+        is_needed: True for stdout. False for stderr: what it does not take is lost without an error.
+    """
 
     def __init__(self, stream: TextIO, *, is_needed: bool) -> None:
         self._stream = stream
@@ -34,17 +40,22 @@ class Guarded:
         self._failure: OSError | ValueError | None = None
 
     def write(self, text: str) -> int:
-        """Write a text to the stream; raises the error for the way in which it failed."""
+        """Write a text to the stream, and return its length.
+
+        Raises:
+            ReaderGoneError: the reader has closed the stream.
+            OutputLostError: the stream cannot be written.
+        """
         self._do(self._stream.write, text)
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """Write lines to the stream; raises the error for the way in which it failed."""
+        """Write texts to the stream one after the other; raises as `write`."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """Flush the stream; raises the error for the way in which it failed."""
+        """Flush the stream; raises as `write`."""
         self._do(self._stream.flush)
 
     def __getattr__(self, name: str) -> Any:  # whatever the stream has
@@ -67,7 +78,7 @@ class Guarded:
 
 @contextlib.contextmanager
 def guarded_streams() -> Iterator[None]:
-    """Context manager in which failures of this process's standard streams raise errors of their own kinds."""
+    """Context manager that replaces stdin, stdout and stderr of this process by streams that keep the rules above."""
     before = sys.stdin, sys.stdout, sys.stderr
     opened: list[TextIO] = []
     sys.stdin = _there(sys.stdin, "r", opened)
@@ -90,7 +101,7 @@ def guarded_streams() -> Iterator[None]:
 
 
 def discard(stream: TextIO) -> None:
-    """Send what a stream still buffers to the null device: writing it at the end of the process would fail again."""
+    """Redirect a stream to the null device, so that what it still buffers can be written without another failure."""
     with contextlib.suppress(OSError, ValueError, AttributeError):
         null = os.open(os.devnull, os.O_WRONLY)
         try:

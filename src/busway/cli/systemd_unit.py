@@ -2,9 +2,9 @@
 
 Knows directives of systemd (systemd.service(5), systemd.exec(5)) and what a gateway needs of the system; opens nothing.
 
-1. It gets what its configuration needs, and nothing else: the serial group only for serial ports, the right to low
-   port numbers only where it listens on one.
-2. Stopping waits for the gateway's own deadline, and a little longer.
+1. The unit permits what the gateway's configuration needs, and nothing else: the serial group only for serial ports,
+   low port numbers only if it listens on one.
+2. systemd waits ``drain`` seconds and a little longer for the gateway to end.
 """
 
 import sys
@@ -25,14 +25,14 @@ _RUNTIME_DIRECTORY: Final = "busway"
 
 @dataclass(frozen=True, slots=True)
 class ServiceUnit:
-    """What a systemd unit file says about a gateway: command, user and paths.
+    """What a systemd unit file says about a gateway: command, rights and paths.
 
     Attributes:
         command: the program and its arguments, the first an absolute path.
-        plan: the arguments of the gateway's command.
-        drain: seconds that it may take to end.
-        written: folders that it writes into: of the audit log.
-        name: the name of its control socket.
+        plan: listeners and upstreams of the gateway; the rights of the service follow from them.
+        drain: seconds that the gateway may take to end.
+        written: folders that the gateway writes into, such as that of the audit log.
+        name: name of its control socket.
     """
 
     command: Sequence[str]

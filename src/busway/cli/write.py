@@ -1,9 +1,9 @@
 """``busway write``: writes values to consecutive addresses of a device, in one request.
 
 1. All values are checked before the first byte goes out; one that does not fit is refused, never truncated.
-2. What begins with a minus sign is a value here (``-5``), unless it is an option.
+2. An argument that begins with a minus sign is a value (``-5``), unless it is an option.
 3. A write is never repeated: without an answer its outcome is unknown, exit code 3.
-4. What is printed says that it was written. What the device holds is known only where ``--verify`` has read it back.
+4. The output says that a value was written. What the device holds is known only if ``--verify`` has read it back.
 """
 
 from collections.abc import Callable, Sequence
@@ -119,7 +119,7 @@ def write(
 
 
 def _read_back(read: Callable[[], _Found]) -> _Found | None:
-    """Return the values read after a write; None, with a message on stderr, if the device does not answer."""
+    """Return what ``read`` returns after a write; None, with a message on stderr, if the device does not answer."""
     try:
         return read()
     except ModbusError as error:
@@ -151,7 +151,13 @@ def _compared(written: Sequence[TableRow], held: Sequence[TableRow]) -> list[Tab
 
 
 def _masks(place: Address, mask: tuple[str, str], texts: list[str] | None) -> tuple[int, int]:
-    """Return the AND mask and the OR mask of a masked write. `ConfigError` if they or the address are invalid."""
+    """Return the AND mask and the OR mask that ``--mask`` gives. Raises `ConfigError`.
+
+    Args:
+        place: must be a holding register.
+        mask: the texts of both masks, 0…0xFFFF.
+        texts: values on the command line, which must be missing.
+    """
     if texts:
         raise ConfigError(f"takes the place of values, but there is {texts[0]!r}", key="--mask")
     if place.table is not Table.HOLDING_REGISTERS or place.bit is not None:
@@ -192,7 +198,11 @@ def _write_mask(
 def _parsed(
     place: Address, texts: list[str], kind: str | None, order: str
 ) -> tuple[ValueType[Any] | None, list[Any], bytes]:  # Any: what the type says
-    """Return the value type (None for bits), the values that the arguments give, and their bytes."""
+    """Return the value type (None for bits), the values that the arguments give, and their bytes in wire order.
+
+    Raises:
+        InvalidRequest: the table is read-only, or a value does not fit its type.
+    """
     if place.table is None or not place.table.is_writable:
         raise InvalidRequest(f"{place}: {place.table.label if place.table else 'table'}s are read-only")
     if place.table.holds_bits or place.bit is not None:
