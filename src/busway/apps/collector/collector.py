@@ -1,12 +1,12 @@
 """The collector: polls the devices of its file, stores their samples, and passes them on to sinks and alarms.
 
-Knows files, links, the store and asyncio; what is asked next is decided by `schedule`, and asked by `poller`.
+Knows files, links, the store and asyncio; `schedule` decides what is asked next, and `poller` asks.
 
 1. A sample is handed on when it is in the store. Readers that are too slow lose the oldest batches, which is counted;
    they never slow polling down.
 2. A file that is read again is refused as a whole, or applied link by link. A link whose section, devices and profiles
-   are the same as before is not touched, and misses no round. What has begun is done to its end, whatever comes of
-   the caller.
+   are the same as before is not touched, and misses no round. A change that has begun is completed, even if its caller
+   is cancelled.
 3. What was learnt is written beside the store when it changes, and at the end.
 """
 
@@ -64,18 +64,25 @@ from .store.writer import Commit, StoreOptions, StoreWriter
 CLOCK_EVERY: Final = 5.0
 """Seconds between two comparisons with the wall clock."""
 AUDIT_LOG: Final = "audit.log"
-"""The file in the store that keeps the audit log, where the configuration names none."""
+"""Name of the audit log's file in the store's folder, used if the configuration names none."""
 FINISH_LIMIT: Final = 2.0
-"""Seconds beyond its timeout for which a transaction may go on when its link is to stop."""
+"""Seconds beyond its timeout that a transaction in progress may take when its link is to stop."""
 LEARNT_EVERY: Final = 30.0
-"""Seconds after which what was learnt is written, if it changed."""
+"""Seconds between two writes of what was learnt about devices; nothing is written if nothing has changed."""
 
 _log = logging.getLogger("busway.collector")
 
 
 @dataclass(slots=True)
 class _RunningLink:
-    """A link whose devices are being polled: its configuration and its task."""
+    """A link whose devices are being polled.
+
+    Attributes:
+        key: all settings that decide how the link is polled, for comparison (`_key_of`).
+        link: the link.
+        poller: polls its devices.
+        task: the task of the poller.
+    """
 
     key: object
     link: AsyncLink
@@ -84,13 +91,16 @@ class _RunningLink:
 
 
 class Collector:
-    """A running collector of device values; an asynchronous context manager, made by `collect`.
+    """Polls the devices of a collector file and stores their samples, while its ``async with`` block lasts.
+
+    Made by `collect`. All methods are for the thread of the event loop, and only inside the block.
 
     Attributes:
-        configuration: the contents of its file.
-        knowledge: facts learnt about its devices.
-        values: the last committed value of each point.
-        alarms: its alarms, once it has begun.
+        configuration: the configuration in use.
+        knowledge: what was learnt about the devices.
+        more_metrics: functions that return further families of metrics for the pages for Prometheus.
+        values: the last stored sample of each point.
+        alarms: the alarms of the points; there once the block was entered.
     """
 
     alarms: CollectorAlarms
@@ -108,13 +118,14 @@ class Collector:
 
         Args:
             configuration: the contents of its file.
-            permit: called with the name of a link right before each of its transactions, reads and writes; an error
-                that it raises (a `LinkDown`) is that of the transaction, of which nothing is sent then.
-            claims: takes the keys of write commands for all collectors of a fleet; None for a collector that works
-                alone.
-            plant: gives the configuration of a whole fleet, of which ``configuration`` is the part that this collector
-                polls; None for a collector that works alone.
-            others: the other collectors of a fleet, for messages with commands; None for a collector that works alone.
+            permit: called with the name of a link right before each of its transactions, reads and writes. If it raises
+                `LinkDown`, nothing is sent, and the transaction fails with that error.
+            claims: ensures that of all collectors of a fleet only one executes a write command; None for a collector
+                that works alone.
+            plant: returns the configuration of a whole fleet, of which ``configuration`` is the part that this
+                collector polls; None for a collector that works alone.
+            others: the other collectors of a fleet, which may have to execute a received command; None for a collector
+                that works alone.
         """
         self.configuration: CollectorConfiguration = configuration
         self._permit, self._claims = permit, claims
@@ -141,10 +152,12 @@ class Collector:
         self._reloading = Reloading(lambda: self.configuration, lambda: self._audit, self._apply)
 
     async def __aenter__(self) -> Self:
-        """Open the store and begin to poll the devices.
+        """Open the store, start the sinks and begin to poll the devices.
 
         Raises:
-            ConfigError: another process writes the store (its pid is named), or it cannot be written.
+            ConfigError: the store cannot be written or another process writes it (the message has its pid), or another
+                part of the configuration cannot be used. Nothing was sent to a device.
+            LinkDown: the port of a page for Prometheus is in use.
         """
         try:
             await self._start_parts()
@@ -180,13 +193,11 @@ class Collector:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop polling the devices, and store the samples that are not stored yet."""
+        """Stop polling the devices, store the samples that are not stored yet, and close the store."""
         await self._stop()
 
     async def _stop(self) -> None:
-        """Stop every part of the collector, the last started first; a part that fails does not keep the
-        others running.
-        """
+        """Stop every part of the collector, the last started first; all are stopped even if one of them fails."""
         try:
             await self._reloading.end()  # else a link that a change begins would not be ended
         finally:
@@ -210,7 +221,11 @@ class Collector:
                 steps.push_async_callback(_ended, task)
 
     def _opened_store(self) -> StoreWriter:
-        """Open the store (the folder of samples), and tell it the points of the configuration. Raises `ConfigError`."""
+        """Open the store for writing, read what was learnt before, and tell the store the points of the configuration.
+
+        Raises:
+            ConfigError: the store or the file of what was learnt cannot be used; the store is closed.
+        """
         configuration = self.configuration
         options = configuration.file.collector
         retention = Retention(None if options.keep_days is None else 86_400 * options.keep_days, options.keep_bytes)
@@ -226,7 +241,12 @@ class Collector:
         return writer
 
     def _start_sinks(self, writer: StoreWriter, committer: Committer) -> None:
-        """Start to send samples to the sinks (MQTT, …). Raises `ConfigError` or, for a port in use, `LinkDown`."""
+        """Start to send samples to the sinks (MQTT, …), and serve the pages for Prometheus.
+
+        Raises:
+            ConfigError: a sink or page cannot be used as configured.
+            LinkDown: the port of a page is in use.
+        """
         configuration = self.configuration
         if configuration.sinks:
             self._sinks = SinkThread(writer, configuration.sinks, sink_rules(configuration), point_keys(configuration))
@@ -244,7 +264,13 @@ class Collector:
                 self._pages.append(made)
 
     def _start_commands(self) -> None:
-        """Open audit log and command record; end commands that an earlier process left open. Raises `ConfigError`."""
+        """Open the audit log, the journal of commands and the record of maintenance.
+
+        Commands that an earlier process left open are ended.
+
+        Raises:
+            ConfigError: one of them cannot be read or written.
+        """
         configuration = self.configuration
         section = configuration.file.audit
         path = configuration.common.audit or Path(configuration.store) / AUDIT_LOG
@@ -263,7 +289,7 @@ class Collector:
         self._end_maintenance_of_others()
 
     def _receive_commands(self) -> None:
-        """Start to receive write commands from the servers (MQTT, …) of those sinks that may send some."""
+        """Start to receive write commands from the servers (MQTT, …) of the sinks that are configured for commands."""
         for name, made in self.configuration.inputs.items():
             receiver = CommandReceiver(
                 name, made, self.commands, lambda: self.configuration, plant=self._plant, others=self._others
@@ -275,12 +301,15 @@ class Collector:
 
     @property
     def commands(self) -> CommandRunner:
-        """The part of the collector that writes values to points on demand."""
+        """The part of the collector that executes commands: it writes values to points on demand."""
         assert self._commands is not None, "the collector does not run"
         return self._commands
 
     async def _close_store(self) -> None:
-        """Store the waiting samples, let the sinks send them for a moment, and close; a failure skips no step."""
+        """Store the waiting samples, let the sinks send them for a moment, and close store, sinks and pages.
+
+        All are closed even if one of them fails.
+        """
         assert self._committer is not None
         async with AsyncExitStack() as steps:
             steps.push_async_callback(asyncio.to_thread, self._committer.close)
@@ -293,10 +322,12 @@ class Collector:
     # What programs use.
 
     async def samples(self, devices: Iterable[str] | None = None) -> AsyncIterator[SampleBatch]:
-        """Yield samples from now on, batch by batch, each after it is in the store.
+        """Yield the samples of devices from now on, one batch for each read, after the batch is in the store.
+
+        Ends when the collector stops. A program that is too slow misses the oldest batches (`readers_lost`).
 
         Args:
-            devices: names of those that are wanted; None for all.
+            devices: names of the devices; None for all.
 
         Raises:
             ConfigError: there is no device of this name.
@@ -310,14 +341,16 @@ class Collector:
                 yield batch
 
     def maintenance(self, device: str, *, begins: bool, by: str = "program", why: str = "") -> None:
-        """Begin or end the maintenance of a device: meanwhile it is not polled, also after a restart.
+        """Begin or end the maintenance of a device; a device in maintenance is not polled, not even after a restart.
 
-        Its last values are bad for the reason maintenance, and the store has one interval for the whole time.
+        Meanwhile the last values of its points are bad, and the store has one interval for the whole time. To end the
+        maintenance of a device that has none does nothing.
 
         Args:
-            device: its name.
-            begins: whether it begins or ends.
-            by, why: who wants it and why, for the log and the audit log.
+            device: name of the device.
+            begins: True begins the maintenance, False ends it.
+            by: who begins or ends it, for the log and the audit log.
+            why: the reason, for the log and the audit log.
 
         Raises:
             ConfigError: there is no such device, or the store cannot be written.
@@ -335,65 +368,85 @@ class Collector:
             poller.pause(device, paused=False)
 
     def in_maintenance(self) -> Mapping[str, MaintenanceRow]:
-        """The devices in maintenance, by name: since when, by whom and why."""
+        """Return the devices in maintenance, by name, each with its begin, who began it and why."""
         return {} if self._maintenance is None else self._maintenance.devices
 
     def watch(self, device: str, points: Iterable[str], *, period: float = 1.0, seconds: float = 10.0) -> None:
-        """Read some points of a device every ``period`` seconds for ``seconds``, with priority over regular polling.
+        """Read some points of a device more often for a while, with priority over regular polling.
 
-        Call it again before that time is over for as long as the points are viewed. Raises `ConfigError`.
+        To be called again before the time is over, for as long as a viewer watches the points.
+
+        Args:
+            device: name of the device.
+            points: names of its points; they replace those of an earlier call.
+            period: seconds between two reads.
+            seconds: how long this lasts from now on.
+
+        Raises:
+            ConfigError: there is no such device.
         """
         self._poller_of(device).lease(device, list(points), period, seconds)
 
     def registers_of(self, device: str, points: Container[str]) -> dict[str, bytes]:
-        """Return the registers of a device's points as last read, by name of the point. Raises `ConfigError`."""
+        """Return the raw registers of a device's points as last read, by point: two bytes for each register.
+
+        Points that were not read yet, bits and computed points are left out.
+
+        Raises:
+            ConfigError: there is no such device.
+        """
         return self._poller_of(device).devices[device].registers_of(points)
 
     def store_status(self) -> StoreStatus:
-        """Return the status of the store: commits, waiting and lost samples."""
+        """Return the status of the store: commits, waiting and lost samples, and what is wrong."""
         assert self._committer is not None
         return self._committer.status()
 
     @property
     def newest_commit(self) -> int:
-        """The number of the newest commit, a group of samples written to the store together; 0 before the first."""
+        """The number of the newest commit of the store; 0 before the first."""
         assert self._committer is not None
         return self._committer.writer.newest_commit
 
     @property
     def manifest(self) -> Manifest:
-        """The manifest of the open store: its list of files, points and sinks."""
+        """The manifest of the open store: its list of parts, points and sinks."""
         assert self._committer is not None
         return self._committer.writer.manifest
 
     async def flush(self) -> bool:
-        """Store all samples taken so far; returns False if the store could not be written in ten seconds."""
+        """Store all samples taken so far; return False if that has not succeeded within ten seconds."""
         assert self._committer is not None
         return await asyncio.to_thread(self._committer.flush)
 
     def note_interval(self, interval: StateInterval) -> None:
-        """Record that a device was not read by this collector, where that is not because of its polling."""
+        """Store an interval in which a device was not read for a reason that polling does not know.
+
+        An example is that another collector of a fleet polled it. An interval is given when it begins, with the end
+        None, and again when it ends.
+        """
         assert self._committer is not None
         self._committer.add_interval(interval)
 
     def subscribe(self, told: Callable[[Commit], None]) -> None:
-        """Register a function to be called, in the store's thread, with each group of stored samples.
-        It must be quick.
+        """Register a function that is called with each commit after it was made, in the thread that commits.
+
+        The function must be quick; its errors are logged and counted.
         """
         assert self._committer is not None
         self._committer.subscribe(told)
 
     def sink_statuses(self) -> Sequence[SinkStatus]:
-        """Return the status of each sink, a system (such as an MQTT broker) that the samples are sent to."""
+        """Return the status of each sink, such as an MQTT broker; pages for Prometheus are not among them."""
         return () if self._sinks is None else self._sinks.statuses()
 
     def input_statuses(self) -> Sequence[InputStatus]:
-        """Return the status of each server from which the collector receives write commands."""
+        """Return the status of each input of commands, such as an MQTT broker that sends write commands."""
         return [each.status() for each in self._receivers]
 
     @property
     def pages(self) -> list[str]:
-        """Return the URLs at which Prometheus can scrape last values."""
+        """The URLs of the pages from which Prometheus can scrape last values."""
         return [page.url for page in self._pages]
 
     def status(self) -> list[CollectedDeviceStatus]:
@@ -401,7 +454,11 @@ class Collector:
         return [status_of(running.poller, name) for running in self._links.values() for name in running.poller.devices]
 
     def loads(self) -> Mapping[str, tuple[float, float]]:
-        """Return by link the part of its time spent on requests since the start, and on probes of silent devices."""
+        """Return the measured load of each link since the start of the collector, by name of the link.
+
+        Returns:
+            Two parts of the time, 0…1: that spent on all requests, and of it that on probes of silent devices.
+        """
         elapsed = max(asyncio.get_running_loop().time() - self._started, 1e-9)
         return {
             name: (running.poller.schedule.busy / elapsed, running.poller.schedule.probing / elapsed)
@@ -409,7 +466,15 @@ class Collector:
         }
 
     def latencies(self, parts: Sequence[float]) -> Mapping[str, list[float]]:
-        """Return response times by link: for each given quantile (0…1), the seconds of its latest requests."""
+        """Return quantiles of the response times of each link, by name of the link.
+
+        Args:
+            parts: the quantiles wanted, each 0…1.
+
+        Returns:
+            For each link the response times in seconds, in the order of ``parts``, over its latest answered
+            transactions; an empty list before the first answer.
+        """
         return {name: running.poller.latencies(parts) for name, running in self._links.items()}
 
     def _poller_of(self, device: str) -> LinkPoller:
@@ -429,22 +494,25 @@ class Collector:
         key: str | None = None,
         origin: str = "program",
     ) -> CommandResult:
-        """Write a value to a point, at most once, and return the result.
+        """Write a value to a point, at most once, and return the result when the write is finished.
 
         Args:
-            device, point: the point to write.
-            value: in the unit of measure, or a name of a number; checked against the rule of the point.
-            by: who wants it, for the journal and the audit log.
-            expires: until when it may be sent, seconds since 1970 UTC; None for half a minute from now.
-            key: names the command for ever: the same again gives the result of the first time. None for a new one.
-            origin: on which way it came.
+            device: name of the device.
+            point: name of its point.
+            value: in the unit of measure of the point, or the name of a number; checked against the write rule of the
+                point.
+            by: who gives the command, for the journal and the audit log.
+            expires: until when it may be sent, seconds since 1970 UTC; None for 30 seconds from now.
+            key: identifies the command: a second call with the same key writes nothing and returns the first result.
+                None for a new key.
+            origin: where the command comes from, for the journal and the audit log.
 
         Returns:
-            The result, also where it was refused; `CommandState.UNKNOWN` where it may have been sent, and nothing says
-            whether it was executed.
+            The result, also if the write was refused, failed or expired. Its state is `CommandState.UNKNOWN` if the
+            write may have been sent and it is not known whether the device executed it.
 
         Raises:
-            InvalidRequest: there is no such point, or the command cannot be. Nothing was sent.
+            InvalidRequest: there is no such point, or an argument is not valid. Nothing was sent.
         """
         return await self.commands.write(device, point, value, by=by, origin=origin, expires=expires, key=key)
 
@@ -452,70 +520,81 @@ class Collector:
 
     @property
     def readers_lost(self) -> int:
-        """Number of batches of samples that programs iterating `samples` missed because they were too slow."""
+        """Number of batches that iterations over `samples`, now ended, have missed because they were too slow."""
         return self._readers.lost
 
     @property
     def revision(self) -> str:
-        """The revision of the configuration in force: 16 hexadecimal digits that change with its text."""
+        """The revision of the configuration in use: 16 hexadecimal digits that change with its text."""
         return revision_of(self.configuration.text)
 
     @property
     def restart_needed(self) -> list[str]:
-        """Keys of the file, such as ``[collector] page``, whose changes hold after the next start."""
+        """Keys of the file, such as ``[collector] page``, whose changes take effect only at the next start."""
         return list(self._reloading.waiting)
 
     @property
     def refused_file(self) -> list[str]:
-        """Lines and keys for which the file was refused when it was read last; empty if it is in force."""
+        """The lines and keys for which the file was refused when it was read again; empty once one was accepted."""
         return list(self._reloading.refusal)
 
     async def reload(
         self, configuration: CollectorConfiguration, *, by: str = "this program", origin: str = "program"
     ) -> list[str]:
-        """Use another configuration from now on; links that are the same in both keep polling (rule 2).
+        """Use another configuration from now on; links that are the same in both go on polling (rule 2).
 
         Args:
-            configuration: the other one.
-            by, origin: who changes it, and how, for the audit log.
+            configuration: the new configuration.
+            by: who changes the configuration, for the audit log.
+            origin: where the change comes from, for the audit log.
 
         Returns:
             What changed, each as a sentence.
 
         Raises:
-            ConfigError: the store or a sink is another; nothing was changed.
+            ConfigError: the store or a sink is another one, or the collector ends; nothing was changed.
         """
         return await self._reloading.reload(configuration, by, origin)
 
     async def read_again(self, *, by: str = "this program", origin: str = "signal") -> list[str]:
-        """Read the configuration file again and use it; opens the audit log anew, for log rotation.
+        """Read the configuration file again and use it from now on; opens the audit log anew, for log rotation.
 
-        As `reload`; also raises `FileError` for all that is wrong with the file.
+        Arguments and result are those of `reload`.
+
+        Raises:
+            FileError: the file is wrong; ``problems`` has all errors, with file, line and key. Nothing was changed.
+            ConfigError: the file cannot be read, the store or a sink is another one, or the collector ends; nothing was
+                changed.
         """
         return await self._reloading.read_again(by, origin)
 
     async def replace_configuration(
         self, text: str, *, by: str, origin: str = "api", revision: str | None = None
     ) -> list[str]:
-        """Replace the text of the configuration file and use it; if it is wrong, nothing changes.
+        """Replace the text of the configuration file and use it from now on; if the text is wrong, nothing changes.
 
         Args:
-            text: the whole file.
-            by, origin: who changes it, and how, for the audit log.
-            revision: that of the text that was changed; refused if another one is in force. None: not checked.
+            text: the new text of the whole file.
+            by: who changes the configuration, for the audit log.
+            origin: where the change comes from, for the audit log.
+            revision: the `revision` from which the caller has made the text; it must still be in use. None skips this
+                check.
 
         Returns:
             What changed, each as a sentence.
 
         Raises:
-            FileError: all that is wrong with it, each with file, line and key.
-            ConfigError: the store or a sink is another, the file cannot be replaced, or the revision is not that of
-                the configuration that holds.
+            FileError: the text is wrong; ``problems`` has all errors, each with file, line and key.
+            ConfigError: the store or a sink is another one, the file cannot be written, another revision is in use, or
+                the collector ends.
         """
         return await self._reloading.replace(text, by, origin, revision)
 
     async def _apply(self, configuration: CollectorConfiguration) -> list[str]:
-        """Use another configuration: end the links that change, rename points after all samples so far, start links."""
+        """Put another configuration into use, and return what changed, each as a sentence.
+
+        Links that change are ended; then points are renamed, for all samples from now on; then links are started.
+        """
         assert self._committer is not None
         self.configuration = configuration
         done: list[str] = []
@@ -542,7 +621,7 @@ class Collector:
         return done
 
     def changed_links(self, configuration: CollectorConfiguration) -> frozenset[str]:
-        """Return the links that are polled now and that a reload with another configuration ends or begins anew."""
+        """Return the names of the links polled now that a reload with this configuration would end or begin anew."""
         return frozenset(name for name, link in self._links.items() if link.key != _key_of(configuration, name))
 
     def _end_maintenance_of_others(self) -> None:
@@ -596,7 +675,7 @@ class Collector:
         self._links[name] = _RunningLink(_key_of(configuration, name), link, poller, task)
 
     async def _finish_link(self, name: str) -> None:
-        """Let the request that a link has in flight end, then stop polling it."""
+        """Let a link finish its transaction in progress, and wait for that: at most its timeout and `FINISH_LIMIT`."""
         running = self._links[name]
         running.poller.finish()
         await asyncio.wait([running.task], timeout=running.poller.schedule.timeout + FINISH_LIMIT)
@@ -635,7 +714,7 @@ class Collector:
                 await self._write_learnt()
 
     def _mend(self, shift: int) -> None:
-        """Add ``shift`` to the times of samples and alarms from before the wall clock was set; 0 does nothing."""
+        """Add ``shift`` nanoseconds to all times from before the wall clock was set, in the store and in memory."""
         if not shift:
             return
         assert self._committer is not None
@@ -680,12 +759,14 @@ class Collector:
 def collect(file: str | os.PathLike[str] | CollectorConfiguration) -> Collector:
     """Return a collector for asyncio programs: ``async with busway.collect("plant.toml") as collector: …``.
 
+    Nothing is opened or polled before the ``async with`` block.
+
     Args:
-        file: a collector file, or what `load_collector` gave for one.
+        file: path of a collector file, or what `load_collector` returned for one.
 
     Raises:
-        ConfigError: the file cannot be read, or something in it cannot be; then it has all ``problems``, each with
-            file, line and key. Nothing was sent.
+        FileError: the file is wrong; ``problems`` has all errors, each with file, line and key.
+        ConfigError: the file cannot be read.
     """
     return Collector(file if isinstance(file, CollectorConfiguration) else load_collector(file))
 
@@ -693,7 +774,7 @@ def collect(file: str | os.PathLike[str] | CollectorConfiguration) -> Collector:
 def _key_of(configuration: CollectorConfiguration, link: str) -> object:
     """Return all settings that decide how a link is polled, for comparison; None if there is no such link.
 
-    A reload leaves a link alone where its key in both configurations is equal.
+    A reload leaves a link alone if this is equal for the old and the new configuration.
     """
     if link not in configuration.links:
         return None
@@ -702,14 +783,14 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
 
 
 def _descriptions(configuration: CollectorConfiguration) -> list[PointDescription]:
-    """Return what the store keeps about each point beside its samples, such as the unit of measure."""
+    """Return for each point of a configuration what the store keeps beside its samples, such as the unit of measure."""
     return [each for device in configuration.devices.values() for each in device.descriptions()]
 
 
 def _renamed(
     counters: Mapping[str, Mapping[str, CounterState]], moved: Mapping[PointKey, str]
 ) -> dict[str, dict[str, CounterState]]:
-    """Return the states of counter totals under the names that their points have now, by device and point."""
+    """Return the states of accumulators, by device and point, under the new names that ``moved`` gives to points."""
     return {
         device: {
             (name := moved.get((device, point), point)): replace(each, point=name) for point, each in states.items()

@@ -46,8 +46,8 @@ from .sinks.interface import Sink, TopicSink
 from .sinks.options import make_sink
 
 LINK_DEFAULTS: Final[Mapping[str, Any]] = {"port_wait": 0.0, "retries": 0, "open_after": 0}
-"""Options of links that have another default here: a link does not wait for a missing port and repeats nothing to silent
-devices, because the schedule does that and suspends them; it knows what else is due."""
+"""Options of links that have another default here: a link neither waits for a missing port nor repeats requests to
+silent devices nor suspends them. The schedule does that, because it knows what else is due."""
 LEARNT_FILE: Final = "learnt.json"
 """Name of the file in the store's folder that keeps what was learnt about devices."""
 

@@ -6,7 +6,7 @@ Knows the schedule, a link of asyncio and the decoders of points; knows no store
    silent device that fails gives none: the interval in which the device is suspended stands for its samples.
 2. The time of a sample is the middle of its transaction; half of its length is kept.
 3. Nothing that a device or a link does ends polling. A defect in a decoder or in a receiver of samples does: its
-   exception ends the task, and whoever awaits the task sees it.
+   exception ends the task, and is raised where the task is awaited.
 """
 
 import asyncio
