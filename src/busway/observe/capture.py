@@ -13,7 +13,8 @@ Knows how Wireshark dissects each kind of packet; knows no driver. Drivers pass 
 4. Damaged bytes are packets too; their comment says what is wrong with them.
 5. Capturing never disturbs the conversation: if the file cannot be written, the capture ends, one log line says so,
    and everything else goes on.
-6. A packet is written as soon as it is decided: on a line, as soon as silence ends it. `close` decides the rest.
+6. A packet is written as soon as its frame is complete: on a line, as soon as silence ends the frame. `close` writes
+   what is incomplete then.
 """
 
 import logging
@@ -35,12 +36,12 @@ from .wording import described, in_words
 _log = logging.getLogger("busway.capture")
 
 LARGEST_SEGMENT: Final = 32_768
-"""Bytes of one packet; a larger receive becomes several."""
+"""Most bytes of one packet; a larger receive becomes several packets."""
 _MASTER_PORT: Final = 50_000
 _UNIT_PORT: Final = 1
-"""No Modbus server uses it, so the preference for lines does not affect TCP."""
+"""Port that stands for units. No Modbus server uses it, so the preference for lines does not affect TCP."""
 _SHORTEST_DISSECTED: Final = 5
-"""Bytes of an RTU frame that Wireshark's dissector takes (4.0)."""
+"""Fewest bytes of an RTU frame that Wireshark's dissector takes (4.0)."""
 _MARK: Final = "Made by busway"
 _HINT: Final = (
     f"{_MARK} from payloads; packet headers are synthetic. On serial lines the master is 0.0.0.0 and unit n is"
@@ -55,10 +56,12 @@ def is_capture(head: bytes) -> bool:
 
 
 class Capture:
-    """A capture file for Wireshark, into which connections and lines write; a context manager. For several threads.
+    """A capture file for Wireshark, into which connections and lines write; a context manager that closes it.
+
+    Its methods may be called from several threads.
 
     Attributes:
-        failure: why writing ended; empty while it works.
+        failure: why writing ended; empty while the file can be written.
     """
 
     def __init__(self, stream: BinaryIO, *, clock: Callable[[], float] = time.time) -> None:
@@ -91,7 +94,10 @@ class Capture:
         return self._writer.packets
 
     def stream(self, local: object, peer: object) -> "StreamCapture":
-        """Return a recorder for a TCP connection between addresses from ``getsockname`` and ``getpeername``."""
+        """Return a recorder for a TCP connection between addresses from ``getsockname`` and ``getpeername``.
+
+        Each call begins a connection with new sequence numbers.
+        """
         return StreamCapture(self, Node.of(local), Node.of(peer))
 
     def connection(self, ends: SocketAddresses) -> "StreamCapture | DatagramCapture":
@@ -99,15 +105,19 @@ class Capture:
         return DatagramCapture(self, ends) if ends.is_datagram else self.stream(ends.local, ends.peer)
 
     def datagram(self, local: object, peer: object, data: bytes, *, is_outgoing: bool) -> None:
-        """Write a UDP datagram between two socket addresses to the capture file."""
+        """Write a UDP datagram between two socket addresses to the capture file.
+
+        Args:
+            local, peer: addresses from ``getsockname`` and ``getpeername``.
+            data: the bytes of the datagram.
+            is_outgoing: whether it was sent by this program.
+        """
         here, there = Node.of(local), Node.of(peer)
         source, destination = (here, there) if is_outgoing else (there, here)
         self.ip_packet(udp_packet(source, destination, data), is_outgoing=is_outgoing)
 
     def line(self, name: str) -> "LineCapture":
-        """Return a recorder for a serial line; each line is one interface of the file, however often it
-        is asked for.
-        """
+        """Return a recorder for a serial line; lines of the same name are one interface of the file."""
         with self._lock:
             number = self._lines.get(name)
         if number is None:
@@ -117,8 +127,9 @@ class Capture:
         return LineCapture(self, number)
 
     def close(self) -> None:
-        """Write what is still held for serial lines, and close the file. May be called twice; later packets are
-        dropped.
+        """Write what logs still hold for serial lines, and close the file; packets that come later are dropped.
+
+        May be called twice.
         """
         TRACE.settle()
         with self._lock:
@@ -131,7 +142,7 @@ class Capture:
     # What the connections and lines of this file hand in.
 
     def ip_packet(self, packet: bytes, *, is_outgoing: bool) -> None:
-        """Write an IP packet to the capture file."""
+        """Write an IP packet to the capture file, with the current time."""
 
         def write() -> int:
             if self._ip_interface is None:
@@ -143,7 +154,15 @@ class Capture:
         self._guarded(write)
 
     def line_packet(self, interface: int, packet: bytes, at: float | None, flow: Flow, comment: str) -> None:
-        """Write a frame of a serial line to the file, seen at ``at`` (seconds since 1970), now if it is None."""
+        """Write a frame of a serial line to the capture file.
+
+        Args:
+            interface: number of the line's interface in the file.
+            packet: the frame with the headers of a capture file.
+            at: when the frame began, in seconds since 1970; None for now.
+            flow: whether it was received or sent.
+            comment: comment of the packet; empty for none.
+        """
 
         def write() -> int:
             self._writer.add_packet(interface, packet, self._clock() if at is None else at, flow=flow, comment=comment)
@@ -152,7 +171,10 @@ class Capture:
         self._guarded(write)
 
     def _guarded(self, write: Callable[[], int]) -> int:
-        """Run a function that writes, under the lock; its first failure ends the capture file."""
+        """Call a function that writes, under the lock, and return its result; 0 if writing is impossible.
+
+        The first failure ends the capture file and is logged.
+        """
         with self._lock:
             if self.failure:
                 return 0
@@ -176,7 +198,7 @@ class StreamCapture:
         self._received = self._sent = 1  # sequence numbers behind a handshake that was not seen
 
     def received(self, data: bytes) -> None:
-        """Write bytes that the connection received as TCP packets."""
+        """Write bytes that the connection received to the capture file, as TCP packets."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._peer, self._local, piece, self._received, self._sent)
@@ -184,7 +206,7 @@ class StreamCapture:
             self._capture.ip_packet(packet, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
-        """Write bytes that the connection sent as TCP packets."""
+        """Write bytes that the connection sent to the capture file, as TCP packets."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._local, self._peer, piece, self._sent, self._received)
@@ -227,13 +249,13 @@ class LineCapture:
         direction: Direction | None = None,
         is_outgoing: bool = False,
     ) -> None:
-        """Write a frame, or damaged bytes, that were on the serial line.
+        """Write a frame, or damaged bytes, that were on the serial line to the capture file.
 
         Args:
             found: the frame or damaged bytes.
-            at: seconds since 1970 at which it began; None for now.
+            at: seconds since 1970 at which they began; None for now.
             direction: request or reply, if the caller knows better than the receiver.
-            is_outgoing: whether it was sent from here.
+            is_outgoing: whether this program sent them.
         """
         flow = Flow.OUTGOING if is_outgoing else Flow.INCOMING
         if isinstance(found, Damaged):

@@ -35,14 +35,14 @@ _PROTOCOL_COLUMN, _INFO_COLUMN = 33, 36
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One end of a connection in a capture file: an address and a port, 0…65535."""
+    """One end of a connection in a capture file: an IP address and a port, 0…65535."""
 
     address: IPv4Address | IPv6Address
     port: int
 
     @classmethod
     def of(cls, socket_address: object) -> "Node":
-        """Return address and port of a socket address; 0.0.0.0:0 if there is none."""
+        """Return address and port of a socket address; 0.0.0.0:0 for any other object."""
         if isinstance(socket_address, tuple) and len(socket_address) >= 2:
             host, port = socket_address[:2]
             try:
@@ -53,13 +53,19 @@ class Node:
 
 
 def _unmapped(address: IPv4Address | IPv6Address) -> IPv4Address | IPv6Address:
-    """Return an IPv4 address for its IPv4-mapped IPv6 form, which listeners on every interface report."""
+    """Return the IPv4 address in an IPv4-mapped IPv6 address, as dual-stack listeners report it; others unchanged."""
     mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
     return mapped or address
 
 
 def tcp_packet(source: Node, destination: Node, payload: bytes, sequence: int, acknowledged: int) -> bytes:
-    """Return an IP packet with a TCP segment of at most 65 000 bytes; numbers are taken modulo 2³²."""
+    """Return an IP packet with a TCP segment.
+
+    Args:
+        source, destination: addresses and ports.
+        payload: at most 65 000 bytes.
+        sequence, acknowledged: numbers of the segment, taken modulo 2³².
+    """
     header = _TCP.pack(
         source.port,
         destination.port,
@@ -98,7 +104,7 @@ def _ip_packet(
 
 
 def checksum(data: bytes) -> int:
-    """Return the internet checksum of bytes (RFC 1071)."""
+    """Return the internet checksum of bytes, 0…65535 (RFC 1071)."""
     even = data if len(data) % 2 == 0 else data + b"\0"
     total: int = sum(struct.unpack(f">{len(even) // 2}H", even))
     while total > 0xFFFF:
@@ -107,9 +113,13 @@ def checksum(data: bytes) -> int:
 
 
 def line_pdu(dissector: str, source: Node, destination: Node, frame: bytes, *, info: str = "") -> bytes:
-    """Return a serial frame in Wireshark's form "exported PDU" for ``dissector``, with addresses for master and unit.
+    """Return a serial frame as a packet of Wireshark's form "exported PDU".
 
-    ``info`` is what the list of packets shows where the dissector shows nothing.
+    Args:
+        dissector: Wireshark's name of the dissector that is to decode the frame, such as ``mbrtu``.
+        source, destination: addresses that stand for master and unit.
+        frame: the bytes of the frame.
+        info: text for the list of packets, for frames of which the dissector shows nothing.
     """
     tags = _tag(_DISSECTOR, dissector.encode("ascii"))
     tags += _tag(_IPV4_SOURCE, source.address.packed) + _tag(_IPV4_DESTINATION, destination.address.packed)

@@ -2,7 +2,7 @@
 
 Knows the shapes of the framings and the describer of PDUs; knows no connection. It raises nothing, for any bytes.
 
-1. Framing: a frame that proves itself is first (MBAP by its protocol and length, RTU by its CRC, ASCII by its colon),
+1. Framing: a frame that proves its framing is taken first (MBAP by protocol and length, RTU by CRC, ASCII by colon),
    then a PDU that is valid by itself, then the likeliest broken frame.
 2. Direction: a frame is a reply if it answers the request before it; else its length and limits decide. Some
    requests and replies are alike (05, 06, 08, 22); the dissection says so.
@@ -51,9 +51,9 @@ class Dissection:
         framing: framing around the PDU.
         direction: request or reply.
         title: framing, addressing, function and direction in words.
-        parts: all fields; offsets count from the first byte (of ASCII: character) of the frame.
+        parts: all fields; offsets count from the first byte of the frame, in ASCII from its first character.
         problems: what is wrong, one sentence each; empty for a valid frame.
-        answers: whether it answers the request that was dissected before it.
+        answers: whether the frame answers the request that was dissected before it.
     """
 
     framing: Framing
@@ -89,11 +89,11 @@ class _Frame:
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """The request that was explained last, which helps to explain its reply."""
+    """The request that was explained last, by which its reply is recognised."""
 
     request: Request
     code: int
-    """Its function code, also where the function is unknown."""
+    """Function code of the request, also if the function is unknown."""
     unit: int | None
     transaction: int | None
 
@@ -106,8 +106,8 @@ class Dissector:
 
     Args:
         functions: the table of functions.
-        framing: the framing of all frames; None to detect it for each.
-        direction: the direction of all frames; None to detect it.
+        framing: the framing of all frames; None to detect it for each frame.
+        direction: the direction of all frames; None to detect it for each frame.
 
     Attributes:
         direction: the direction of the frames that follow; None to detect it.
@@ -201,7 +201,7 @@ class Dissector:
         )
 
     def _directed(self, frame: _Frame) -> tuple[MessageDirection, Description, bool, tuple[str, ...]]:
-        """Return direction and fields of a frame, whether it answers the last request, and what does not fit."""
+        """Return direction and fields of a frame, whether it answers the last request, and why it does not."""
         asked = self._asked
         due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.code
         as_request = describe_request(frame.pdu, self._functions)
@@ -300,8 +300,9 @@ def _cut_rtu(data: bytes) -> _Frame:
 
 
 def _cut_ascii(data: bytes) -> _Frame:
-    """Split an ASCII frame (``:``, pairs of characters, CR LF); the end may be missing, as it is often lost in
-    copies.
+    """Split an ASCII frame (``:``, pairs of characters, CR LF) into its parts.
+
+    CR LF may be missing, as copies of frames often lose the end.
     """
     body = data[1:] if data.startswith(b":") else data
     text = body.rstrip(b"\r\n")

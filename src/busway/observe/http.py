@@ -28,20 +28,25 @@ from ..transport.tcp import network_kind
 _log = logging.getLogger("busway.http")
 
 HEAD_LIMIT: Final = 8192
-"""Bytes of request line and headers."""
+"""Most bytes of request line and headers."""
 BODY_LIMIT: Final = 4096
-"""Bytes of a request's body; no resource here needs a larger one."""
+"""Most bytes of a request's body; no resource here needs a larger one."""
 _BACKLOG: Final = 128
 _LOG_PAUSE: Final = 60.0
 """Seconds between two log lines about requests that failed."""
 _TURN: Final = 0.1
-"""Seconds between two looks for connections whose time is over."""
+"""Seconds between two checks for connections whose time is over."""
 _SINGLE: Final = ("host", "content-length", "authorization")
-"""Headers that must not stand twice: it would be unclear which one holds."""
+"""Headers that must not stand twice: it would be unclear which one counts."""
 
 
 class HttpError(Exception):
-    """Error that the HTTP service answers with a status code and a sentence."""
+    """Error that the HTTP service answers with a status code and a sentence.
+
+    Args:
+        status: HTTP status code, such as 404.
+        sentence: body of the response.
+    """
 
     def __init__(self, status: int, sentence: str) -> None:
         super().__init__(sentence)
@@ -55,7 +60,7 @@ class HttpRequest:
     Attributes:
         method: ``GET``, ``POST``, …
         path: path of the resource, without the query.
-        headers: by name in lower case.
+        headers: value of each header, by name in lower case.
         body: at most `BODY_LIMIT` bytes.
     """
 
@@ -70,8 +75,9 @@ class HttpResponse:
     """A response that the HTTP service sends.
 
     Attributes:
-        body: its bytes, of the type ``content_type``.
-        status: HTTP status, 200 for success.
+        body: the bytes of the body.
+        content_type: type of the body.
+        status: HTTP status code, 200 for success.
     """
 
     body: bytes
@@ -81,12 +87,12 @@ class HttpResponse:
 
 @dataclass(frozen=True, slots=True)
 class HttpLimits:
-    """Limits of connections to the HTTP service: how many there may be, and how long each may take.
+    """Limits of connections to the HTTP service: how long each may take, and how many there may be.
 
     Attributes:
-        request_seconds: from the accepted connection to the last byte of the request.
-        seconds: from the accepted connection to the last byte of the response.
-        connections: open at once.
+        request_seconds: seconds from the accepted connection to the last byte of the request.
+        seconds: seconds from the accepted connection to the last byte of the response.
+        connections: number of connections open at once.
     """
 
     request_seconds: float = 5.0
@@ -99,9 +105,10 @@ class HttpService(ThreadingHTTPServer):
 
     Args:
         bound: a bound stream socket; the service closes it.
-        answer: returns the response to a request, and may block for a limited time. `HttpError` is answered as such.
-        admit: asked with each accepted socket; False closes the connection unread.
-        limits: `HttpLimits`.
+        answer: returns the response to a request; called in the connection's thread, which it may block for a limited
+            time. An `HttpError` that it raises is sent as the response.
+        admit: called with each accepted socket; False closes the connection unread.
+        limits: limits of connections; None for the defaults of `HttpLimits`.
         name: name of the thread that accepts.
     """
 
@@ -128,12 +135,12 @@ class HttpService(ThreadingHTTPServer):
         self._thread = threading.Thread(target=self.serve_forever, args=(_TURN,), name=name, daemon=True)
 
     def start(self) -> None:
-        """Begin to listen for HTTP requests and to answer them."""
+        """Begin to listen for HTTP requests and to answer them, in a thread."""
         self.socket.listen(_BACKLOG)
         self._thread.start()
 
     def stop(self) -> None:
-        """Close all connections. Blocks until the threads have ended; a second call does nothing."""
+        """Close all connections and the socket. Blocks until the threads have ended; a second call does nothing."""
         if self._thread.ident is not None:
             self.shutdown()
             self._thread.join()
@@ -149,7 +156,7 @@ class HttpService(ThreadingHTTPServer):
     # Called by the standard library.
 
     def get_request(self) -> tuple[socket.socket, Any]:  # Any: the address of a peer has the shape of its family
-        """Accept an HTTP connection."""
+        """Accept an HTTP connection; after a failure wait a tenth of a second, as the next would fail too."""
         try:
             return super().get_request()
         except OSError:
@@ -157,7 +164,7 @@ class HttpService(ThreadingHTTPServer):
             raise
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Whether an accepted HTTP connection may stay; beyond the limit, close another one or answer 503."""
+        """Whether an accepted HTTP connection may stay. Beyond the limit, close an older one or answer 503."""
         if is_reserved(request.fileno()) or not self._admit(request):
             return False
         most = self._limits.connections
@@ -172,14 +179,14 @@ class HttpService(ThreadingHTTPServer):
         return True
 
     def service_actions(self) -> None:
-        """Close the HTTP connections whose time is over."""
+        """Close the HTTP connections whose time is over; called every tenth of a second."""
         now = time.monotonic()
         for accepted, deadline in list(self._deadlines.items()):
             if now >= deadline:
                 self._cut(accepted)
 
     def shutdown_request(self, request: Any) -> None:
-        """Close an HTTP connection."""
+        """Close an HTTP connection, at its end."""
         self._unheard.pop(request, None)
         self._deadlines.pop(request, None)
         super().shutdown_request(request)
@@ -199,9 +206,7 @@ class HttpService(ThreadingHTTPServer):
 
 
 def _drained(accepted: socket.socket, last: bytes = b"") -> None:
-    """Send the last bytes of a response and discard what was received, so that closing does not reset
-    the connection.
-    """
+    """Send the last bytes of a response, and discard what was received: unread bytes would reset the connection."""
     with contextlib.suppress(OSError):
         accepted.setblocking(False)
         accepted.send(last)
@@ -293,7 +298,12 @@ class _Head:
         self._left = HEAD_LIMIT
 
     def readline(self, limit: int = -1) -> bytes:
-        """Return the next line of a request's head. Raises `HttpError` if it is too long, `EOFError` at its end."""
+        """Return the next line of a request's head.
+
+        Raises:
+            HttpError: the head is too long.
+            EOFError: the connection ended inside a line.
+        """
         line: bytes = self._received.readline(self._left + 1)
         self._left -= len(line)
         if self._left < 0:
@@ -304,7 +314,15 @@ class _Head:
 
 
 def bind_tcp(host: str, port: int) -> socket.socket:
-    """Return a TCP socket for an HTTP service that listens already. Raises `LinkDown` if the address cannot be used."""
+    """Return a TCP socket that listens at an address, for an HTTP service.
+
+    Args:
+        host: name or address of this machine.
+        port: port number; 0 takes a free one.
+
+    Raises:
+        LinkDown: the address cannot be used.
+    """
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         bound = socket.socket(family, socket.SOCK_STREAM)
@@ -324,6 +342,6 @@ def bind_tcp(host: str, port: int) -> socket.socket:
 
 
 def bound_name(bound: socket.socket) -> str:
-    """Return the address of a bound TCP socket as text: ``127.0.0.1:9502``."""
+    """Return the address of a bound TCP socket as text: ``127.0.0.1:9502``, ``[::1]:9502``."""
     host, port = bound.getsockname()[:2]
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

@@ -40,23 +40,27 @@ class ConnectionTrace(Protocol):
         """Log bytes that the connection sent."""
 
     def note(self, text: str) -> None:
-        """Log an event of the connection that is not in its frames."""
+        """Log an event of the connection that its frames do not show."""
 
 
 class SilenceTimer(Protocol):
-    """Interface of a timer that fires after a silence of the line, such as `threading.Timer`."""
+    """Interface of a timer that calls a function after a silence of the line, such as `threading.Timer`."""
 
     def start(self) -> None:
-        """Start the timer that fires after a silence of the line."""
+        """Start the time that the timer waits."""
 
     def cancel(self) -> None:
-        """Cancel the timer, so that it does not fire."""
+        """Stop the timer, so that its function is not called."""
 
 
 def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = None) -> ConnectionTrace:
-    """Create the log of a connection whose framing is ``mbap``, ``rtu`` or ``ascii``.
+    """Return a new log for a connection.
 
-    ``carrier`` is its socket or transport, from which a capture file has its addresses.
+    Args:
+        framing: ``mbap``, ``rtu`` or ``ascii``.
+        name: name of the connection in the log.
+        is_server: whether requests are received here, and replies sent.
+        carrier: socket or transport of the connection, from which a capture file has its addresses.
     """
     if framing == "mbap":
         return StreamTrace(name, is_server=is_server, carrier=carrier)
@@ -70,7 +74,7 @@ def _timer(delay: float, call: Callable[[], None]) -> SilenceTimer:
 
 
 class LineTrace:
-    """Logs the traffic of one serial line. Its methods may be called from several threads."""
+    """Log of the traffic of one serial line. Its methods may be called from several threads."""
 
     __slots__ = (
         "__weakref__",
@@ -102,8 +106,8 @@ class LineTrace:
             name: the line's name in the log.
             functions: the functions whose lengths are known.
             is_server: whether replies are sent here, and not requests.
-            clock: seconds, monotonic.
-            make_timer: makes what calls a function after so many seconds.
+            clock: returns the time in seconds, monotonic.
+            make_timer: returns a timer that calls a function after so many seconds.
         """
         self._capture = None if TRACE.capture is None else TRACE.capture.line(name)
         self._name = name
@@ -118,7 +122,7 @@ class LineTrace:
         self._timer: SilenceTimer | None = None
 
     def received(self, data: bytes) -> None:
-        """Log the frames that received bytes complete; keep the rest for later."""
+        """Log the frames that received bytes complete; an unfinished frame is kept for later."""
         with self._lock:
             now = self._heard("<", data)
             self._take("<", self._receiver.receive(data, now), now)
@@ -133,12 +137,12 @@ class LineTrace:
             self._take(">", found, now)
 
     def note(self, text: str) -> None:
-        """Log an event of the serial line that is not in its frames."""
+        """Log an event of the serial line that its frames do not show."""
         if TRACE.level >= TraceLevel.MESSAGE:
             _log.debug("%s %s", self._name, text)
 
     def tick(self) -> None:
-        """Log the frames that the line's silence until now has ended."""
+        """Log the frames that the silence of the line until now has ended; the timer calls it."""
         with self._lock:
             self._timer = None
             now = self._clock()

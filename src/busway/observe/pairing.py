@@ -2,9 +2,9 @@
 
 Knows frames and times; knows no port and no clock. The frames come from a receiver in the role of an observer.
 
-1. A request waits for its reply until the next request is heard, or ``reply_window`` has passed. A broadcast waits for
-   nothing.
-2. A reply of another unit or function than was asked answers nothing, and the request goes on waiting.
+1. A request waits for its reply until the next request is heard, or ``reply_window`` has passed. A broadcast awaits
+   no reply.
+2. A reply of another unit or function than that of the request is stray, and the request goes on waiting.
 3. Damaged bytes while a request waits are taken for its reply, if no other comes.
 4. Where request and reply are alike (05, 06, 08, 22) nothing in the bytes tells a reply from the same request sent
    again. Time does: what comes much later than the slowest reply that could be told for sure is another request.
@@ -23,15 +23,15 @@ from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
 
 SURE_REPLIES: Final = 3
-"""So many replies that could be told for sure make the slowest of them a measure (rule 4)."""
+"""How many replies that differ from their requests are needed before their slowest is a measure (rule 4)."""
 MUCH_LATER: Final = 3.0
-"""Times the slowest sure reply: hardly a unit needs three times as long for a write as the slowest for a read."""
+"""Multiple of the slowest such reply: hardly a unit needs three times as long for a write as the slowest for a read."""
 NEVER_LATE_BEFORE: Final = 0.1
-"""Seconds within which a frame that is alike is always a reply: masters wait longer before they ask again."""
+"""Seconds within which a frame equal to the request is always a reply: masters wait longer before they ask again."""
 
 
 class Kind(Enum):
-    """Kinds of events heard on a serial line: a request, a reply, damaged bytes, or a missing reply."""
+    """Kinds of events on a serial line: request, broadcast, reply, stray reply, missing reply, damaged bytes."""
 
     REQUEST = "request"
     BROADCAST = "broadcast"
@@ -46,13 +46,13 @@ class Heard:
     """One event heard on a serial line: a request, a reply, damaged bytes, or a missing reply.
 
     Attributes:
-        kind: which of these it is.
-        frame: the frame; of `Kind.UNANSWERED` the request; None for damaged bytes.
-        damaged: the damaged bytes; of `Kind.UNANSWERED` those that came in place of the reply.
-        gap: seconds of silence before it; None for the first frame and for `Kind.UNANSWERED`.
+        kind: the kind of event.
+        frame: the frame; for `Kind.UNANSWERED` the request; None for damaged bytes.
+        damaged: the damaged bytes; for `Kind.UNANSWERED` those that came in place of the reply, if any did.
+        gap: seconds of silence before the frame; None for the first frame and for `Kind.UNANSWERED`.
         request: for a reply, the request that it answers.
-        response_time: for a reply, seconds from the end of the request to its beginning; of `Kind.UNANSWERED`, seconds
-            that were waited.
+        response_time: for a reply, seconds from the end of the request to the beginning of the reply; for
+            `Kind.UNANSWERED`, seconds that were waited.
         is_repeat: for a request, whether the same was asked just before and not answered.
     """
 
@@ -66,7 +66,7 @@ class Heard:
 
     @property
     def at(self) -> float:
-        """Time at which the frame began; for `Kind.UNANSWERED` the time when waiting for the reply ended."""
+        """Time in seconds at which the frame began; for `Kind.UNANSWERED`, at which waiting for the reply ended."""
         if self.kind is Kind.UNANSWERED and self.frame is not None and self.response_time is not None:
             return self.frame.ended + self.response_time
         found = self.frame if self.frame is not None else self.damaged
@@ -76,7 +76,7 @@ class Heard:
 
 @dataclass(slots=True)
 class ResponseTimes:
-    """Number, mean and extremes of the response times of a unit, in seconds."""
+    """Number, sum and extremes of the response times of a unit, in seconds; all 0 before the first."""
 
     count: int = 0
     total: float = 0.0
@@ -84,7 +84,7 @@ class ResponseTimes:
     slowest: float = 0.0
 
     def add(self, seconds: float) -> None:
-        """Add the response time of one more reply."""
+        """Add the response time of one more reply, in seconds."""
         self.fastest = min(self.fastest, seconds) if self.count else seconds
         self.slowest = max(self.slowest, seconds)
         self.total += seconds
@@ -101,13 +101,13 @@ class UnitStatistics:
     """Counts and response times of one unit, as heard on a serial line.
 
     Attributes:
-        requests: asked of it, repeats included.
-        repeats: requests that were asked again because no reply came.
+        requests: number of requests to the unit, repeats included.
+        repeats: number of requests that were sent again because no reply came.
         replies: number of replies that answered a request, exceptions included.
-        exceptions: replies that refused.
-        unanswered: requests without a reply, those with a damaged one included.
-        damaged_replies: requests after which damaged bytes came in place of the reply.
-        stray_replies: unsolicited replies.
+        exceptions: number of exception replies among them.
+        unanswered: number of requests without a reply, those with a damaged one included.
+        damaged_replies: number of requests after which damaged bytes came in place of the reply.
+        stray_replies: number of replies that answered no request.
         response_times: the response times of the replies.
     """
 
@@ -126,11 +126,11 @@ class LineStatistics:
     """Counts and response times of all units, as heard on a serial line.
 
     Attributes:
-        frames: good ones.
-        frame_bytes: in them.
-        broadcasts: frames for unit 0.
-        damaged: disturbances by their reason.
-        damaged_bytes: in them.
+        frames: number of good frames.
+        frame_bytes: number of bytes in them.
+        broadcasts: number of frames for unit 0.
+        damaged: number of disturbances, by reason.
+        damaged_bytes: number of bytes in disturbances.
         busy: seconds that frames and disturbances lasted; 0 over a network.
         units: the statistics of each unit, by number.
     """
@@ -153,13 +153,18 @@ class Pairing:
 
     Attributes:
         statistics: counts and response times so far.
-        reply_window: seconds for which a reply is waited for.
+        reply_window: seconds for which a reply is awaited.
     """
 
     __slots__ = ("_asked", "_damage", "_functions", "_last_end", "_missed", "_sure", "reply_window", "statistics")
 
     def __init__(self, reply_window: float = REPLY_WINDOW, *, functions: FunctionTable = STANDARD) -> None:
-        """Start without a request; ``reply_window``: seconds within which a reply may come, above 0."""
+        """Create a pairing that has heard no request yet.
+
+        Args:
+            reply_window: seconds for which a reply is awaited, above 0.
+            functions: the table of functions, by which a frame equal to its request may be a reply.
+        """
         self.statistics: LineStatistics = LineStatistics()
         self.reply_window: float = reply_window
         self._functions = functions
@@ -170,7 +175,7 @@ class Pairing:
         self._sure = ResponseTimes()
 
     def heard(self, found: Received) -> list[Heard]:
-        """Process a frame or damaged bytes. Returns the resulting events, first those about the unanswered request."""
+        """Process a frame or damaged bytes, and return the resulting events: an earlier missing reply first."""
         events = self.tick(found.began)
         gap = None if self._last_end is None else max(found.began - self._last_end, 0.0)
         self._last_end = found.ended
@@ -184,12 +189,12 @@ class Pairing:
         return events
 
     def tick(self, now: float) -> list[Heard]:
-        """Report the last request as unanswered if its reply has not come by ``now``."""
+        """Return the event of a missing reply, if the reply to the last request has not come by ``now`` (seconds)."""
         deadline = self.deadline()
         return [] if deadline is None or now < deadline else [self._unanswered(deadline)]
 
     def deadline(self) -> float | None:
-        """The time at which the last request counts as unanswered; None if no reply is awaited."""
+        """Return the time at which the last request counts as unanswered; None if no reply is awaited."""
         return None if self._asked is None else self._asked.ended + self.reply_window
 
     # Inside.
@@ -223,7 +228,7 @@ class Pairing:
         return True
 
     def _reply_limit(self) -> float:
-        """Return within how many seconds a frame equal to its request counts as its reply (rule 4)."""
+        """Return the seconds within which a frame equal to its request counts as its reply (rule 4)."""
         if self._sure.count < SURE_REPLIES:
             return self.reply_window
         return min(max(MUCH_LATER * self._sure.slowest, NEVER_LATE_BEFORE), self.reply_window)
@@ -259,7 +264,7 @@ class Pairing:
         return Heard(Kind.DAMAGED, damaged=found, gap=gap)
 
     def _unanswered(self, until: float) -> Heard:
-        """Report the last request as unanswered."""
+        """Return the event that the last request got no reply until the time ``until``, and count it."""
         asked, damage = self._asked, self._damage
         assert asked is not None
         unit = self.statistics.unit(asked.unit)

@@ -15,7 +15,7 @@ from ..version import __version__
 
 _SECTION, _INTERFACE, _PACKET = 0x0A0D0D0A, 1, 6
 SECTION_HEADER: Final = struct.pack("<I", _SECTION)
-"""First bytes of each file."""
+"""First bytes of each pcapng file in little-endian order."""
 _BYTE_ORDER: Final = 0x1A2B3C4D
 _UNKNOWN_LENGTH: Final = -1
 _END_OF_OPTIONS: Final = 0
@@ -25,11 +25,11 @@ _APPLICATION: Final = 4
 _FLAGS: Final = 2
 _MICROSECONDS: Final = 6
 _LONGEST_TEXT: Final = 4000
-"""Bytes of a comment; the format has room for 65 535, more than is readable."""
+"""Most bytes of a comment; the format has room for 65 535, more than is readable."""
 
 
 class LinkType(IntEnum):
-    """What kind of packets an interface of a capture file has."""
+    """Kinds of packets that an interface of a capture file can have: IP packets, or exported PDUs."""
 
     RAW_IP = 101
     UPPER_PDU = 252
@@ -44,7 +44,15 @@ class Flow(IntEnum):
 
 
 class PcapngWriter:
-    """Writes a capture file in pcapng format into a binary stream of the caller. Errors of the stream are `OSError`."""
+    """Writes a capture file in pcapng format into a binary stream of the caller. Errors of the stream are `OSError`.
+
+    Args:
+        stream: the file, opened in binary mode; it is never closed here.
+        comment: comment of the file; empty for none.
+
+    Attributes:
+        packets: number of packets written so far.
+    """
 
     __slots__ = ("_interfaces", "_stream", "packets")
 
@@ -66,7 +74,15 @@ class PcapngWriter:
     def add_packet(
         self, interface: int, data: bytes, time: float, *, flow: Flow = Flow.UNKNOWN, comment: str = ""
     ) -> None:
-        """Write a packet that was seen at ``time`` (seconds since 1970) to the capture file."""
+        """Write a packet to the capture file.
+
+        Args:
+            interface: number that `add_interface` returned.
+            data: the bytes of the packet.
+            time: when it was seen, in seconds since 1970.
+            flow: whether it was received or sent.
+            comment: comment of the packet; empty for none.
+        """
         microseconds = max(round(time * 1e6), 0)
         head = struct.pack("<IIIII", interface, microseconds >> 32, microseconds & 0xFFFF_FFFF, len(data), len(data))
         options = _text(_COMMENT, comment)

@@ -2,8 +2,8 @@
 
 Knows ports, and sockets to device servers that mirror a line; knows no Modbus beyond its receiver and `Pairing`.
 
-1. It cannot send: nothing here writes. A device server is dialled over TCP; over UDP it must send its
-   datagrams here by itself, and the URL names the local address.
+1. Nothing in this file sends. A device server is connected to over TCP; over UDP the device server must be set up to
+   send its datagrams here, and the URL names the local address.
 2. A frame that the port marks as damaged is dropped, as by every unit on the line (Serial Line V1.02 §2.5.1).
 3. A port that vanishes is waited for if there is a ``vanished`` callback; otherwise listening ends.
    A TCP connection that ends always ends it: the device server has decided so.
@@ -33,17 +33,20 @@ from .pairing import Heard, Pairing
 
 _READ_SIZE: Final = 65_536
 _LONGEST_WAIT: Final = 0.2
-"""Seconds of one wait, so that the caller can check for other events between two waits."""
+"""Most seconds of one wait, so that the caller can check for other events between two waits."""
 
 _LAST_READS: Final = 64
-"""Reads at the end, far more than a line needs: a peer that sends without end must not keep us."""
+"""Most reads at the end, far more than a line needs: a peer that sends without end must not keep the program."""
 
 
 class Ear(Protocol):
     """Interface of a source of a serial line's bytes: a port, or a device server that forwards the line's bytes."""
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Return bytes received within ``timeout`` seconds, and how many of them are damaged. Raises `LinkDown`."""
+        """Return received bytes, after waiting for up to ``timeout`` seconds, and how many of them are damaged.
+
+        Empty if none came in time; a timeout of None waits for ever. Raises `LinkDown`.
+        """
 
     def close(self) -> None:
         """Stop listening to the line. May be called twice."""
@@ -63,7 +66,10 @@ class SocketEar:
             raise link_down(error, endpoint=self._name) from error
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Return bytes received within ``timeout`` seconds; none is marked as damaged. Raises `LinkDown`."""
+        """Return received bytes, after waiting for up to ``timeout`` seconds (None: for ever), and 0 damaged bytes.
+
+        Empty if none came in time. Raises `LinkDown`.
+        """
         try:
             self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
             data = self._socket.recv(_READ_SIZE)
@@ -107,7 +113,10 @@ class DatagramEar:
         return int(self._socket.getsockname()[1])
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Return the next datagram within ``timeout`` seconds; none is marked as damaged. Raises `LinkDown`."""
+        """Return the next datagram, after waiting for up to ``timeout`` seconds (None: for ever), and 0 damaged bytes.
+
+        Empty if none came in time. Raises `LinkDown`.
+        """
         try:
             self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
             return self._socket.recv(MAX_DATAGRAM), 0
@@ -135,9 +144,9 @@ class LineToHear:
     Attributes:
         endpoint: its endpoint.
         framing: options of the framing.
-        port: settings of the serial line; None over a network.
+        port: settings of the serial port; None over a network.
         sockets: options of the connection, over a network.
-        opening: how often a port that has vanished is tried.
+        opening: how often opening is tried again after the port has vanished.
     """
 
     endpoint: Endpoint
@@ -148,11 +157,16 @@ class LineToHear:
 
     @property
     def timing(self) -> SerialTiming:
-        """Character times of the line; those of a network if there is no port."""
+        """Times of the line: by the settings of its port, or those of a network."""
         return SerialTiming.of_network() if self.port is None else self.port.timing
 
     def open(self) -> Ear:
-        """Open the line to listen to. Raises `LinkDown`, and `ConfigError` if this process uses the port."""
+        """Open the line, and return the source of its bytes.
+
+        Raises:
+            LinkDown: the port or connection cannot be opened.
+            ConfigError: this process uses the port already, or the port refuses its settings.
+        """
         if self.port is None:
             ear = DatagramEar if self.endpoint.carrier == "udp" else SocketEar
             return ear(self.endpoint, self.sockets)
@@ -172,20 +186,22 @@ class _ClaimedPort:
         self.read = self._port.read
 
     def close(self) -> None:
+        """Close the port; other users in this process can open it again."""
         self._port.close()
         self._claim.release()
 
 
 def line_to_hear(url: str | Endpoint) -> LineToHear:
-    """Parse the URL of a line to listen to: ``rtu:///dev/…``, ``rtu+tcp://host:port``, ``rtu+udp://:port``, or with
-    ``ascii``.
+    """Return the serial line that a URL describes, to listen to; nothing is opened.
 
-    Options behind ``?`` are ``preset``, fields of `FramingParameters`, and those of `SerialSettings` with
-    ``reopen_first`` and ``reopen_most`` of `OpeningParameters`; over TCP those of `SocketParameters`, over UDP only its
-    ``receive_buffer``. The host of a UDP URL is one of this machine, empty for every IPv4 address of it.
+    Args:
+        url: ``rtu:///dev/…``, ``rtu+tcp://host:port`` or ``rtu+udp://:port``; or the same with ``ascii``. Options
+            behind ``?`` are ``preset``, fields of `FramingParameters`, and those of `SerialSettings` with
+            ``reopen_first`` and ``reopen_most`` of `OpeningParameters`; over TCP those of `SocketParameters`, over UDP
+            only its ``receive_buffer``. The host of a UDP URL is one of this machine, empty for all its IPv4 addresses.
 
     Raises:
-        ConfigError: another scheme, or an option that cannot be.
+        ConfigError: another scheme, or an unknown option or value.
     """
     endpoint = parse_endpoint(url)
     if endpoint.framing == "mbap":
@@ -207,8 +223,8 @@ class Listening:
 
     Attributes:
         pairing: pairs the frames to events, and has the statistics.
-        bytes_heard: all bytes, good or not.
-        lost: why nothing is heard: the port has vanished, and is tried again; None while it is there.
+        bytes_heard: number of bytes received, good or not.
+        lost: the error with which the port vanished, while opening it is tried again; None while the port is open.
     """
 
     def __init__(
@@ -225,14 +241,14 @@ class Listening:
         Args:
             line: the line to listen to.
             pairing: pairs the frames to events; a new one if None.
-            clock: seconds of what `hear` reports.
-            vanished: called when a serial port goes away, which is then opened again as soon as it is there; None ends
-                the listening instead.
-            returned: called when the port is there again.
+            clock: returns the time in seconds, in which `hear` reports.
+            vanished: called when a serial port vanishes, which is then opened again as soon as possible; None ends the
+                listening instead.
+            returned: called when the port is open again.
 
         Raises:
-            LinkDown: port or connection cannot be had.
-            ConfigError: it cannot be set so.
+            LinkDown: the port or connection cannot be opened.
+            ConfigError: this process uses the port already, or the port refuses its settings.
         """
         self.pairing: Pairing = pairing or Pairing()
         self.bytes_heard: int = 0
@@ -259,12 +275,12 @@ class Listening:
         self.close()
 
     def hear(self, until: float) -> list[Heard]:
-        """Return the next events on the line; none if nothing is complete before ``until`` (clock seconds).
+        """Return the next events on the line; none if nothing is complete before ``until`` (seconds of the clock).
 
-        It comes back after a fifth of a second at the latest, also while a port is waited for.
+        Returns after a fifth of a second at the latest, also while a vanished port is awaited.
 
         Raises:
-            LinkDown: the port vanished and is not waited for, or the connection ended.
+            LinkDown: the port vanished and is not opened again, or the connection ended.
         """
         now = self._clock()
         if self.lost is not None and not self._try_again(now, until):
@@ -303,7 +319,10 @@ class Listening:
         self._ear.close()
 
     def _lose(self, error: LinkDown) -> list[Heard]:
-        """Handle the loss of the port: report an unfinished frame as far as it was received."""
+        """Handle the loss of the port: wait for it, and return the events of an unfinished frame.
+
+        Raises ``error`` if a vanished port is not opened again.
+        """
         if self._vanished is None:
             raise error
         self.lost = error
@@ -314,7 +333,7 @@ class Listening:
         return self._flushed()
 
     def _try_again(self, now: float, until: float) -> bool:
-        """Try to open the port again if its time has come; wait for that a fifth of a second at most."""
+        """Open the port again if its time has come; return whether it is open. Waits at most a fifth of a second."""
         pause = min(self._try_at, until, now + _LONGEST_WAIT) - now
         if pause > 0:
             time.sleep(pause)

@@ -12,7 +12,12 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class SocketAddresses:
-    """Local and remote address of a connection, as ``getsockname`` and ``getpeername`` return them; None if unknown."""
+    """Local and remote address of a connection.
+
+    Attributes:
+        local, peer: as ``getsockname`` and ``getpeername`` return them; None if unknown.
+        is_datagram: whether it is a UDP socket.
+    """
 
     local: object = None
     peer: object = None
@@ -20,7 +25,10 @@ class SocketAddresses:
 
 
 def socket_addresses_of(carrier: object) -> SocketAddresses:
-    """The addresses of a socket, of an asyncio transport, or of an object with the descriptor of a socket."""
+    """Return the addresses of a socket, of an asyncio transport, or of an object with the descriptor of a socket.
+
+    Both are None if ``carrier`` has no socket, or is not connected.
+    """
     if isinstance(carrier, SocketAddresses):
         return carrier
     ask = getattr(carrier, "get_extra_info", None)

@@ -27,7 +27,7 @@ class TraceLevel(IntEnum):
     """How much of the traffic the log shows: nothing, messages, frames or bytes."""
 
     CAPTURE = -1
-    """Nothing, but what passes goes into a capture file."""
+    """No log lines; the traffic is recorded in a capture file."""
     OFF = 0
     MESSAGE = 1
     FRAME = 2
@@ -48,7 +48,10 @@ class LineRecorder(Protocol):
     """Interface of an object that records the frames of one serial line, or of a connection with serial framing."""
 
     def heard(self, found: "Received", *, at: float | None = None, is_outgoing: bool = False) -> None:
-        """Record a frame, or damaged bytes, that began at ``at`` (seconds since 1970)."""
+        """Record a frame, or damaged bytes, that began at ``at`` (seconds since 1970; None for now).
+
+        ``is_outgoing``: whether this program sent them.
+        """
 
 
 class Recorder(Protocol):
@@ -58,11 +61,11 @@ class Recorder(Protocol):
         """Return a recorder for a connection between these addresses."""
 
     def line(self, name: str) -> LineRecorder:
-        """Return a recorder for a serial line with this name."""
+        """Return a recorder for the serial line with this name."""
 
 
 class Undecided(Protocol):
-    """Interface of the log of a line that holds received bytes until it is clear whether they are a frame."""
+    """Interface of the log of a line that holds received bytes until they are known to be a frame or damaged."""
 
     def settle(self) -> None:
         """Log the held bytes now, as frames or as damaged bytes."""
@@ -72,9 +75,9 @@ class Trace:
     """Switch for the traffic log of all connections of the process. There is one: `TRACE`.
 
     Attributes:
-        level: detail; what drivers test.
-        capture: destination of traffic, or None.
-        undecided: lines with received bytes that silence has not ended yet.
+        level: how much is logged. Drivers check it before they pass traffic to a log.
+        capture: what records the traffic, such as a capture file; None for nothing.
+        undecided: logs of lines that hold received bytes of an unfinished frame.
     """
 
     __slots__ = ("capture", "level", "undecided")
@@ -99,16 +102,24 @@ class Trace:
         self.set(TraceLevel.OFF if self.level is TraceLevel.CAPTURE else self.level)
 
     def settle(self) -> None:
-        """Log the received bytes that logs of lines still hold, at the end of a capture or of the log."""
+        """Log the received bytes that logs of lines still hold, as frames or as damaged bytes."""
         for line in tuple(self.undecided):
             line.settle()
 
 
 TRACE = Trace()
+"""The switch for the traffic log of this process."""
 
 
 class StreamTrace:
-    """Logs the traffic of one MBAP connection, whose addresses `socket_addresses_of` gets from ``carrier``."""
+    """Log of the traffic of one MBAP connection.
+
+    Args:
+        name: name of the connection in the log.
+        is_server: whether requests are received here, and replies sent.
+        functions: the table of functions by which messages are decoded.
+        carrier: socket or transport of the connection, from which a capture file has its addresses.
+    """
 
     __slots__ = ("_capture", "_functions", "_incoming", "_is_server", "_name", "_outgoing")
 
@@ -145,7 +156,7 @@ class StreamTrace:
             self._show(">", frame, is_request=not self._is_server)
 
     def note(self, text: str) -> None:
-        """Log an event of the connection that is not in its frames."""
+        """Log an event of the connection that its frames do not show."""
         if TRACE.level >= TraceLevel.MESSAGE:
             _log.debug("%s %s", self._name, text)
 

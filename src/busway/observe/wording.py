@@ -12,7 +12,14 @@ from ..pdu.message import Message
 def described(
     pdu: bytes, direction: Direction, *, request: Message | None = None, functions: FunctionTable = STANDARD
 ) -> Description:
-    """Describe a PDU in words; ``request``, if known, is what a reply answers."""
+    """Return the description of a PDU: function and fields in words, and what is wrong.
+
+    Args:
+        pdu: function code and data.
+        direction: whether it is a reply; anything else is described as a request.
+        request: the request that a reply answers, if known.
+        functions: the table of functions.
+    """
     if direction is Direction.REPLY:
         return describe_reply(pdu, functions, request=request)
     return describe_request(pdu, functions)

@@ -19,13 +19,13 @@ _NULL, _LOOP, _SLL, _SLL2, _IPV4, _IPV6 = 0, 108, 113, 276, 228, 229
 _USER: Final = range(147, 163)
 _IPV4_TYPE, _IPV6_TYPE = 0x0800, 0x86DD
 _TAGS: Final = frozenset((0x8100, 0x88A8, 0x9100))
-"""VLAN: 802.1Q, 802.1ad, and what was used before it."""
+"""EtherTypes of VLAN tags: 802.1Q, 802.1ad, and the one used before 802.1ad."""
 _MOST_TAGS: Final = 4
 _RTAC_HEADER: Final = 12
 _DISSECTOR_TAG, _PROTOCOL_TABLE_TAG = 12, 14
 _LINE_DISSECTORS: Final = (b"mbrtu", b"data")
 _EXTENSIONS: Final = frozenset((0, 43, 60, 135))
-"""Headers of IPv6 between its own and the payload, all of one form: hop by hop, routing, destination, mobility."""
+"""Extension headers of IPv6 that all have one form: hop by hop, routing, destination options, mobility."""
 _FRAGMENT, _AUTHENTICATION = 44, 51
 _MOST_EXTENSIONS: Final = 8
 _FIN, _SYN, _RST, _ACK = 1, 2, 4, 16
@@ -33,11 +33,11 @@ _FIN, _SYN, _RST, _ACK = 1, 2, 4, 16
 
 @dataclass(frozen=True, slots=True)
 class TcpSegment:
-    """A segment of a TCP connection.
+    """A segment of a TCP connection, as far as the capture has it.
 
     Attributes:
-        source, destination: its addresses.
-        sequence: number of its first byte.
+        source, destination: its addresses and ports.
+        sequence: sequence number of its first byte.
         acknowledged: next byte that the sender waits for; None if the segment acknowledges nothing.
         payload: its bytes, as far as captured.
         missing: number of bytes at its end that were not captured.
@@ -57,7 +57,13 @@ class TcpSegment:
 
 @dataclass(frozen=True, slots=True)
 class UdpDatagram:
-    """A UDP datagram: its addresses, its bytes as far as captured, and how many are missing."""
+    """A UDP datagram, as far as the capture has it.
+
+    Attributes:
+        source, destination: its addresses and ports.
+        payload: its bytes, as far as captured.
+        missing: number of bytes at its end that were not captured.
+    """
 
     source: Node
     destination: Node
@@ -67,7 +73,7 @@ class UdpDatagram:
 
 @dataclass(frozen=True, slots=True)
 class LineBytes:
-    """Bytes of a serial line. ``whole``: whether a packet of this kind is one frame, and no piece of a stream."""
+    """Bytes of a serial line in one packet. ``whole``: whether they are one frame; otherwise a piece of a stream."""
 
     payload: bytes
     whole: bool
@@ -75,16 +81,22 @@ class LineBytes:
 
 @dataclass(frozen=True, slots=True)
 class Ignored:
-    """A packet that has nothing to do with Modbus, or cannot be taken apart; ``reason`` in a few words."""
+    """A packet that has nothing to do with Modbus, or cannot be taken apart; ``reason`` says why in a few words."""
 
     reason: str
 
 
 Carried = TcpSegment | UdpDatagram | LineBytes | Ignored
+"""What a packet can carry."""
 
 
 def carried(link_type: int, data: bytes) -> Carried:
-    """Return what a packet of this link type carries."""
+    """Return what a packet carries: a TCP segment, a datagram, bytes of a line, or `Ignored` with the reason.
+
+    Args:
+        link_type: what the packet begins with, by the numbers of tcpdump.org.
+        data: the bytes of the packet.
+    """
     if link_type == ETHERNET:
         return _typed(data, 12)
     if link_type in (RAW_IP, _IPV4, _IPV6):
@@ -111,7 +123,7 @@ def _number(data: bytes, at: int) -> int:
 
 
 def _typed(data: bytes, at: int) -> Carried:
-    """Return what follows an EtherType at ``at``, behind its VLAN tags."""
+    """Return what an Ethernet packet carries, whose EtherType or first VLAN tag is at ``at``."""
     kind = _number(data, at)
     for _ in range(_MOST_TAGS):
         if kind not in _TAGS:
@@ -196,7 +208,7 @@ def _transport(
 
 
 def _exported(data: bytes) -> Carried:
-    """Return the frame of an exported PDU for the dissector of RTU, as `busway.observe.capture` writes it."""
+    """Return the frame of an exported PDU for the dissectors that `busway.observe.capture` uses."""
     at, dissector = 0, b""
     while True:
         tag, size = _number(data, at), _number(data, at + 2)

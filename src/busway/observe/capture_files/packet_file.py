@@ -20,7 +20,7 @@ from typing import BinaryIO, Final
 from ...errors import ConfigError
 
 MOST_RECORD: Final = 16 << 20
-"""Bytes of one record or block; wireshark refuses packets above 256 KiB, or 128 MiB of a few link types."""
+"""Most bytes of one record or block; Wireshark refuses packets above 256 KiB, or 128 MiB of a few link types."""
 MOST_INTERFACES: Final = 4096
 
 _SECTION, _INTERFACE, _OLD_PACKET, _SIMPLE_PACKET, _PACKET = 0x0A0D0D0A, 1, 2, 3, 6
@@ -67,7 +67,7 @@ class CapturedPacket:
 
 @dataclass(frozen=True, slots=True)
 class _Interface:
-    """One interface of a section: its link type, times and name."""
+    """One interface of a section: number, link type, longest packet, ticks per second, offset in seconds, name."""
 
     number: int
     link_type: int
@@ -87,14 +87,14 @@ def is_capture_file(head: bytes) -> bool:
 
 
 class PacketFile:
-    """The packets of a capture file, as an iterator.
+    """The packets of a capture file; iterating yields each as a `CapturedPacket`.
 
     Args:
         stream: the file, opened in binary mode, at its beginning.
         name: its name, for errors.
 
     Attributes:
-        packets: number of packets given so far.
+        packets: number of packets yielded so far.
         truncated_at: offset of the record inside which the file ends; None for a file that is whole.
     """
 
@@ -109,7 +109,12 @@ class PacketFile:
         self._interfaces_seen = 0
 
     def __iter__(self) -> Iterator[CapturedPacket]:
-        """Yield the packets in their order. Raises `ConfigError` where the file is broken."""
+        """Yield the packets in their order, once.
+
+        Raises:
+            ConfigError: the file is no capture, or is broken; packets before that place were yielded.
+            OSError: the stream cannot be read.
+        """
         try:
             magic = self._up_to(4)
             if magic in _PCAP_MAGICS:
@@ -159,7 +164,7 @@ class PacketFile:
                 yield self._simple(order, body, interfaces)
 
     def _section(self) -> str:
-        """Read the rest of a section header. Returns the byte order of the section."""
+        """Read the rest of a section header. Returns the byte order of the section, ``<`` or ``>``."""
         length, mark = self._exactly(4), self._exactly(4)
         order = {_BYTE_ORDER: ">", _BYTE_ORDER[::-1]: "<"}.get(mark)
         if order is None:
@@ -239,7 +244,7 @@ class PacketFile:
         return CapturedPacket(self.packets, time, interface.link_type, data, missing, interface.number, interface.name)
 
     def _next(self, size: int) -> bytes:
-        """Return the first bytes of the next record; nothing at the end of the file."""
+        """Return the first ``size`` bytes of the next record; empty at the end of the file."""
         self._record = self._at
         first = self._up_to(size)
         if first and len(first) < size:
@@ -279,7 +284,7 @@ class PacketFile:
 
 
 def _options(order: str, data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Yield the options of a block, as far as they are whole."""
+    """Yield number and value of each option of a block, as far as they are whole."""
     at = 0
     while at + 4 <= len(data):
         code, size = struct.unpack_from(f"{order}HH", data, at)

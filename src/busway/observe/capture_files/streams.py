@@ -4,7 +4,7 @@ Knows sequence numbers (RFC 9293 §3.4) and bytes; knows no address and no Modbu
 does not have is a `StreamGap` with its size.
 
 1. A stream begins with its SYN, or with the first segment that the capture has: then it *begins in the middle*.
-2. What was there before is a retransmission and dropped, also where it overlaps; the bytes that came first stay.
+2. Bytes that came before are a retransmission and dropped, also where segments overlap; those that came first stay.
 3. A segment beyond the next byte waits until what is missing has come. It is missing for good when the peer has
    acknowledged it (the peer has it, the capture does not), when more than `MOST_WAITING` bytes or segments wait, and
    at the end.
@@ -15,15 +15,15 @@ from dataclasses import dataclass
 from typing import Final
 
 MOST_WAITING: Final = 32 << 10
-"""Bytes that wait for missing ones, for each direction of a connection."""
+"""Most bytes that wait for missing ones, for each direction of a connection."""
 _MOST_SEGMENTS: Final = 256
 FARTHEST: Final = 1 << 24
-"""Bytes; no window of a Modbus device comes near."""
+"""Most bytes between two segments of one connection; no window of a Modbus device comes near."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamPiece:
-    """Bytes of a stream in their order, with number and time of the packet that brought them."""
+    """Bytes of a stream, in order, with number and time of the packet that brought them."""
 
     data: bytes
     packet: int
@@ -32,7 +32,12 @@ class StreamPiece:
 
 @dataclass(frozen=True, slots=True)
 class StreamGap:
-    """Bytes of a stream that the capture does not have: how many (None if unknown), and where that was found."""
+    """Bytes of a stream that the capture does not have.
+
+    Attributes:
+        size: how many bytes are missing; None if unknown.
+        packet, time: number and time of the packet at which the gap was found.
+    """
 
     size: int | None
     packet: int
@@ -44,7 +49,10 @@ StreamPart = StreamPiece | StreamGap
 
 @dataclass(frozen=True, slots=True)
 class _Waiting:
-    """A segment that is beyond the next byte, by its distance from the first byte of the stream."""
+    """A segment that waits for bytes before it.
+
+    ``at`` is the distance of its first byte from the first byte of the stream.
+    """
 
     at: int
     data: bytes
@@ -78,20 +86,20 @@ class StreamAssembler:
 
     @property
     def has_begun(self) -> bool:
-        """Whether a segment has set the first byte of the stream."""
+        """Whether the first byte of the stream is known, by a SYN or a segment."""
         return self._start is not None
 
     def begin(self, sequence: int) -> None:
-        """Begin with the byte after a SYN with this sequence number."""
+        """Start the stream at the byte after a SYN with this sequence number; the same SYN again changes nothing."""
         if self._start != (sequence + 1) & 0xFFFF_FFFF:
             self._start, self._next, self._acknowledged = (sequence + 1) & 0xFFFF_FFFF, 0, 0
             self._waiting, self._size = [], 0
 
     def segment(self, sequence: int, data: bytes, missing: int, packet: int, time: float) -> list[StreamPart]:
-        """Take a segment with bytes. Returns what is in order now.
+        """Add a segment with bytes. Returns the pieces and gaps that are in order now.
 
         Args:
-            sequence: number of its first byte.
+            sequence: sequence number of its first byte.
             data: its bytes, as far as captured.
             missing: number of bytes behind them that were not captured.
             packet, time: number and time of the packet.
@@ -116,7 +124,11 @@ class StreamAssembler:
         return found
 
     def acknowledge(self, number: int) -> list[StreamPart]:
-        """Take an acknowledgement of the peer: what it has and the capture has not is missing for good."""
+        """Process an acknowledgement of the peer. Returns the pieces and gaps that are in order now.
+
+        ``number`` is the next byte that the peer waits for: earlier bytes that the capture does not have are missing
+        for good.
+        """
         if self._start is None:
             return []
         at = self._distance(number)
@@ -125,7 +137,7 @@ class StreamAssembler:
         return self._skip() if self._is_acknowledged() else []
 
     def finish(self) -> list[StreamPart]:
-        """Return what still waits, with the gaps in front of it."""
+        """Return the pieces that still wait for missing bytes, each gap before its piece."""
         found: list[StreamPart] = []
         while self._waiting:
             found += self._skip()
@@ -152,7 +164,7 @@ class StreamAssembler:
         self._size += len(segment.data)
 
     def _deliver(self, segment: _Waiting, found: list[StreamPart]) -> None:
-        """Give the part of a segment that is new; it begins at the next byte or before it."""
+        """Add to ``found`` the new part of a segment that begins at the next byte or before it."""
         known = self._next - segment.at
         fresh = segment.data[known:]
         self.repeated += len(segment.data) - len(fresh)
@@ -170,7 +182,7 @@ class StreamAssembler:
             self._deliver(segment, found)
 
     def _skip(self) -> list[StreamPart]:
-        """Give the bytes in front of the first waiting segment up as missing."""
+        """Return a gap for the bytes before the first waiting segment, and the pieces that are in order then."""
         first = self._waiting[0]
         found: list[StreamPart] = [StreamGap(first.at - self._next, first.packet, first.time)]
         self._next = first.at

@@ -4,10 +4,10 @@ Knows packets, streams and framings; knows no file, and not which reply answers 
 any packets.
 
 1. Who listens on one of the ports is the server; where both ends do, the one that a SYN was sent to.
-2. A stream that begins in the middle, or behind missing bytes, is out of step: it is taken up again at a segment that
-   begins like a frame, and what is skipped until then is told. A length that cannot be breaks the stream likewise.
-3. Each datagram is by itself. Each packet of a line that is one frame by its kind is decided by itself; other bytes of
-   a line are one stream, in which silence ends frames.
+2. A stream that begins in the middle, or behind missing bytes, is out of step: reading goes on at a segment that
+   begins like a frame, and the bytes skipped until then are reported. An impossible length has the same effect.
+3. Each datagram is read by itself, and so is each packet of a line whose kind makes it one frame; other bytes of a
+   line are one stream, in which silence ends frames.
 4. Limits: `MOST_CHANNELS` connections at once, then the one that was silent longest is ended; each keeps part of a
    frame, and the segments that `streams` holds back.
 """
@@ -32,7 +32,9 @@ from .packet_file import CapturedPacket
 from .streams import StreamAssembler, StreamGap, StreamPart, StreamPiece
 
 MODBUS_PORT: Final = 502
+"""The port of Modbus servers, unless others are given."""
 MOST_CHANNELS: Final = 2048
+"""Most connections and lines that are followed at once; beyond that, the one that was silent longest is ended."""
 _MOST_REASONS: Final = 64
 _MOST_PORTS: Final = 1024
 
@@ -45,8 +47,8 @@ class CapturedChannel:
         number: counted from 1.
         carrier: ``tcp``, ``udp`` or ``line``.
         framing: framing of its frames.
-        client, server: its ends; None of a line.
-        name: name of a line.
+        client, server: its ends; None for a line.
+        name: name of a line; empty for a connection.
     """
 
     number: int
@@ -58,12 +60,12 @@ class CapturedChannel:
 
     @property
     def client_text(self) -> str:
-        """The client as text, without its port; empty for a line."""
+        """The address of the client as text, without its port; empty for a line."""
         return "" if self.client is None else str(self.client.address)
 
     @property
     def server_text(self) -> str:
-        """The server as text, with its port; the name of a line."""
+        """The address of the server as text, with its port; the name of a line."""
         return self.name if self.server is None else node_text(self.server)
 
 
@@ -91,12 +93,12 @@ class CapturedFrame:
         channel: its connection or line.
         packet: number of the packet that completed it, as Wireshark counts.
         time: seconds since 1970 of that packet.
-        direction: request or reply; of a line judged from the frames before it.
-        raw: the frame.
+        direction: request or reply; on a line judged from the frames before it.
+        raw: the bytes of the frame.
         unit: unit identifier, 0…255.
         pdu: function code and data.
-        transaction: transaction identifier; None for frames of lines.
-        received: the frame as the receiver of a line gave it; None for frames of TCP.
+        transaction: transaction identifier; None without MBAP header.
+        received: the frame as the receiver of a line returned it; None with MBAP header.
     """
 
     channel: CapturedChannel
@@ -112,16 +114,16 @@ class CapturedFrame:
 
 @dataclass(frozen=True, slots=True)
 class FaultyBytes:
-    """Bytes in a capture file that are no frame, or that are not there.
+    """Bytes in a capture file that are no frame, or that are missing.
 
     Attributes:
         channel: the connection or line.
-        packet, time: the packet at which it was found.
-        direction: of whom the bytes are.
+        packet, time: number and time of the packet at which the fault was found.
+        direction: whether the bytes come from the client (request) or the server (reply).
         fault: what is wrong.
-        text: the same in words, with numbers.
+        text: what is wrong, in words and with numbers.
         raw: the bytes, if there are any.
-        received: the damaged bytes as the receiver of a line gave them.
+        received: the damaged bytes as the receiver of a line returned them; otherwise None.
     """
 
     channel: CapturedChannel
@@ -145,7 +147,13 @@ class ChannelEnding(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ChannelEnd:
-    """A connection ended, or the capture did. Nothing of the channel comes behind it."""
+    """The end of a connection or line in a capture file; no event of the channel follows.
+
+    Attributes:
+        channel: the connection or line.
+        time: time of the latest packet of the file, in seconds since 1970.
+        ending: why it ended.
+    """
 
     channel: CapturedChannel
     time: float
@@ -153,10 +161,11 @@ class ChannelEnd:
 
 
 TrafficEvent = CapturedFrame | FaultyBytes | ChannelEnd
+"""What can be found in the packets of a capture file."""
 
 
 class CapturedTraffic:
-    """Takes the packets of a capture file, and gives the Modbus frames in them.
+    """Finds the Modbus frames in the packets of a capture file.
 
     Args:
         ports: TCP and UDP ports of Modbus servers.
@@ -164,10 +173,10 @@ class CapturedTraffic:
             where the first packet begins with a colon.
 
     Attributes:
-        ignored: packets without Modbus, by reason.
-        other_ports: frames that look like Modbus on other ports, by port.
-        repeated: number of bytes that TCP sent again.
-        out_of_order: number of segments that came too early.
+        ignored: number of packets without Modbus, by reason.
+        other_ports: number of frames that look like Modbus on other ports, by port.
+        repeated: number of bytes that TCP sent again, on connections that have ended.
+        out_of_order: number of segments that came too early, on connections that have ended.
         begun_inside: number of connections whose beginning the capture does not have.
         channels: number of connections and lines so far.
     """
@@ -186,7 +195,7 @@ class CapturedTraffic:
         self._last = 0.0
 
     def take(self, packet: CapturedPacket) -> list[TrafficEvent]:
-        """Take the next packet of the file. Returns the frames that it completes, and what is wrong."""
+        """Process the next packet of the file. Returns the frames that it completes, and what is wrong, in order."""
         self._last = max(self._last, packet.time)
         inner = carried(packet.link_type, packet.data)
         if isinstance(inner, TcpSegment):
@@ -199,7 +208,7 @@ class CapturedTraffic:
         return []
 
     def finish(self) -> list[TrafficEvent]:
-        """Return what is undecided at the end of the file, and the end of each connection."""
+        """Return the last events, at the end of the file: unfinished frames, and the end of each channel."""
         found: list[TrafficEvent] = []
         for each in self._open.values():
             found += self._ended(each, ChannelEnding.CAPTURE_ENDS)
@@ -216,7 +225,10 @@ class CapturedTraffic:
         self.ignored[reason] += 1
 
     def _is_request(self, source: Node, destination: Node, *, asks_to_open: bool) -> bool | None:
-        """Whether a packet goes to a server; None if no end of it is one."""
+        """Whether a packet goes from client to server; None if neither end is a server.
+
+        ``asks_to_open``: whether the packet is a SYN without ACK, whose destination is the server.
+        """
         to, of = destination.port in self._ports, source.port in self._ports
         if to and of:
             known = self._open.get((destination, source)) or self._datagrams.get((destination, source))
@@ -224,6 +236,7 @@ class CapturedTraffic:
         return True if to else False if of else None
 
     def _foreign(self, source: Node, destination: Node, payload: bytes, what: str) -> list[TrafficEvent]:
+        """Count a packet whose ports are none of the servers', and its ports if it looks like an MBAP frame."""
         self._ignore(Ignored(f"{what} of other ports"))
         if _begins_like_a_frame(payload) and len(payload) == 6 + (payload[4] << 8 | payload[5]):
             for port in (source.port, destination.port):
@@ -297,6 +310,7 @@ class CapturedTraffic:
         return self.channels
 
     def _make_room(self) -> list[TrafficEvent]:
+        """End the channel that was silent longest if there are `MOST_CHANNELS`; returns its last events."""
         if len(self._open) < MOST_CHANNELS:
             return []
         _, oldest = self._open.popitem(last=False)
@@ -327,6 +341,7 @@ class _Side:
         self._in_step = True
 
     def frames(self, part: StreamPart) -> Iterator[TrafficEvent]:
+        """Yield the frames that a part of the stream completes, and what is wrong."""
         if isinstance(part, StreamGap):
             yield from self._gap(part)
         elif self._in_step or _begins_like_a_frame(part.data):
@@ -343,7 +358,7 @@ class _Side:
         self._in_step = False
 
     def cut_off(self, part: StreamPart) -> Iterator[TrafficEvent]:
-        """Report the frame of which only the beginning has come."""
+        """Report the frame of which only the beginning has come, if there is one."""
         if self._receiver.pending:
             text = f"the frame ends after {counted(self._receiver.pending, 'byte')}"
             yield self._fault(part, TrafficFault.CUT_OFF, text)
@@ -363,8 +378,8 @@ class _Side:
 class _TcpChannel:
     """One captured TCP connection.
 
-    With MBAP headers its two directions are read apart; with RTU or ASCII together, because a frame does not say
-    whether it is a request.
+    With MBAP headers its two directions are read apart. RTU and ASCII frames do not tell their direction, so one
+    receiver reads both.
     """
 
     def __init__(self, channel: CapturedChannel) -> None:
@@ -375,10 +390,11 @@ class _TcpChannel:
         self._last = StreamGap(None, 0, 0.0)
 
     def is_another(self, segment: TcpSegment) -> bool:
-        """Whether a SYN opens another connection between the same ends."""
+        """Whether a SYN from the client opens another connection between the same ends."""
         return self.sides[True].first != segment.sequence
 
     def take(self, packet: CapturedPacket, segment: TcpSegment, *, is_request: bool) -> list[TrafficEvent]:
+        """Process a segment. Returns the frames that it completes, and what is wrong, in order."""
         side, peer = self.sides[is_request], self.sides[not is_request]
         self._last = StreamGap(None, packet.number, packet.time)
         sequence = segment.sequence
@@ -402,6 +418,7 @@ class _TcpChannel:
         return [event for each, part in parts for event in self._events(each, part)]
 
     def finish(self) -> list[TrafficEvent]:
+        """Return the last events of the connection, of segments that waited and of unfinished frames."""
         found: list[TrafficEvent] = []
         for side in self.sides:
             for part in side.stream.finish():
@@ -422,7 +439,7 @@ class _TcpChannel:
 
 
 def _begins_like_a_frame(data: bytes) -> bool:
-    """Whether bytes begin with a header of MBAP and a known function."""
+    """Whether bytes begin with a valid MBAP header and a known function code."""
     if len(data) <= HEADER_SIZE or data[2] or data[3]:
         return False
     return MIN_LENGTH <= data[4] << 8 | data[5] <= MAX_LENGTH and data[HEADER_SIZE] & 0x7F in STANDARD
@@ -452,13 +469,14 @@ def _fault(
 
 
 class _DatagramChannel:
-    """The datagrams between two addresses: each is by itself."""
+    """The datagrams between two addresses; each is read by itself."""
 
     def __init__(self, channel: CapturedChannel) -> None:
         self.channel = channel
         self._line = None if channel.framing is Framing.MBAP else _LineChannel(channel)
 
     def take(self, packet: CapturedPacket, datagram: UdpDatagram, direction: Direction) -> list[TrafficEvent]:
+        """Return the frames in a datagram, and what is wrong with it."""
         found: list[TrafficEvent] = []
         if datagram.missing:
             text = f"{counted(datagram.missing, 'byte', 'was')} not captured"
@@ -476,14 +494,14 @@ class _DatagramChannel:
 
 
 def _directed(event: TrafficEvent, direction: Direction) -> TrafficEvent:
-    """Return an event with the direction that its addresses tell."""
+    """Return an event with this direction, which the addresses of its packet tell."""
     if isinstance(event, CapturedFrame) and isinstance(event.received, SerialFrame):
         return replace(event, direction=direction, received=replace(event.received, direction=direction))
     return replace(event, direction=direction) if isinstance(event, FaultyBytes) else event
 
 
 class _LineChannel:
-    """A serial line: its bytes in one receiver, which hears both directions."""
+    """A serial line, or a connection with serial framing: one receiver gets the bytes of both directions."""
 
     def __init__(self, channel: CapturedChannel) -> None:
         self.channel = channel
@@ -495,7 +513,10 @@ class _LineChannel:
         self._time = 0.0
 
     def take(self, data: bytes, packet: int, time: float, *, whole: bool) -> list[TrafficEvent]:
-        """Take bytes of one packet; ``whole``: they are one frame."""
+        """Process the bytes of one packet. Returns the frames that they complete, and damaged bytes.
+
+        ``whole``: the bytes are one frame, so nothing is kept for later packets.
+        """
         self._now = max(self._now, time)  # clocks of captures jump back
         found = self._events(self._receiver.tick(self._now))
         self._packet, self._time = packet, time
@@ -503,6 +524,7 @@ class _LineChannel:
         return found + (self._events(self._receiver.flush(self._now)) if whole else [])
 
     def finish(self) -> list[TrafficEvent]:
+        """Return the last events of the line: unfinished frames, as damaged."""
         return self._events(self._receiver.flush(self._now))
 
     def _events(self, received: list[Received]) -> list[TrafficEvent]:

@@ -27,13 +27,14 @@ if TYPE_CHECKING:
     from prometheus_client import CollectorRegistry
 
 ASK_SECONDS: Final = 2.0
+"""Most seconds that a scrape waits for the status of its source."""
 
 
 class MetricsSource(Protocol):
     """Interface of a server or gateway whose metrics are served."""
 
     def status(self) -> Any:
-        """Return the current status: a dataclass like `busway.server.server.ServerStatus`."""
+        """Return the current status: a dataclass like `busway.server.server.ServerStatus`; called in the event loop."""
 
     @property
     def functions(self) -> FunctionTable:
@@ -69,18 +70,19 @@ def start_metrics(
         source: the server or gateway.
         where: address to listen on, ``127.0.0.1:9502``; port 0 takes a free one. Any client that reaches it can read.
         classify: returns the class of a client, a label of the requests; by default the source decides.
-        links: returns the connections that this process has opened itself, if they are to be included
+        links: returns the status of connections that this process has opened itself, if metrics are to include them
             (`busway.client.registry.local_connections`).
 
     Raises:
-        ConfigError: ``where`` is not an address, ``prometheus-client`` is not installed, or the source runs already.
+        ConfigError: ``where`` is not an address, or the source runs already.
+        MissingExtra: ``prometheus-client`` is not installed.
         LinkDown: the address cannot be bound.
     """
     return MetricsEndpoint(source, where, classify=classify, links=links)
 
 
 class MetricsEndpoint:
-    """The HTTP service that offers the metrics of one server or gateway; an asynchronous context manager.
+    """The HTTP service that offers the metrics of one server or gateway; an async context manager that closes it.
 
     Attributes:
         url: URL to scrape.
@@ -95,7 +97,7 @@ class MetricsEndpoint:
         classify: Classify | None = None,
         links: Callable[[], Iterable[Any]] | None = None,
     ) -> None:
-        """Bind the address of the HTTP service, and register the observer that counts requests; as `start_metrics`."""
+        """Serve metrics over HTTP, and count requests; arguments and errors are those of `start_metrics`."""
         host, port = host_and_port(where, "metrics")
         need_prometheus()
         from .metric_families import ClientCollector, ServerCollector, registry_of
@@ -119,7 +121,13 @@ class MetricsEndpoint:
         self._service.start()
 
     def answer(self, request: HttpRequest) -> HttpResponse:
-        """Return the response to ``GET /metrics``, for other HTTP services. Blocks: not for the server's event loop."""
+        """Return the response to a request of the metrics, such as ``GET /metrics``; for other HTTP services too.
+
+        Blocks for up to `ASK_SECONDS`: not for the source's event loop.
+
+        Raises:
+            HttpError: another path or method.
+        """
         if request.path not in ("/", "/metrics"):
             raise HttpError(HTTPStatus.NOT_FOUND, "there is nothing but /metrics")
         if request.method != "GET":
@@ -132,7 +140,7 @@ class MetricsEndpoint:
         await asyncio.to_thread(self._service.stop)
 
     def _ask(self) -> Any:  # a status, as the source gives it
-        """Return the server's status, asked for in its event loop; None if the loop does not answer in time."""
+        """Return the source's status, asked for in its event loop; None if the loop does not answer in time."""
 
         async def status() -> Any:
             return self._source.status()

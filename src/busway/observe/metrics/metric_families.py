@@ -52,7 +52,7 @@ _COUNTERS: Final[dict[str, tuple[str, str]]] = {
     "idle_timeouts": ("idle_timeouts", "Connections closed because they were not used."),
     "rate_limited": ("rate_limited", "Times that a host asked more often than it may."),
 }
-"""Name and meaning of the counters of a server, by field; others are named as their field."""
+"""Name and description of the counters of a server, by field; other fields give their own name."""
 _CLASS_COUNTERS: Final[dict[str, tuple[str, str]]] = {
     "received": ("received_bytes", "Bytes received, by class of device."),
     "sent": ("sent_bytes", "Bytes sent, by class of device."),
@@ -60,9 +60,9 @@ _CLASS_COUNTERS: Final[dict[str, tuple[str, str]]] = {
     "closed": ("class_connections_closed", "Connections that have ended, by class of device."),
     "requests": ("class_received_requests", "Requests that came in, by class of device."),
 }
-"""The same of the counters that there are for each class of devices."""
+"""Name and description of the counters that are kept for each class of hosts, by field."""
 _GAUGES: Final = frozenset({"priority_connections", "other_connections"})
-"""Whole numbers of a listener that go down too; `busway_connections` tells them."""
+"""Whole numbers of a listener that can go down; `busway_connections` shows them instead."""
 _CONNECTION_GAUGES: Final = (
     ("supported_connections", "Connections that there may be."),
     ("remote_connections", "Connections that others have opened."),
@@ -86,8 +86,8 @@ class ServerCollector(Collector):
     """Prometheus collector that creates the metrics of one server or gateway at each scrape.
 
     Args:
-        ask: gives the status, or None where the server does not say how it is.
-        tally: counts of requests, if they are counted.
+        ask: returns the status of the server; None if it does not answer.
+        tally: counts of requests; None if they are not counted.
     """
 
     def __init__(
@@ -99,7 +99,7 @@ class ServerCollector(Collector):
         self._tally = tally
 
     def collect(self) -> Iterator[Family]:
-        """Return the current metrics of the server or gateway as metric families."""
+        """Yield the current metrics of the server or gateway as metric families."""
         yield InfoMetricFamily("busway", "The version that runs.", value={"version": __version__})
         status = self._ask()
         yield GaugeMetricFamily("busway_up", "Whether the server's event loop answered in time.", value=bool(status))
@@ -131,14 +131,14 @@ class ClientCollector(Collector):
     """Prometheus collector that creates the metrics of this process's client connections at each scrape.
 
     Args:
-        ask: gives how they do, as `busway.client.registry.local_connections`.
+        ask: returns the status of each connection, as `busway.client.registry.local_connections` does.
     """
 
     def __init__(self, ask: Callable[[], Iterable[Any]]) -> None:  # dataclasses like LocalConnectionStatus
         self._ask = ask
 
     def collect(self) -> Iterator[Family]:
-        """Return the current metrics of the client connections as metric families."""
+        """Yield the current metrics of the client connections as metric families."""
         links = list(self._ask())
         states: Counter[tuple[str, str]] = Counter((one.endpoint, one.state) for one in links)
         held = GaugeMetricFamily("busway_links", "Links to devices, by their state.", labels=("endpoint", "state"))
@@ -152,7 +152,7 @@ class ClientCollector(Collector):
 
 
 def _summed(family: Family, links: Iterable[Any], field: str) -> Family:
-    """Return a metric family with one counter of all links; links to the same endpoint are added up."""
+    """Add the sum of one field of links to a metric family, for each endpoint, and return the family."""
     sums: Counter[str] = Counter()
     for one in links:
         sums[one.endpoint] += getattr(one, field)
@@ -170,7 +170,7 @@ def registry_of(*collectors: Collector) -> CollectorRegistry:
 
 
 def server_families(status: Any) -> Iterator[Family]:
-    """Return the metric families of the server as a whole and of its counters."""
+    """Yield the metric families of the server as a whole and of its counters."""
     yield GaugeMetricFamily("busway_running", "Whether it answers requests.", value=bool(status.running))
     yield GaugeMetricFamily("busway_uptime_seconds", "Seconds since the start.", value=status.uptime)
     for field, meaning in _CONNECTION_GAUGES:
@@ -187,7 +187,7 @@ def server_families(status: Any) -> Iterator[Family]:
 
 
 def class_families(counters: Any) -> Iterator[Family]:
-    """Return the metric families of counters kept separately for priority hosts and for other hosts."""
+    """Yield the metric families of counters kept separately for priority hosts and for other hosts."""
     families: dict[str, Family] = {}
     for field in fields(counters):
         for name, count in _numbers(getattr(counters, field.name)):
@@ -200,7 +200,7 @@ def class_families(counters: Any) -> Iterator[Family]:
 
 
 def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
-    """Return the metric families with the numbers of connections by listener and pool."""
+    """Yield the metric families with the numbers of connections by listener and pool, and of requests that wait."""
     held: Counter[tuple[str, str]] = Counter()
     waiting: Counter[str] = Counter()
     for one in connections:
@@ -217,7 +217,7 @@ def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
 
 
 def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """Return the metric families of listeners: status indicators, mode, diagnostic counters of function 08."""
+    """Yield the metric families of listeners: status indicators, mode, diagnostic counters of function 08."""
     indicators = StateSetMetricFamily(
         "busway_listener_indicator", "What the status indicators show.", labels=("listener", "indicator")
     )
@@ -248,7 +248,7 @@ def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
 
 
 def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """Return the metric families of certificates and handshakes of ``tls://`` listeners, if there are any."""
+    """Yield the metric families of certificates and TLS handshakes of ``tls://`` listeners, if there are any."""
     secured = [one for one in listeners if getattr(one, "security", None) is not None]
     if not secured:
         return
@@ -270,12 +270,12 @@ def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
 
 
 def gateway_listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """Return the metric families of a gateway's listeners: requests that reached no upstream."""
+    """Yield the metric families of a gateway's listeners: requests that reached no upstream."""
     yield from _counters_of("gateway_listener", "listener", listeners, "Requests at the listener")
 
 
 def upstream_families(upstreams: Iterable[Any]) -> Iterator[Family]:
-    """Return the metric families of a gateway's upstreams: outcomes of requests, states of connections."""
+    """Yield the metric families of a gateway's upstreams: outcomes of requests, states of connections."""
     upstreams = list(upstreams)
     if not upstreams:
         return
@@ -306,9 +306,7 @@ def upstream_families(upstreams: Iterable[Any]) -> Iterator[Family]:
 
 
 def _counters_of(prefix: str, label: str, parts: Iterable[Any], meaning: str) -> Iterator[Family]:
-    """Return a metric family for each counter that several objects (such as listeners) have, labelled
-    with their names.
-    """
+    """Yield a metric family for each counter that objects, such as listeners, have; labelled with their names."""
     families: dict[str, Family] = {}
     for one in parts:
         for name, count in _numbers(one.counters):
@@ -322,7 +320,7 @@ def _counters_of(prefix: str, label: str, parts: Iterable[Any], meaning: str) ->
 
 
 def request_families(tally: RequestTally) -> Iterator[Family]:
-    """Return the metric families of answered requests, their durations, and unanswered requests."""
+    """Yield the metric families of answered requests, their durations, and unanswered requests."""
     answered = CounterMetricFamily(
         "busway_requests", "Answered requests.", labels=("peer_class", "unit", "function", "exception")
     )
@@ -349,7 +347,7 @@ def _by_label(name: str, meaning: str, label: str, counts: Mapping[str, int]) ->
 
 
 def _numbers(counters: Any) -> Iterator[tuple[str, int]]:
-    """Return the integer fields of a dataclass of counters, by name."""
+    """Yield name and value of each integer field of a dataclass of counters; nothing for other objects."""
     if is_dataclass(counters):
         for field in fields(counters):
             value = getattr(counters, field.name)

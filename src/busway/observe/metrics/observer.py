@@ -17,6 +17,7 @@ from ...session.responder import ClientIdentity, Deferral, RequestContext
 from .request_tally import Durations, PeerClass, RequestTally, Series, Unanswered
 
 Classify = Callable[[ClientIdentity], PeerClass]
+"""Function that returns the class in which the metrics count a client."""
 
 _MEMO_LIMIT: Final = 512
 _LINES: Final = ("rtu://", "ascii://")
@@ -26,7 +27,7 @@ class ClassifyByPriority:
     """Function that classifies clients for the metrics: `PeerClass.PRIORITY` for priority hosts, else by listener.
 
     Args:
-        is_priority: whether the host of a peer's address has priority at a listener; asked once for each peer.
+        is_priority: returns whether a host has priority, from the listener's URL and the host; its answers are cached.
     """
 
     def __init__(self, is_priority: Callable[[str, str], bool]) -> None:
@@ -54,8 +55,11 @@ class MetricsObserver:
     """Counts the requests of a server, or of all listeners of a gateway, for the metrics.
 
     Args:
-        tally: where they are counted; a new one if left out.
-        classify: the class of a client.
+        tally: where they are counted; None for a new one.
+        classify: returns the class of a client.
+
+    Attributes:
+        tally: the counts of requests.
     """
 
     def __init__(self, tally: RequestTally | None = None, *, classify: Classify = classify_by_listener) -> None:
@@ -64,7 +68,13 @@ class MetricsObserver:
         self._counted: dict[tuple[PeerClass, bytes], tuple[Series, Durations]] = {}  # by unit and function
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Count requests that the fast path (from bytes to bytes) has answered."""
+        """Count requests of one client that the fast path (from bytes to bytes) has answered.
+
+        Args:
+            client: the client.
+            replies: the ADU of each reply.
+            seconds: duration of all of them together.
+        """
         if not replies:
             return
         peer_class = self._classify(client)
@@ -77,7 +87,7 @@ class MetricsObserver:
                 self._count(peer_class, reply, 1, each)
 
     def _count(self, peer_class: PeerClass, reply: bytes, count: int, each: float) -> None:
-        """Count several replies with the same unit, function and exception code."""
+        """Count ``count`` replies with the same unit, function and exception code as ``reply``, of ``each`` seconds."""
         key = peer_class, reply[6:8]
         known = self._counted.get(key)
         if known is None:
@@ -96,14 +106,21 @@ class MetricsObserver:
         return self.tally.series(peer_class, reply[6], function, exception), self.tally.durations(function)
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Count requests whose client disconnected before they were answered."""
+        """Count requests (``requests`` of them) whose client disconnected before they were answered."""
         for _ in range(requests):
             self.tally.unanswered(Unanswered.GONE)
 
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
     ) -> None:
-        """Count a request that the fast path (from bytes to bytes) did not answer, with its outcome and duration."""
+        """Count a request that the fast path (from bytes to bytes) did not answer.
+
+        Args:
+            context: unit, function and client of the request.
+            request: the request.
+            outcome: the reply, or why none is sent; None if the client disconnected.
+            seconds: from the request to its outcome.
+        """
         if context.executed is not None:  # a broadcast: each unit executes it, and none answers
             self.tally.unanswered(Unanswered.BROADCAST)
         elif outcome is None:

@@ -16,11 +16,13 @@ from typing import Final
 from ...codes import ExceptionCode, FunctionCode
 
 OTHER: Final = "other"
+"""Label value of units and functions that have no label value of their own."""
 NO_EXCEPTION: Final = "none"
+"""Label value of replies that are no exception."""
 MAX_SERIES: Final = 4096
-"""Of the counter of requests: 256 units of 16 series each. Beyond, a unit's number is not shown any more."""
+"""Most series of the counter of requests: 256 units of 16 series each. Beyond, further units count as ``other``."""
 BUCKETS: Final = (0.000_01, 0.000_1, 0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
-"""Upper bounds in seconds: an answer of this process takes microseconds, one from behind a gateway up to seconds."""
+"""Upper bounds of the histogram in seconds: a reply of this process takes microseconds, one of a gateway seconds."""
 
 _KNOWN_EXCEPTIONS: Final = frozenset(int(code) for code in ExceptionCode)
 
@@ -29,9 +31,9 @@ class PeerClass(Enum):
     """Classes of clients that the metrics count separately, as values of a label."""
 
     PRIORITY = "priority"
-    """An address of the pool of priority connections."""
+    """A priority host."""
     OTHER = "other"
-    """Any other address."""
+    """Any other host."""
     LINE = "line"
     """The master of a serial line."""
 
@@ -40,17 +42,18 @@ class Unanswered(Enum):
     """Reasons why a request got no reply, as values of a label of the metrics."""
 
     BROADCAST = "broadcast"
-    """On a serial line; counted for each unit that it reached."""
+    """A broadcast on a serial line; counted for each unit that it reached."""
     SILENT = "silent"
-    """As the handler decided, or in listen-only mode."""
+    """The responder decided to send no reply, or the server is in listen-only mode."""
     GONE = "gone"
-    """The client went away before a late answer was there."""
+    """The client disconnected before the reply was there."""
 
 
 class Series:
     """One counter of requests: those with the same values of all labels.
 
     Attributes:
+        peer_class, unit, function, exception: the values of the labels.
         count: number of answered requests.
     """
 
@@ -68,8 +71,9 @@ class Durations:
     """Histogram of how long requests of one function took.
 
     Attributes:
-        counts: answers per bucket, not cumulative; the last one holds those above every bound.
-        total: seconds of all of them.
+        function: value of the label ``function``.
+        counts: number of replies in each bucket of `BUCKETS`, not cumulative; the last are those above every bound.
+        total: seconds of all replies together.
     """
 
     __slots__ = ("counts", "function", "total")
@@ -89,8 +93,8 @@ class RequestTally:
     """Counters of the requests that a server or gateway has answered, by labels, and how long they took.
 
     Args:
-        functions: codes of the functions that get a label of their own.
-        units: ``False`` leaves the units out of the labels.
+        functions: function codes that get a label value of their own.
+        units: whether the unit is a label.
     """
 
     def __init__(self, functions: Iterable[int] = tuple(FunctionCode), *, units: bool = True) -> None:
@@ -103,7 +107,14 @@ class RequestTally:
     # What is counted.
 
     def series(self, peer_class: PeerClass, unit: int, function: int, exception: int | None = None) -> Series:
-        """Return the counter for these label values; a caller that counts many requests may keep it."""
+        """Return the counter for these label values, created at its first use; the caller may keep it.
+
+        Args:
+            peer_class: class of the client.
+            unit: unit identifier, 0…255.
+            function: function code, 1…127.
+            exception: exception code of the reply; None for other replies.
+        """
         unit_label = str(unit) if self._units else ""
         labels = (peer_class.value, unit_label, self._function(function), _exception(exception))
         found = self._series.get(labels)
@@ -123,7 +134,7 @@ class RequestTally:
         return found
 
     def unanswered(self, why: Unanswered) -> None:
-        """Count a request that got no reply."""
+        """Count a request that got no reply, and why."""
         self._unanswered[why] += 1
 
     # What is read, from any thread.
