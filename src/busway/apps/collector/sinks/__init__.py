@@ -1,21 +1,21 @@
 """Sinks: other systems that get the samples of a store.
 
 ===================  ===================================================================================================
-`interface`          The interface of sinks, which send samples to other systems, and their errors
-`delivery`           Delivery of a store's samples to one sink: reads after the sink's cursor, sends
-`sink_thread`        Runs all sinks of a store in a thread with an event loop of its own, so that no sink delays polling
-`options`            Makes a sink, and the options of its delivery, from a table `[[sink]]` of the collector file
-`hidden_secrets`     Hides passwords and tokens in texts of servers, which may send back what they were sent
-`documents`          Converts samples to JSON: one document for each device and commit, or one for each sample
-`files`              Sink that writes files: CSV, JSON lines, Parquet
-`mqtt`               Sink that publishes samples by MQTT 5, with discovery by Home Assistant
-`mqtt_connection`    Connects MQTT clients (aiomqtt), and closes connections that were opened but cannot be used
-`postgresql`         Sink that writes samples to PostgreSQL or TimescaleDB: COPY into a temporary table, then one upsert
-`influxdb`           Sink for InfluxDB line protocol over HTTP: InfluxDB 1 to 3, VictoriaMetrics, QuestDB
-`nats`               Sink that publishes samples to a stream of NATS JetStream
-`prometheus`         The last values of points for Prometheus to scrape. A scrape never polls a device
-`sparkplug`          Sink for Sparkplug B 3.0: the collector is an edge node of a group
-`sparkplug_payload`  Payloads of Sparkplug B 3.0: metrics with type, time and quality, as protobuf bytes
+`interface`          the interface of sinks, which send samples to other systems, and their errors
+`delivery`           sends a store's samples to one sink: reads after the sink's cursor, sends
+`sink_thread`        runs all sinks of a store in a thread with an event loop of its own, so that no sink delays polling
+`options`            makes a sink, and the options of its delivery, from a table `[[sink]]` of the collector file
+`hidden_secrets`     hides passwords and tokens in error texts of servers, which may repeat what they were sent
+`documents`          converts samples to JSON: one document for each device and commit, or one for each sample
+`files`              sink that writes files: CSV, JSON lines, Parquet
+`mqtt`               sink that publishes samples by MQTT 5, with discovery by Home Assistant
+`mqtt_connection`    connects MQTT clients (aiomqtt), and publishes messages with the broker's answer
+`postgresql`         sink that writes samples to PostgreSQL or TimescaleDB: COPY into a temporary table, then one upsert
+`influxdb`           sink for InfluxDB line protocol over HTTP: InfluxDB 1 to 3, VictoriaMetrics, QuestDB
+`nats`               sink that publishes samples to a stream of NATS JetStream
+`prometheus`         the last values of points, for Prometheus to scrape; a scrape never polls a device
+`sparkplug`          sink for Sparkplug B 3.0: the collector is an edge node of a group
+`sparkplug_payload`  payloads of Sparkplug B 3.0: metrics with type, time and quality, as protobuf bytes
 ===================  ===================================================================================================
 
 Where it is decided: what is sent to a sink, in what order, again or never: `delivery`. When a sink that is down is

@@ -56,11 +56,11 @@ class SinkStatus:
 
     Attributes:
         name: the name of the sink.
-        cursor: number of the last commit that is delivered.
-        sent: samples that were taken since the start.
-        lost: samples that were dropped for it, ever.
-        set_aside: samples that it refused since the start.
-        error: why it is down; while it is not, what it refused last since the start; None where all is well.
+        cursor: number of the last commit up to which everything is delivered.
+        sent: samples that the receiver has taken since the start.
+        lost: samples that were dropped for the sink before they were sent, ever.
+        set_aside: samples and alarm events that the receiver refused since the start.
+        error: why nothing can be sent now, or else what was refused last since the start; None if all is well.
     """
 
     name: str
@@ -72,7 +72,12 @@ class SinkStatus:
 
 
 class Delivery:
-    """Sends the samples of a store to one sink, until it is cancelled."""
+    """Sends the samples of a store to one sink, from the sink's cursor on, until `run` is cancelled.
+
+    Attributes:
+        name: the name of the sink.
+        options: the options of the delivery.
+    """
 
     def __init__(
         self,
@@ -92,14 +97,14 @@ class Delivery:
 
         Args:
             name: the name of the sink and of its cursor.
-            sink: the receiver.
-            folder: the store.
+            sink: the sink.
+            folder: the folder of the store.
             manifest: the store's manifest, opened for writing.
             options: the options of the delivery.
-            point_rules: by device and point, the rules of points of which only some samples are sent.
+            point_rules: by device and point, the report rules of points of which only some samples are sent.
             points: device and name of each point that the configuration has; None for all of the store.
-            now: nanoseconds since 1970 UTC.
-            monotonic: seconds of a clock that is never set.
+            now: returns the time, nanoseconds since 1970 UTC.
+            monotonic: returns seconds of a clock that is never set.
             pause: waits some seconds.
         """
         self.name = name
@@ -128,7 +133,7 @@ class Delivery:
             sink.remember(self._last_reported())
 
     def _last_reported(self) -> list[CommittedSample]:
-        """Return the last samples that the sink got of points that are sent in part."""
+        """Return the last sample that the sink got of each point of which it gets only some samples."""
         units = {(each.device, each.point): each.unit_of_measure for each in self._manifest.points()}
         return [
             CommittedSample(self._cursor, row.device, row.point, row.time, 0, row.value, row.reason, units.get(key, ""))
@@ -137,22 +142,30 @@ class Delivery:
         ]
 
     def note_defect(self, error: Exception) -> None:
-        """Show in the sink's status why its delivery ended unexpectedly."""
+        """Set the error in the sink's status to that of a delivery that ended unexpectedly."""
         self._down_error = f"failed unexpectedly: {str(error) or type(error).__name__}"
 
     def set_points(
         self, points: Collection[tuple[str, str]] | None, rules: Mapping[tuple[str, str], ReportRule]
     ) -> None:
-        """Use the points and report rules of a configuration that was read again. Safe from any thread."""
+        """Use the points and report rules of a configuration that was read again. Safe from any thread.
+
+        Args:
+            points: device and name of each point that the configuration has; None for all of the store.
+            rules: by device and point, the report rules of points of which only some samples are sent.
+        """
         self._points, self._point_rules = points, rules
 
     def status(self) -> SinkStatus:
-        """Return the status of the sink. Safe from any thread."""
+        """Return the status of the sink: its cursor, counts and error. Safe from any thread."""
         error = self._down_error or self._store_error or self._refusal
         return SinkStatus(self.name, self._cursor, self._sent, self._lost, self._aside, error)
 
     async def run(self) -> None:
-        """Send stored and new samples to the sink until cancelled."""
+        """Send stored samples to the sink, and new ones as they are stored, until cancelled; then the sink is closed.
+
+        While the sink is down, sending is tried again after pauses of `PAUSE` to `PAUSE_LIMIT` seconds.
+        """
         wait = PAUSE
         try:
             while True:
@@ -171,7 +184,14 @@ class Delivery:
             await self._sink.close()
 
     async def step(self) -> bool:
-        """Send the next batch of stored samples to the sink. Returns whether more may wait. Raises `SinkDown`."""
+        """Send the next commits of the store to the sink, and move its cursor.
+
+        Returns:
+            Whether later commits wait already. False also if the samples must wait for the clock to be set.
+
+        Raises:
+            SinkDown: some samples may have arrived; the cursor stays, so that all of them are sent again.
+        """
         found = await asyncio.to_thread(self._next)
         if found is None or self._waits_for_the_clock(found):
             await self._show_current()
@@ -193,7 +213,10 @@ class Delivery:
         return found.more
 
     def _forget_all_but(self, points: Collection[tuple[str, str]] | None) -> None:
-        """Forget what was sent of points that there are no longer: one that comes back is sent and shown again."""
+        """Forget the last sent samples of all points but these; None keeps them all.
+
+        A point that was removed from the configuration and comes back is sent again.
+        """
         if points is not None:
             self._reported = {key: row for key, row in self._reported.items() if key in points}
 
@@ -203,7 +226,7 @@ class Delivery:
             self._is_open = True
 
     async def _show_current(self) -> None:
-        """Connect a sink that shows current values, also where nothing is to be sent, and have it show them."""
+        """Have a sink that shows current values connect and show them; do nothing for other sinks."""
         if isinstance(self._sink, CurrentSink):
             await self._open()
             points = self._points
@@ -214,7 +237,7 @@ class Delivery:
             self._down_error = None
 
     async def _rest(self, seconds: float) -> None:
-        """Pause until there may be new samples, or until a sink that shows current values is disturbed."""
+        """Pause for some seconds, or until a sink that shows current values is disturbed (`CurrentSink.disturbed`)."""
         if not (self._is_open and isinstance(self._sink, CurrentSink)):
             await self._pause(seconds)
             return
@@ -238,7 +261,11 @@ class Delivery:
         return self._monotonic() - self._unset_since < CLOCK_WAIT
 
     def _next(self) -> CommitRange | None:
-        """Return the commits after the sink's cursor; None if there are none, or if the store cannot be read now."""
+        """Drop samples that have waited too long, and return the next commits after the sink's cursor.
+
+        Returns:
+            The commits; None if there are none, or if the store cannot be read now.
+        """
         try:
             if self._store_error is not None:
                 self._keep_cursor()
@@ -251,8 +278,13 @@ class Delivery:
         return found
 
     def _move(self, cursor: int, reported: Mapping[tuple[str, str], ReportedSample]) -> None:
-        """Move the sink's cursor past sent samples. They are not sent again, even if the store cannot
-        save it (rule 8).
+        """Move the sink's cursor past sent samples, and save it in the manifest.
+
+        The samples are not sent again while the process runs, even if the cursor cannot be saved (rule 8).
+
+        Args:
+            cursor: number of the last sent commit.
+            reported: the last sent samples of points of which only some are sent.
         """
         self._cursor = cursor
         self._reported.update(reported)
@@ -289,7 +321,11 @@ class Delivery:
     def _wanted(
         self, samples: Sequence[CommittedSample]
     ) -> tuple[list[CommittedSample], dict[tuple[str, str], ReportedSample]]:
-        """Return the samples that this sink gets; and, for points sent only in part, the last one of each (rule 4)."""
+        """Return the samples that the sink gets, by its patterns of points and the report rules (rule 4).
+
+        Returns:
+            These samples; and of each point of which only some samples are sent, the last of them.
+        """
         wanted = []
         fresh = dict[tuple[str, str], ReportedSample]()
         for sample in samples:
@@ -314,7 +350,7 @@ class Delivery:
         return named
 
     async def _send(self, samples: Sequence[CommittedSample]) -> None:
-        """Send samples to the sink; those that it refuses for good are found and left out."""
+        """Send samples to the sink; find those that it refuses for good by halving, and set them aside."""
         try:
             await self._sink.send(samples)
             self._sent += len(samples)
@@ -331,7 +367,7 @@ class Delivery:
             await asyncio.to_thread(self._set_aside, samples[0], str(error))
 
     async def _send_alarms(self, sink: AlarmSink, alarms: Sequence[CommittedAlarm]) -> None:
-        """Send alarm events to the sink; those that it refuses for good are found and left out."""
+        """Send alarm events to the sink; find those that it refuses for good by halving, and set them aside."""
         try:
             await sink.send_alarms(alarms)
         except SinkRefused as error:

@@ -2,7 +2,7 @@
 
 Pure.
 
-1. A repetition gives the same document with the same key, because a commit does not change.
+1. A sample that is sent again has the same document with the same key, because a commit does not change.
 2. A key ends with a digest of what it stands for, so that a document with other content has another key: where a file
    that was read again hands on other points, or where a part of a batch was refused.
 """
@@ -21,11 +21,11 @@ from ..store.committed_samples import CommittedAlarm, CommittedSample
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """The samples of one device in one commit as one JSON document, for sinks.
+    """A JSON document for sinks: the samples of one device in one commit, or one alarm event.
 
     Attributes:
-        device: its name.
-        key: the same at a repetition, and different for every other document.
+        device: name of the device.
+        key: identifies the document; the same when it is sent again, and different for every other document.
         content: the data that become JSON.
     """
 
@@ -34,15 +34,16 @@ class Document:
     content: dict[str, Any]
 
     def encode(self) -> bytes:
-        """Return the document with samples as JSON bytes."""
+        """Return the content of the document as JSON, in UTF-8."""
         return _encoded(self.content)
 
 
 def documents(samples: Sequence[CommittedSample]) -> Iterator[Document]:
-    """Return one document for each commit and device, in the order of commits.
+    """Yield one document for each commit and device of some samples, in the order of commits.
 
-    ``reads`` has one entry for each time: ``time`` (nanoseconds since 1970 UTC), ``values`` by point, and where there
-    are any, ``uncertain`` and ``bad`` with the reason by point.
+    Its content has ``device``, ``key`` and ``reads``. ``reads`` has one entry for each time: ``time`` (nanoseconds
+    since 1970 UTC), ``half_width``, ``values`` by point, and where there are any, ``uncertain`` and ``bad`` with the
+    reason by point.
     """
     for (commit, device), group in groupby(sorted(samples, key=_place), key=lambda each: (each.commit, each.device)):
         reads = [_read(moment, list(each)) for moment, each in groupby(group, key=lambda each: each.time)]
@@ -75,7 +76,10 @@ def _read(moment: int, samples: list[CommittedSample]) -> dict[str, Any]:
 
 
 def sample_document(sample: CommittedSample) -> dict[str, Any]:
-    """Return one sample as JSON data."""
+    """Return one sample as JSON data: ``time``, ``half_width``, ``value``, ``quality`` and ``reason`` in words.
+
+    Times are nanoseconds; the names of device and point are not in it.
+    """
     return {
         "time": sample.time,
         "half_width": sample.half_width,
@@ -86,12 +90,16 @@ def sample_document(sample: CommittedSample) -> dict[str, Any]:
 
 
 def sample_key(sample: CommittedSample) -> str:
-    """Return a key that is unique to a sample, by which a receiver recognises one sent twice."""
+    """Return a key that is unique to a sample, by which a receiver recognises a sample that was sent twice."""
     return f"{sample.commit}-{sample.device}/{sample.point}-{_digest(sample_document(sample))}"
 
 
 def alarm_document(alarm: CommittedAlarm) -> Document:
-    """Return an alarm event as JSON data: ``event`` is raised, acknowledged, cleared or removed."""
+    """Return an alarm event as a JSON document.
+
+    Its content has device, point, limit, ``event`` (its kind, such as ``raised`` or ``cleared``), time in nanoseconds
+    since 1970 UTC, value, text, by and key.
+    """
     event = alarm.event
     content: dict[str, Any] = {
         "device": event.device,
@@ -108,5 +116,5 @@ def alarm_document(alarm: CommittedAlarm) -> Document:
 
 
 def json_number(value: Any) -> Any:  # whatever a sample can be
-    """Return a value as JSON can represent it; infinities and NaN become texts."""
+    """Return a value as JSON can represent it: infinities and NaN become texts, other values stay."""
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -37,7 +37,10 @@ Written = TypeVar("Written", CommittedSample, CommittedAlarm)
 
 
 class FileSink:
-    """Sink that writes samples and alarm events to files."""
+    """Sink that writes samples and alarm events to files: CSV, JSON lines or Parquet.
+
+    CSV and JSON lines are appended to a file, Parquet is one file for each batch. Errors of writing are `SinkDown`.
+    """
 
     def __init__(self, path: str | os.PathLike[str], kind: FileFormat | str | None = None) -> None:
         """Set where the sink writes its files; nothing is opened yet.
@@ -62,7 +65,7 @@ class FileSink:
 
     @property
     def is_named_by_commits(self) -> bool:
-        """Whether each batch is a file that its first commit names: commits of one store then."""
+        """Whether each batch is a file named by its first commit, so that the folder can be for one store only."""
         return self._format is FileFormat.PARQUET
 
     async def open(self) -> None:
@@ -72,11 +75,11 @@ class FileSink:
         """Do nothing: the sink keeps no file open between batches of samples."""
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Append a batch of samples to the files, durably. Raises `SinkDown`."""
+        """Write a batch of samples to the files, so that it survives a power failure. Raises `SinkDown`."""
         await self._write(self._write_samples, samples)
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Append alarm events to files of their own, durably. Raises `SinkDown`."""
+        """Write alarm events to files of their own, so that they survive a power failure. Raises `SinkDown`."""
         await self._write(self._write_alarms, alarms)
 
     async def _write(self, write: Callable[[Sequence[Written]], None], what: Sequence[Written]) -> None:
@@ -96,7 +99,10 @@ class FileSink:
             self._append(self._path, samples[0].time, HEADER, lines)
 
     def _remove_repeated(self, first: int, last: int) -> None:
-        """Remove an earlier process's files that begin within this batch; it or the next batch has their samples."""
+        """Remove the Parquet files of an earlier process that begin after commit ``first``, up to commit ``last``.
+
+        Their samples are sent again: they are in the batch from ``first`` to ``last``, or come in the next one.
+        """
         folder = Path(self._path)
         if self._ahead is None:
             numbers = [int(path.stem) for path in folder.glob("*.parquet") if path.stem.isdecimal()]
@@ -138,7 +144,7 @@ class FileSink:
 
 
 def _write_parquet(folder: Path, name: str, columns: dict[str, Any]) -> None:  # columns of Arrow
-    """Write a Parquet file durably: after a crash it is complete or does not exist."""
+    """Write columns to the Parquet file of a name in a folder. After a crash it is complete or does not exist."""
     make_durably(folder)
     target = folder / f"{name}.parquet"
     unfinished = target.with_name(target.name + UNFINISHED)

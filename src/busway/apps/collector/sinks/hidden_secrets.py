@@ -1,4 +1,4 @@
-"""Hides passwords and tokens in texts of servers, which may send back what they were sent.
+"""Hides passwords and tokens in error texts of servers, which may repeat what they were sent.
 
 Pure.
 """
@@ -8,10 +8,10 @@ import re
 
 
 class HiddenSecrets:
-    """The passwords and tokens of a connection, to be hidden in errors of its server.
+    """Hides the passwords and tokens of a connection in error texts of its server.
 
     Args:
-        secrets: None or empty where there is none.
+        secrets: passwords and tokens; None and empty ones are ignored.
     """
 
     def __init__(self, *secrets: str | None) -> None:
@@ -21,7 +21,7 @@ class HiddenSecrets:
         self._pattern = re.compile("|".join(map(re.escape, longest_first)), re.IGNORECASE) if given else None
 
     def hide(self, text: object) -> str:
-        """Return a text, or that of an error, with ``***`` in the place of each secret."""
+        """Return a text, or the text of an error, with ``***`` in place of each secret."""
         return str(text) if self._pattern is None else self._pattern.sub("***", str(text))
 
     def __repr__(self) -> str:

@@ -73,17 +73,22 @@ class InfluxSink:
         )
 
     async def close(self) -> None:
-        """Disconnect from the database server."""
+        """Close the HTTP client, and with it the connections to the database server."""
         client, self._client = self._client, None
         if client is not None:
             await client.aclose()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Post samples to the database. Raises `SinkDown`, `SinkRefused`."""
+        """Post samples to the database; when it returns, the server has accepted them.
+
+        Raises:
+            SinkDown: the server cannot be reached, or answers with an error of its own; samples may have arrived.
+            SinkRefused: the server refuses the lines (400, 413, 422).
+        """
         await self._post(line_of(sample, self._measurement) for sample in samples)
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Post alarm events to the database. Raises `SinkDown`, `SinkRefused`."""
+        """Post alarm events to the database; when it returns, the server has accepted them. Raises as `send`."""
         await self._post(alarm_line_of(alarm, self._alarm_measurement) for alarm in alarms)
 
     async def _post(self, lines: Iterable[str]) -> None:
@@ -98,7 +103,12 @@ class InfluxSink:
 
 
 def line_of(sample: CommittedSample, measurement: str) -> str:
-    """Return a sample in line protocol; ``measurement`` is escaped already."""
+    """Return a sample as one line of InfluxDB line protocol, with its time in nanoseconds.
+
+    Args:
+        sample: the sample.
+        measurement: name of the measurement, escaped already.
+    """
     value = f"text={_quoted(sample.value)}" if isinstance(sample.value, str) else _number(sample.value)
     device, point = _escaped(sample.device, ",= "), _escaped(sample.point, ",= ")
     fields = f"{value},reason={sample.reason}i" if value else f"reason={sample.reason}i"
@@ -106,7 +116,12 @@ def line_of(sample: CommittedSample, measurement: str) -> str:
 
 
 def alarm_line_of(alarm: CommittedAlarm, measurement: str) -> str:
-    """Return an alarm event in line protocol; ``measurement`` is escaped already."""
+    """Return an alarm event as one line of InfluxDB line protocol, with its time in nanoseconds.
+
+    Args:
+        alarm: the alarm event.
+        measurement: name of the measurement, escaped already.
+    """
     event = alarm.event
     named = {"device": event.device, "point": event.point, "limit": event.limit, "event": event.kind.value}
     tags = ",".join(f"{key}={_escaped(value, ',= ')}" for key, value in named.items())
@@ -117,7 +132,7 @@ def alarm_line_of(alarm: CommittedAlarm, measurement: str) -> str:
 
 
 def _number(value: float | None) -> str:
-    """Return a number as a field of line protocol; empty for none, and for NaN and infinities."""
+    """Return a number as the field ``value`` of line protocol; empty for None, NaN and infinities."""
     return f"value={float(value)!r}" if value is not None and math.isfinite(value) else ""
 
 

@@ -19,7 +19,8 @@ class SinkRefused(ModbusError):
 class Sink(Protocol):
     """Interface of a sink, which sends samples to one other system, its receiver.
 
-    Each call is for one task. Samples may come again after a failure, with the same device, point, time and commit.
+    Calls do not overlap. After a failure the same samples may be sent again; device, point, time and commit identify
+    them.
     """
 
     async def open(self) -> None:
@@ -39,46 +40,64 @@ class Sink(Protocol):
 
 @runtime_checkable
 class AlarmSink(Protocol):
-    """Interface of a sink that takes alarm events too: after the samples of the same commit, repeated if they fail."""
+    """Interface of a sink that sends alarm events too. They are sent after the samples of the same commit."""
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Send alarm events; when it returns, the receiver has taken them. Raises `SinkDown`, `SinkRefused`."""
+        """Send alarm events; when it returns, the receiver has accepted them.
+
+        Raises:
+            SinkDown: some may have arrived; all are sent again.
+            SinkRefused: the receiver would refuse them again.
+        """
 
 
 @runtime_checkable
 class CurrentSink(Protocol):
     """Interface of a sink whose receiver shows current values, apart from historical ones that arrive late.
 
-    It stays connected while nothing is to be sent, and is connected again when it no longer is.
+    It stays connected while nothing is to be sent, and is connected again after the connection was lost.
     """
 
     def remember(self, samples: Sequence[CommittedSample]) -> None:
-        """Take over the last samples that the receiver got of points before a restart; called before `open`."""
+        """Learn the last samples that the receiver got before a restart; called once, before `open`."""
 
     async def show_current(self, points: Collection[tuple[str, str]] | None) -> None:
-        """Have the receiver show what is current; called while open, whenever no stored samples wait any more.
+        """Have the receiver show the current values; called while open, whenever no stored samples wait any more.
 
         Args:
-            points: the device and the name of each point that there is; others are shown no longer. None for all.
+            points: device and name of each point that there is; the receiver is to show no others. None for all points.
 
         Raises:
             SinkDown: the connection is lost, or the receiver must not be sent anything now.
         """
 
     async def disturbed(self) -> None:
-        """Return when `show_current` should be called at once, because the connection may have ended."""
+        """Wait until `show_current` should be called at once, because the connection may have ended, and return."""
 
 
 @runtime_checkable
 class TopicSink(Protocol):
-    """Interface of a sink whose topics cannot have each character of a name, so that two names could have one topic."""
+    """Interface of a sink that replaces characters of names in topics, so that two names could have the same topic."""
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
-        """Return by what the receiver knows a device, and by what a point among those of its device."""
+        """Return the names by which the receiver knows a device and a point.
+
+        Returns:
+            The name of the device, and that of the point among the points of the device. Two points with equal results
+            could not be told apart.
+        """
 
 
 async def all_taken(sendings: Iterable[Awaitable[object]]) -> None:
-    """Wait until each message was accepted or has failed. Raises the first `SinkRefused`, or else the first error."""
+    """Wait until every sending has ended, accepted or failed.
+
+    Args:
+        sendings: one awaitable for each message.
+
+    Raises:
+        SinkRefused: a message was refused for good; this error goes before others.
+        Exception: the first other error of a message.
+    """
     results = await asyncio.gather(*sendings, return_exceptions=True)
     errors = [each for each in results if isinstance(each, BaseException)]
     for error in sorted(errors, key=lambda each: not isinstance(each, SinkRefused)):

@@ -34,7 +34,14 @@ IN_FLIGHT: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class _Message:
-    """A message to publish over MQTT: topic, payload and key."""
+    """A message to publish over MQTT.
+
+    Attributes:
+        topic: its topic.
+        payload: its content.
+        key: sent as the user property ``key``, by which receivers recognise a message that comes again.
+        retain: whether the broker keeps the message for later subscribers.
+    """
 
     topic: str
     payload: bytes
@@ -51,7 +58,7 @@ class _Message:
 
 
 class MqttSink:
-    """Sink that publishes samples to an MQTT broker."""
+    """Sink that publishes samples and alarm events to an MQTT broker, with discovery by Home Assistant if wanted."""
 
     def __init__(
         self,
@@ -117,7 +124,7 @@ class MqttSink:
         self._announced.clear()
 
     async def close(self) -> None:
-        """Publish that this collector is offline, and disconnect, so that the last will is not sent."""
+        """Publish that this collector is offline, and disconnect; the broker then does not publish the last will."""
         client, self._client, self._publisher = self._client, None, None
         if client is None:
             return
@@ -140,7 +147,12 @@ class MqttSink:
         )
 
     async def _publish(self, messages: Sequence[_Message]) -> None:
-        """Publish messages; if one cannot be accepted, those before it may not have arrived either."""
+        """Publish messages, and wait until the broker has taken them all.
+
+        Raises:
+            SinkRefused: the broker refuses a message for good. Others of the messages may not have arrived.
+            SinkDown: no answer came, or the connection is lost.
+        """
         mqtt = import_module("aiomqtt")
         try:
             publisher = self._connected()
@@ -183,7 +195,7 @@ class MqttSink:
         return self._topic.replace("{device}", topic_level(device)).replace("{point}", topic_level(point))
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
-        """Return the level of topics that a device has, and what tells its points apart."""
+        """Return the names by which topics, or Home Assistant, know a device and a point (`TopicSink`)."""
         if self._discovery is not None:
             return _plain(device), _plain(point)
         return topic_level(device), topic_level(point) if self._per_point else point
@@ -201,7 +213,7 @@ class MqttSink:
         return found
 
     def _entity(self, sample: CommittedSample) -> tuple[str, dict[str, Any]]:
-        """Return which kind of Home Assistant entity represents a point, and its configuration."""
+        """Return the kind of Home Assistant entity for a point (``sensor``, …), and its configuration."""
         topic = self._name(sample.device, sample.point)
         content: dict[str, Any] = {
             "name": sample.point,

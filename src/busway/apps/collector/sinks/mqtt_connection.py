@@ -68,18 +68,21 @@ class MqttPublisher:
         return bool(self._client._disconnected.done())
 
     def check_size(self, topic: str, payload: bytes, properties: Any = None) -> None:
-        """Raise `SinkRefused` if a message is larger than the broker takes."""
+        """Raise `SinkRefused` if a message is larger than the broker has announced to accept."""
         told = 1 if properties is None else len(properties.pack())
         size = 5 + 2 + len(topic.encode()) + 2 + told + len(payload)
         if self._most is not None and size > self._most:
             raise SinkRefused(f"a message has {size} bytes, and the broker takes at most {self._most}")
 
     async def publish(self, topic: str, payload: bytes, *, retain: bool = False, properties: Any = None) -> int:
-        """Publish a message with QoS 1. Returns the broker's answer, which may say that it was thrown away.
+        """Publish a message with QoS 1, and wait for the broker's answer.
+
+        Returns:
+            The reason code of the answer (MQTT 5.0 §3.4.2.1); from 0x80 on the broker threw the message away.
 
         Raises:
-            SinkRefused: it is too large for this broker. The connection may have ended.
-            aiomqtt.MqttError: no answer came.
+            SinkRefused: the message is too large for this broker. The connection may have ended.
+            aiomqtt.MqttError: no answer came; the message may have arrived.
         """
         mqtt = import_module("aiomqtt")
         self.check_size(topic, payload, properties)
@@ -101,12 +104,12 @@ class MqttPublisher:
             del self._answers[info.mid]
 
     async def publish_taken(self, topic: str, payload: bytes, *, retain: bool = False, properties: Any = None) -> None:
-        """Publish a message with QoS 1 that the broker must take.
+        """Publish a message with QoS 1, and wait until the broker has accepted it.
 
         Raises:
-            SinkRefused: the broker would refuse it again.
-            SinkDown: it does not take it now.
-            aiomqtt.MqttError: no answer came.
+            SinkRefused: the broker would refuse the message again.
+            SinkDown: the broker does not accept the message now.
+            aiomqtt.MqttError: no answer came; the message may have arrived.
         """
         answer = await self.publish(topic, payload, retain=retain, properties=properties)
         if answer >= 0x80:
@@ -132,7 +135,7 @@ class MqttPublisher:
 
 
 def _words(answer: int) -> str:
-    """Return what a broker's reason code for a message means, as text."""
+    """Return the meaning of a reason code that a broker answered to a message, as text."""
     codes = import_module("paho.mqtt.reasoncodes")
     kinds = import_module("paho.mqtt.packettypes").PacketTypes
     try:

@@ -33,7 +33,7 @@ _HEADER_BYTES: Final = len("NATS/1.0\r\nNats-Msg-Id: \r\n\r\n")
 
 
 class NatsSink:
-    """Sink that publishes samples to a JetStream stream."""
+    """Sink that publishes samples and alarm events to a stream of NATS JetStream."""
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class NatsSink:
         self._cause = ""
 
     async def open(self) -> None:
-        """Connect to the NATS server, and create the stream if that was configured. Raises `SinkDown`."""
+        """Connect to the NATS server, and create the configured stream if it is missing. Raises `SinkDown`."""
         nats = import_module("nats")
         self._cause = ""
         self._client = nats.NATS()  # `close` ends it also where connecting fails or is given up
@@ -101,7 +101,10 @@ class NatsSink:
         return self._secrets.hide(error) or type(error).__name__
 
     async def _note(self, error: Exception) -> None:
-        """Remember why a connection to NATS failed, because the error that `connect` raises does not tell it."""
+        """Keep the text of a connection error that the NATS library reports beside the error that `connect` raises.
+
+        It is the cause, which the raised error does not tell.
+        """
         self._cause = self._words(error)
 
     async def _make_stream(self, stream: str) -> None:
@@ -130,7 +133,12 @@ class NatsSink:
         await self._publish(messages)
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Publish alarm events, and wait until the stream has them. Raises `SinkDown`, `SinkRefused`."""
+        """Publish alarm events, and wait until the stream has them.
+
+        Raises:
+            SinkDown: the server or the stream does not accept messages now; some events may have arrived.
+            SinkRefused: an event is too large, or no stream has the subject of alarm events.
+        """
         no_stream = import_module("nats.js.errors").NoStreamResponseError
         try:
             await self._publish(
@@ -142,8 +150,14 @@ class NatsSink:
             raise
 
     async def _publish(self, messages: Sequence[tuple[str, bytes, str]]) -> None:
-        """Publish messages with subject, payload and key; if one is refused, those before it may not have arrived
-        either.
+        """Publish messages, and wait until the stream has acknowledged them all.
+
+        Args:
+            messages: subject, payload and key of each.
+
+        Raises:
+            SinkRefused: a message is too large. Others of the messages may not have arrived.
+            SinkDown: the server or the stream does not accept messages now.
         """
         nats = import_module("nats")
         if self._client is None or self._jetstream is None:

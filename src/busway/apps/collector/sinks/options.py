@@ -36,14 +36,14 @@ _LONGEST_SECRET: Final = 4096
 
 
 def make_sink(section: SentSection, folder: Path | None = None) -> tuple[Sink, DeliveryOptions]:
-    """Create a sink and the options of its delivery from a table of the collector file.
+    """Create a sink and the options of its delivery from a table of the collector file; nothing is connected.
 
     Args:
-        section: the sink's table, with paths that can be opened.
+        section: the sink's table ``[[sink]]``, with paths that can be opened.
         folder: the store's folder, for what a sink keeps over a restart; None to keep nothing.
 
     Raises:
-        ConfigError: values that do not go together, or a secret cannot be had; names the key.
+        ConfigError: values exclude each other, or a password or token cannot be read; names the key.
         MissingExtra: a package that the sink needs is not installed.
     """
     options = section.built(DeliveryOptions)
@@ -52,14 +52,22 @@ def make_sink(section: SentSection, folder: Path | None = None) -> tuple[Sink, D
 
 
 def broker(section: SentSection) -> dict[str, Any]:  # arguments of different types
-    """Return what an MQTT client needs to connect: host, port, TLS, user, password. Raises `ConfigError`."""
+    """Return the arguments with which an MQTT client connects: ``host``, ``port``, ``tls``, ``user``, ``password``.
+
+    Raises:
+        ConfigError: the URL names no host, or a certificate, password or token cannot be used.
+    """
     encrypts = section.parts.scheme.endswith("mqtts")
     port = section.parts.port or (8883 if encrypts else 1883)
     return {"host": _host(section), "port": port, "tls": tls(section, encrypts), **_login(section)}
 
 
 def nats_server(section: SentSection) -> dict[str, Any]:  # arguments of different types
-    """Return what a NATS client needs to connect: URL, TLS, user, password, token. Raises `ConfigError`."""
+    """Return the arguments with which a NATS client connects: ``url``, ``tls``, ``token``, ``user``, ``password``.
+
+    Raises:
+        ConfigError: the URL names no host, or a certificate, password or token cannot be used.
+    """
     parts = section.parts
     url = parts._replace(netloc=f"{_host(section)}:{parts.port or 4222}").geturl()
     return {
@@ -82,7 +90,18 @@ def _login(section: SentSection) -> dict[str, str | None]:
 
 
 def secret(section: SentSection, key: str) -> str | None:
-    """Return a password or token, from the file or variable that a sink names; None without one."""
+    """Return a password or token, read from the file or the environment variable that a table of the file names.
+
+    Args:
+        section: the table.
+        key: ``password`` or ``token``.
+
+    Returns:
+        The secret; None if the table names neither file nor variable.
+
+    Raises:
+        ConfigError: both are named, the variable is not set, or the file cannot be read or can be read by others.
+    """
     file, variable = getattr(section, f"{key}_file"), getattr(section, f"{key}_variable")
     if file is not None and variable is not None:
         raise ConfigError(f"{key}_file and {key}_variable exclude each other", key=f"{key}_file")
@@ -101,7 +120,15 @@ def _secret_of(file: str) -> str:
 
 
 def tls(section: SentSection, wanted: bool) -> ssl.SSLContext | None:
-    """Return the TLS context of a sink if its URL asks for TLS; else None."""
+    """Return the TLS context for a table's certificate options if TLS is wanted, else None.
+
+    Args:
+        section: the table.
+        wanted: whether the URL of the table asks for TLS.
+
+    Raises:
+        ConfigError: a file cannot be used, or certificate options are given without TLS.
+    """
     given = section.options_of(CertificateOptions)
     if wanted:
         return tls_context(**given)
@@ -111,7 +138,12 @@ def tls(section: SentSection, wanted: bool) -> ssl.SSLContext | None:
 
 
 def tls_context(authority: str | None = None, certificate: str | None = None, key: str | None = None) -> ssl.SSLContext:
-    """Return a TLS context that checks a server's certificate, by default against the system's authorities.
+    """Return a TLS context that checks a server's certificate; TLS 1.2 or later.
+
+    Args:
+        authority: file with the certificates of trusted authorities; None for those of the system.
+        certificate: file with the client's own certificate; None for none.
+        key: file with its private key; None if ``certificate`` has it.
 
     Raises:
         ConfigError: a file cannot be used.

@@ -56,7 +56,7 @@ _NAME: Final = re.compile(r"[a-z_][a-z0-9_]{0,62}(\.[a-z_][a-z0-9_]{0,62})?")
 
 
 class PostgresqlSink:
-    """Sink that writes samples to a PostgreSQL table."""
+    """Sink that writes samples and alarm events to tables of a PostgreSQL or TimescaleDB database."""
 
     def __init__(
         self,
@@ -159,7 +159,12 @@ class PostgresqlSink:
 
     @asynccontextmanager
     async def _writing(self) -> AsyncIterator[None]:
-        """Context manager of a transaction. Raises `SinkRefused` if the database rejects values, else `SinkDown`."""
+        """Return a context manager that makes a transaction of the database, and turns its errors into those of sinks.
+
+        Raises:
+            SinkRefused: the database rejects the values.
+            SinkDown: any other error of the database or the connection.
+        """
         pg = import_module("asyncpg")
         if self._connection is None:
             raise SinkDown("the database is not connected")
@@ -179,7 +184,7 @@ class PostgresqlSink:
 
 
 def _moment(time: int) -> tuple[datetime, int]:
-    """Return a time in nanoseconds as whole microseconds, and the remaining nanoseconds."""
+    """Return a time in nanoseconds since 1970 UTC as whole microseconds, and the remaining nanoseconds."""
     microseconds, rest = divmod(time, 1000)
     return _EPOCH + timedelta(microseconds=microseconds), rest
 
@@ -199,8 +204,11 @@ def _alarm_record(alarm: CommittedAlarm) -> tuple[Any, ...]:  # as asyncpg wants
 
 
 def number_and_text(value: Value | None) -> tuple[float | None, str | None]:
-    """Return a value as float, None for a text; and as text, None unless it is one, or an integer no float can
-    represent.
+    """Return a value for the columns ``value`` and ``text`` of the table.
+
+    Returns:
+        The value as float, None for a text; and a text, or the digits of an integer that no float can represent, else
+        None.
     """
     if value is None or isinstance(value, str):
         return None, value

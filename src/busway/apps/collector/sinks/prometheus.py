@@ -1,4 +1,4 @@
-"""The last values of points for Prometheus to scrape. A scrape never polls a device.
+"""Shows the last values of points for Prometheus to scrape. A scrape never polls a device.
 
 Knows what was committed last; the format is prometheus-client's (``busway[metrics]``).
 
@@ -28,7 +28,10 @@ _FORGET_ABOVE: Final = 10_000
 
 
 class LastValues:
-    """The last stored sample of each point. The store's thread calls `update` after each commit."""
+    """The last stored sample of each point. Safe from any thread.
+
+    `update` is called with each commit, by the thread that commits.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -37,7 +40,7 @@ class LastValues:
         self._intervals: dict[str, StateInterval] = {}
 
     def update(self, commit: Commit) -> None:
-        """Take over the samples of a commit, that is, those just written to the store."""
+        """Take over the samples and intervals of a commit that the store has just made."""
         with self._lock:
             for batch in commit.last_values:
                 self._batches[batch.group] = batch
@@ -64,8 +67,14 @@ class LastValues:
         return found
 
     def _reason(self, device: str, reason: int, time: int) -> int:
-        """Return the reason code to show for a last value; bad while its device is not read (rule 3). With the lock
-        held.
+        """Return the number of the reason to show for a last value; bad while its device is not read (rule 3).
+
+        Call with the lock held.
+
+        Args:
+            device: name of the device.
+            reason: the reason of the sample, 0 for good.
+            time: nanoseconds since 1970 UTC of the sample.
         """
         interval = self._intervals.get(device)
         if interval is None or (interval.end is not None and time > interval.begin):
@@ -74,18 +83,21 @@ class LastValues:
         return reason if keeps else interval.reason
 
     def reason_of(self, device: str) -> int:
-        """Return the reason code why a device is not read now; 0 while it is read."""
+        """Return the number of the reason why a device is not read now; 0 while it is read."""
         with self._lock:
             interval = self._intervals.get(device)
         return 0 if interval is None or interval.end is not None else interval.reason
 
     def intervals(self) -> dict[str, StateInterval]:
-        """Return the last period in which each device was not read, by device; it may not have ended."""
+        """Return by device the last interval in which it was not read; its end is None while it lasts."""
         with self._lock:
             return dict(self._intervals)
 
     def last(self, device: str, point: str) -> tuple[Value | None, int, int] | None:
-        """Return value, reason and time of the last sample of one point; None if there is none."""
+        """Return value, number of the reason (0 for good) and time in nanoseconds of the last sample of one point.
+
+        None if there is no sample of the point.
+        """
         found: tuple[Value | None, int, int] | None = None
         with self._lock:
             for batch in self._batches.values():
@@ -96,7 +108,10 @@ class LastValues:
         return found
 
     def samples(self) -> Iterator[tuple[str, str, Value | None, int, int]]:
-        """Return device, point, value, reason and time of the last sample of each point."""
+        """Yield device, point, value, number of the reason and time of the last sample of each point, ordered by name.
+
+        Times are nanoseconds since 1970 UTC; a reason of 0 is good.
+        """
         with self._lock:
             found = []
             for (device, point), (batch, index) in sorted(self._latest().items()):
@@ -106,7 +121,11 @@ class LastValues:
 
 
 class PrometheusPage:
-    """HTTP service with the last values for Prometheus, ``http://HOST:PORT/metrics``, in a thread of its own."""
+    """HTTP service with the last values for Prometheus, ``http://HOST:PORT/metrics``, in a thread of its own.
+
+    Attributes:
+        url: URL of the values.
+    """
 
     def __init__(
         self,
@@ -146,7 +165,7 @@ class PrometheusPage:
         self._service.start()
 
     def close(self) -> None:
-        """Stop listening for scrapes."""
+        """Stop listening for scrapes, and end the thread."""
         self._service.stop()
 
     def _answer(self, request: HttpRequest) -> HttpResponse:

@@ -20,7 +20,7 @@ _log = logging.getLogger("busway.sinks")
 
 
 class SinkThread:
-    """The thread that sends the samples of a store to all sinks, until `close`."""
+    """The thread that sends the samples of a store to all its sinks, from its creation until `close`."""
 
     def __init__(
         self,
@@ -32,9 +32,9 @@ class SinkThread:
         """Start the thread and the delivery to each sink.
 
         Args:
-            writer: the open store; cursors are in its manifest.
-            sinks: the sinks by name; a name keeps its cursor over a restart.
-            point_rules: by device and point, the rule for which samples are sent.
+            writer: the open store; the cursors of the sinks are in its manifest.
+            sinks: each sink with the options of its delivery, by name; a name keeps its cursor over a restart.
+            point_rules: by device and point, the report rules of points of which only some samples are sent.
             points: device and name of each point that the configuration has; None for all of the store.
 
         Raises:
@@ -54,7 +54,12 @@ class SinkThread:
         self._thread.start()
 
     def set_points(self, points: Collection[tuple[str, str]], rules: Mapping[tuple[str, str], ReportRule]) -> None:
-        """Use the points and report rules of a configuration that was read again."""
+        """Use the points and report rules of a configuration that was read again. Safe from any thread.
+
+        Args:
+            points: device and name of each point that the configuration has.
+            rules: by device and point, the report rules of points of which only some samples are sent.
+        """
         for delivery in self._deliveries:
             delivery.set_points(points, rules)
 
@@ -87,7 +92,7 @@ class SinkThread:
 
     @staticmethod
     async def _guarded(delivery: Delivery) -> None:
-        """Run the delivery to one sink; after an unexpected error, which is logged, restart it."""
+        """Run the delivery to one sink; after an unexpected error, log it, pause, and run the delivery again."""
         while True:
             try:
                 await delivery.run()

@@ -72,9 +72,9 @@ class _Device:
         last: the last sample of each metric.
         kinds: the type of each metric.
         untyped: metrics that never had a value, whose type is a guess.
-        behind: metrics whose last values went as historical ones since the birth.
-        is_born: whether its birth was published.
-        is_gone: whether it is suspended or in maintenance.
+        behind: metrics whose last values were sent as historical ones since the birth, so that hosts do not show them.
+        is_born: whether its birth was published in this connection, and no death after it.
+        is_gone: whether it is suspended, without connection, or in maintenance.
     """
 
     def __init__(self) -> None:
@@ -86,7 +86,12 @@ class _Device:
         self.is_gone = False
 
     def learn(self, sample: CommittedSample) -> bool:
-        """Take over a sample. Returns whether the device's metrics have changed, so that a new birth message is due."""
+        """Take over a sample as the last one of its metric.
+
+        Returns:
+            Whether the device needs a new birth message, because a metric is new or has another type, or it is not
+            born.
+        """
         point = sample.point
         known = self.kinds.get(point)
         if sample.value is None:
@@ -101,7 +106,7 @@ class _Device:
         return kind is not known or not self.is_born
 
     def forget(self, points: Collection[str]) -> None:
-        """Drop metrics whose points there are no longer."""
+        """Remove the metrics of points that no longer exist."""
         for point in points:
             del self.last[point], self.kinds[point]
         self.untyped.difference_update(points)
@@ -109,7 +114,11 @@ class _Device:
 
 
 def _wider(known: DataType | None, value: Value) -> DataType:
-    """Return the type of a metric: one that has had fractions, or large numbers, stays so where no digit is lost."""
+    """Return the type of a metric for a new value, given its type so far (None for none).
+
+    A metric that has had fractions, or unsigned 64-bit numbers, keeps its type for an integer that this type holds
+    exactly.
+    """
     new = type_of(value)
     if not isinstance(value, int) or isinstance(value, bool):
         return new
@@ -124,9 +133,9 @@ class SparkplugCommand:
 
     Attributes:
         device, point: names.
-        value: None where the message has none.
-        sent: when it was sent by the host's clock, seconds since 1970 UTC; None where that is not said.
-        is_retained: whether a broker keeps it for later subscribers.
+        value: the value; None if the message has none.
+        sent: when it was sent by the host's clock, seconds since 1970 UTC; None if the message does not say.
+        is_retained: whether the broker keeps the message for later subscribers.
     """
 
     device: str
@@ -140,14 +149,14 @@ class SparkplugCommandTaker(Protocol):
     """Interface of the receiver of commands from Sparkplug hosts. Called in the sink's thread; must be quick."""
 
     def take(self, command: SparkplugCommand) -> None:
-        """Take a command to write a point; the Sparkplug host gets no reply."""
+        """Take a command to write a point and return at once; the Sparkplug host gets no reply."""
 
     def note(self, error: str | None) -> None:
-        """Tell why no commands can arrive; None if they can."""
+        """Learn why no commands can arrive now; None when they can arrive."""
 
 
 class SparkplugSink:
-    """Sink that publishes samples as a Sparkplug B edge node."""
+    """Sink that publishes samples and alarm events as a Sparkplug B edge node, and receives commands of hosts."""
 
     def __init__(
         self,
@@ -217,8 +226,10 @@ class SparkplugSink:
     # Life
 
     async def open(self) -> None:
-        """Connect, wait for the primary host, and publish births (names and types) of all known devices. Raises
-        `SinkDown`.
+        """Connect to the broker, wait for the primary host, and publish the births of the edge node and its devices.
+
+        Raises:
+            SinkDown: the broker cannot be reached, or the primary host is not online.
         """
         mqtt = import_module("aiomqtt")
         self._number = await asyncio.to_thread(self._next_number)
@@ -290,14 +301,17 @@ class SparkplugSink:
                     self._published.append(alarm)
 
     def remember(self, samples: Sequence[CommittedSample]) -> None:
-        """Take over last samples from before a restart: births have them until others come."""
+        """Learn the last samples that were sent before a restart; births have them until newer samples are sent."""
         for sample in sorted(samples, key=lambda each: each.time):
             device = self._devices.setdefault(sample.device, _Device())
             device.learn(sample)
             device.is_gone = sample.reason in _NO_DEVICE
 
     async def show_current(self, points: Collection[tuple[str, str]] | None = None) -> None:
-        """Publish births of devices whose last values were sent as historical, or that have lost some of their points.
+        """Publish again the births of devices of which hosts do not show the current values, or show removed points.
+
+        Hosts do not show values that were sent as historical. A device that has lost all of its points is reported
+        dead.
 
         Args:
             points: device and name of each point that there is; None for all that were sent.
@@ -317,11 +331,11 @@ class SparkplugSink:
                         await self._show_device(name, left.get(name, ()))
 
     async def disturbed(self) -> None:
-        """Return when the primary host has gone offline, or the connection has ended."""
+        """Wait until the primary host goes offline or the connection ends, and return."""
         await self._disturbance.wait()
 
     def _without(self, points: Collection[tuple[str, str]]) -> dict[str, list[str]]:
-        """Return by device the names of its metrics that are not among some points."""
+        """Return by device the names of its metrics whose points are not in ``points``; no device without such."""
         found = {
             name: [point for point in device.last if (name, point) not in points]
             for name, device in self._devices.items()
@@ -329,12 +343,16 @@ class SparkplugSink:
         return {name: gone for name, gone in found.items() if gone}
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
-        """Return the name of a device in topics, and that of a metric."""
+        """Return the name of a device in topics, and the name of a point's metric (`TopicSink`)."""
         return topic_level(device), point
 
     @contextlib.contextmanager
     def _once(self, wanted: Sequence[Committed]) -> Iterator[list[Committed]]:
-        """Context manager with what is not published yet of a batch, which comes again in parts if one is refused."""
+        """Return a context manager that gives those of a batch of samples or alarm events that are not published yet.
+
+        If one of a batch is refused, the batch comes again in parts; the block is not given again what it published
+        before.
+        """
         first = min((each.commit for each in wanted), default=0)
         self._passed = {each for each in self._passed if each.commit >= first}
         self._published = []
@@ -346,7 +364,11 @@ class SparkplugSink:
 
     @contextlib.asynccontextmanager
     async def _delivering(self) -> AsyncIterator[None]:
-        """Context manager in which messages are published; when it ends, the broker has them. Raises `SinkDown`."""
+        """Return a context manager for publishing messages; when its block has ended, the broker has all of them.
+
+        Raises:
+            SinkDown: the connection is lost, or the primary host is offline; some messages may have arrived.
+        """
         mqtt = import_module("aiomqtt")
         self._check_connection()
         try:
@@ -359,7 +381,7 @@ class SparkplugSink:
         self._check_host()
 
     async def _publish_acknowledged(self) -> None:
-        """Wait until the broker has accepted all messages so far, shown by the acknowledgement of a last one."""
+        """Publish one more message with QoS 1 and wait for its answer: then the broker has all messages so far."""
         topic = f"busway/sparkplug/{self._group}/{self._node}/delivered"
         await self._connected().publish(topic, b"")  # any answer, also that this topic is not permitted
 
@@ -379,8 +401,9 @@ class SparkplugSink:
     # Births, deaths, data; the lock is held
 
     async def _births(self) -> None:
-        """Publish the birth messages (which announce names and types of metrics) of the edge node, then of devices that
-        answer.
+        """Publish the birth of the edge node, then those of all devices that are not suspended or in maintenance.
+
+        A birth tells hosts the names, types and last values of metrics.
         """
         self._sequence = 0
         now = self._now()
@@ -411,7 +434,7 @@ class SparkplugSink:
         device.behind.clear()
 
     async def _show_device(self, name: str, gone: Collection[str]) -> None:
-        """Publish the birth of a device without some of its metrics, or its death if it has no others."""
+        """Publish the birth of a device without the metrics ``gone``, or its death if it has no other metrics."""
         device = self._devices[name]
         device.forget(gone)
         if device.last and device.is_born:
@@ -473,7 +496,11 @@ class SparkplugSink:
         return encode_payload([Metric("bdSeq", now, DataType.INT64, self._number)], now, None)
 
     def _next_number(self) -> int:
-        """Return the sequence number of this connection (bdSeq), one more than the last one, which a file keeps."""
+        """Return the number of this connection (bdSeq, 0…255), one more than that of the last, and keep it in a file.
+
+        Raises:
+            SinkDown: the file cannot be written.
+        """
         file = self._number_file
         if file is None:
             return (self._number + 1) % _NUMBERS
@@ -491,7 +518,7 @@ class SparkplugSink:
     # What hosts say
 
     async def _listen(self, client: Any) -> None:
-        """Follow the state of the primary host, requests for a rebirth, and values that hosts write."""
+        """Receive messages of hosts until the connection ends: their state, requests for births, values to write."""
         mqtt = import_module("aiomqtt")
         with contextlib.suppress(mqtt.MqttError):  # sending finds that out
             async for message in client.messages:
@@ -537,7 +564,7 @@ class SparkplugSink:
             self._rebirth = asyncio.create_task(self._births_again(), name="busway sparkplug rebirth")
 
     async def _births_again(self) -> None:
-        """Publish all birth messages again, but not too soon after the last time (rule 5), until no request is left."""
+        """Publish all births again, as often as hosts ask, but once in `REBIRTH_PAUSE` seconds at most (rule 5)."""
         with contextlib.suppress(import_module("aiomqtt").MqttError, SinkDown, SinkRefused):  # sending finds that out
             while self._asked_at is not None:
                 await asyncio.sleep(max(0.0, self._last_birth + REBIRTH_PAUSE - self._asked_at))
@@ -548,7 +575,7 @@ class SparkplugSink:
                         await self._births()
 
     def _take_device_command(self, topic: str, content: bytes, *, is_retained: bool) -> None:
-        """Pass a host's message that writes to a device (DCMD) on as commands of the collector."""
+        """Decode a host's message that writes to a device (DCMD), and hand each value to the collector's commands."""
         assert self.commands is not None
         level = topic.rpartition("/")[2]
         devices = [name for name in self._devices if topic_level(name) == level]
@@ -569,7 +596,10 @@ class SparkplugSink:
 
 
 def _fresh_alone() -> Any:  # as paho has it
-    """Return options of a subscription without retained messages, and with the retain flag of those that come."""
+    """Return MQTT options of a subscription that gets no retained messages, only those published after it.
+
+    Messages come with the retain flag that their sender set.
+    """
     return import_module("paho.mqtt.subscribeoptions").SubscribeOptions(
         qos=1, noLocal=True, retainAsPublished=True, retainHandling=2
     )
@@ -589,7 +619,10 @@ def _device_of(sample: CommittedSample) -> str:
 
 
 def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
-    """Yield the samples of a device in groups for one message each: not too many, one type for each metric."""
+    """Yield the samples of a device in groups for one message each, in order.
+
+    A group has at most `MOST_METRICS` samples, and values of one type for each metric.
+    """
     begin = 0
     kinds: dict[str, DataType] = {}
     for place, sample in enumerate(samples):
@@ -602,7 +635,7 @@ def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
 
 
 def _kind_in_message(value: Value) -> DataType:
-    """Return the type of a value, where numbers that are whole and small count as fractions."""
+    """Return the type of a value as `_parts` compares it: integers that a float holds exactly count as DOUBLE."""
     kind = type_of(value)
     return DataType.DOUBLE if kind is DataType.INT64 and abs(int(value)) < _MOST_EXACT else kind
 
@@ -613,7 +646,14 @@ def _without_value(metric: Metric) -> Metric:
 
 
 def _metric(sample: CommittedSample, kind: DataType, *, is_historical: bool = False, unit: bool = False) -> Metric:
-    """Return a sample as a Sparkplug metric, with properties that tell if its quality is not good."""
+    """Return a sample as a Sparkplug metric; one that is not good has quality and reason as properties.
+
+    Args:
+        sample: the sample.
+        kind: the type of the metric.
+        is_historical: whether the sample is from before the connection.
+        unit: whether the unit of measure is a property too, as in births.
+    """
     properties: list[tuple[str, str | SparkplugQuality]] = []
     if sample.quality is not Quality.GOOD:
         properties += [("Quality", _QUALITIES[sample.quality]), ("reason", reason_text(sample.reason))]

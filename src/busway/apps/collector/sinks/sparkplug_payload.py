@@ -28,7 +28,7 @@ _VALUES: Final = {
 
 
 class DataType(IntEnum):
-    """Numbers of the Sparkplug types that samples can have."""
+    """Numbers of the Sparkplug data types that metrics of samples can have (Sparkplug 3.0 §6.4)."""
 
     INT8 = 1
     INT16 = 2
@@ -60,8 +60,8 @@ class Metric:
         name: the name of the metric.
         time: nanoseconds since 1970 UTC; it is sent in milliseconds.
         kind: its type.
-        value: None for none.
-        is_historical: whether the value is older than the birth that it follows.
+        value: the value; None if it has none.
+        is_historical: whether the value is from before the connection, so that hosts do not show it as current.
         properties: texts and qualities by name.
     """
 
@@ -105,11 +105,12 @@ def encode_payload(metrics: Iterable[Metric], time: int, sequence: int | None) -
 
 @dataclass(frozen=True, slots=True)
 class CommandPayload:
-    """What a host application sends to an edge node or a device: values of metrics.
+    """The payload of a command that a host application sends to an edge node or a device: values for metrics.
 
     Attributes:
-        time: when it was sent, milliseconds since 1970 UTC by the host's clock; None where it does not say.
-        values: by metric, in order; None for one without a value, or of a type that no sample has.
+        time: when it was sent, milliseconds since 1970 UTC by the host's clock; None if the payload does not say.
+        values: name and value of each metric, in order; None for a metric without a value, or of a type that no sample
+            has.
     """
 
     time: int | None
@@ -117,14 +118,14 @@ class CommandPayload:
 
 
 def decode_command(content: bytes, kinds: Mapping[str, DataType] | None = None) -> CommandPayload:
-    """Return the values that a command's payload sets, by metric.
+    """Decode the payload of a command from a host: the values that it sets, by metric.
 
     Args:
-        content: its payload.
-        kinds: types of metrics as their birth has said them: a command need not repeat them.
+        content: the payload.
+        kinds: types of metrics by name, as their birth announced them; a command need not repeat them.
 
     Raises:
-        ValueError: it is no payload.
+        ValueError: the bytes are no Sparkplug payload.
     """
     payload = _messages()["Payload"]()
     try:

@@ -265,7 +265,7 @@ class StoreWriter:
             self.manifest.close_segment(found, alarms_of(database), is_mended=True)
 
     def _is_to_be_mended(self, part: StorePart) -> bool:
-        """Whether times in a file may still be corrected: it is not Parquet yet, nor deleted for its age.
+        """Whether the times of a part may still have to be corrected: then it is neither sealed nor deleted for age.
 
         A segment without samples has intervals and alarms, whose times may be early too.
         """
