@@ -36,10 +36,11 @@ class Share:
     """The load and the capacity of one of the collectors that share a plant.
 
     Attributes:
-        name, host: its names.
-        load: seconds of line time per second that its shards need.
-        capacity: its share of the work, relative to the others.
-        draining: whether it gives all and takes nothing.
+        name: name of the collector.
+        host: name of its machine.
+        load: seconds of line time per second that polling its shards (groups of links) needs.
+        capacity: the collector's part of the work, relative to the others; above 0.
+        draining: whether the collector gives away all its shards and takes none.
     """
 
     name: str
@@ -49,13 +50,18 @@ class Share:
     draining: bool = False
 
     def relative(self, extra: float = 0.0) -> float:
-        """Return the collector's load divided by its capacity, after ``more`` load was added."""
+        """Return the collector's load, plus ``extra`` load, divided by its capacity."""
         return (self.load + extra) / self.capacity
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """A shard (group of links) that is to move from its owner to another collector."""
+    """A shard (group of links) that is to move from its owner to another collector.
+
+    Attributes:
+        shard: name of the shard.
+        giver, taker: names of the collectors that give the shard away and get it.
+    """
 
     shard: str
     giver: str
@@ -63,12 +69,13 @@ class Move:
 
 
 def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]:
-    """Return which collector takes which shard (group of links) without owner; shards that no collector may take are
-    left out.
+    """Return by name of each shard (group of links) without owner the name of the collector that should take it.
+
+    The dearest shard goes first, each to the least loaded collector. Shards that no collector may take are left out.
 
     Args:
-        free: the cost of each free shard.
-        shares: the collectors that live; they are not changed.
+        free: by name, the cost of each shard without owner, in seconds of line time per second.
+        shares: the live collectors; they are not changed.
     """
     able = _Takers(Share(each.name, each.host, each.load, each.capacity) for each in shares if not each.draining)
     found: dict[str, str] = {}
@@ -82,10 +89,12 @@ def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]
 def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, moving: bool = False) -> list[Move]:
     """Return the moves of shards (groups of links) that make the loads of a zone's collectors fair.
 
+    Empty if the loads are fair enough (rule 3). At most `MOST_MOVES` moves, and the second one of an exchange.
+
     Args:
-        owned: owner and cost of each shard.
-        shares: the collectors that live; they are not changed.
-        moving: whether shards move already, so that moving goes on until `END`.
+        owned: by name of each shard, the name of its owner and its cost in seconds of line time per second.
+        shares: the live collectors; they are not changed.
+        moving: whether shards move already, so that collectors are levelled until all are within `END`.
     """
     state = {
         each.name: Share(each.name, each.host, each.load, each.capacity, each.draining)
@@ -102,7 +111,13 @@ def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, mo
 
 
 def _drained(owned: Mapping[str, tuple[str, float]], state: Mapping[str, Share], able: list[Share]) -> list[Move]:
-    """Return the moves of shards (groups of links) away from collectors that are being emptied."""
+    """Return the moves of shards (groups of links) away from the collectors that drain; changes the loads in ``state``.
+
+    Args:
+        owned: by shard, its owner and cost.
+        state: by name, all collectors.
+        able: the collectors that do not drain.
+    """
     found: list[Move] = []
     draining = {name for name, each in state.items() if each.draining}
     leaving = [(cost, shard, owner) for shard, (owner, cost) in owned.items() if owner in draining]
@@ -150,7 +165,14 @@ def _level(
 def _exchange_all(
     costs: Mapping[str, list[tuple[float, str]]], order: list[Share], fair: float, found: list[Move]
 ) -> None:
-    """Add the exchanges between collectors in order of load that level them, at most one for each (rule 5)."""
+    """Append to ``found`` the exchanges of two shards that level two collectors, one for each collector (rule 5).
+
+    Args:
+        costs: by collector, cost and name of each of its shards that may move.
+        order: the collectors in the order of their relative loads.
+        fair: the relative load that all collectors should have.
+        found: the moves so far.
+    """
     takers = order[:]
     for giver in reversed(order):
         for taker in takers[:MOST_TRIED]:
@@ -167,7 +189,7 @@ def _exchange_all(
 
 
 def _replace(order: list[tuple[float, str]], was: tuple[float, str], now: tuple[float, str]) -> None:
-    """Replace an entry of a sorted list where the list has it."""
+    """Replace an entry of a sorted list, which stays sorted; do nothing if the list does not have the entry."""
     place = bisect_left(order, was)
     if place < len(order) and order[place] == was:
         del order[place]
@@ -175,7 +197,12 @@ def _replace(order: list[tuple[float, str]], was: tuple[float, str], now: tuple[
 
 
 def _best(costs: list[tuple[float, str]], giver: Share, taker: Share) -> tuple[float, str] | None:
-    """Return the shard (group of links) whose move levels the loads of two collectors best; None if no move helps."""
+    """Return cost and name of the shard whose move levels the loads of two collectors best; None if no move helps.
+
+    Args:
+        costs: cost and name of each shard that the giver may give, sorted.
+        giver, taker: the two collectors.
+    """
     if giver is taker:
         return None
     wanted = _difference(giver, taker)
@@ -187,7 +214,16 @@ def _best(costs: list[tuple[float, str]], giver: Share, taker: Share) -> tuple[f
 def _exchange(
     dearer: list[tuple[float, str]], cheaper: list[tuple[float, str]], giver: Share, taker: Share
 ) -> tuple[str, str] | None:
-    """Return the two shards (groups of links) whose exchange levels two collectors best; None if none does."""
+    """Return the names of the two shards whose exchange levels two collectors best; None if no exchange helps enough.
+
+    Args:
+        dearer: cost and name of each shard of the giver, sorted.
+        cheaper: cost and name of each shard of the taker, sorted.
+        giver, taker: the two collectors.
+
+    Returns:
+        The giver's shard and the taker's shard.
+    """
     if giver is taker:
         return None
     found: tuple[str, str] | None = None
@@ -202,15 +238,15 @@ def _exchange(
 
 
 def _difference(giver: Share, taker: Share) -> float:
-    """Return the load that would have to move for two collectors to be level."""
+    """Return the load that would have to move from giver to taker for both to have the same relative load."""
     return (giver.relative() - taker.relative()) / (1 / giver.capacity + 1 / taker.capacity)
 
 
 class _Takers:
-    """The collectors that may take shards (groups of links); each finds its taker without a look at all of them.
+    """The collectors that may take shards (groups of links), arranged so that the best one is found fast.
 
     Args:
-        able: the collectors; `take` adds to their loads.
+        able: the collectors that do not drain; `take` adds to their loads.
     """
 
     def __init__(self, able: Iterable[Share]) -> None:
@@ -223,7 +259,14 @@ class _Takers:
             heapify(heap)
 
     def take(self, shard: str, cost: float) -> Share | None:
-        """Add a shard to the collector that should have it; None where no collector may own it."""
+        """Give a shard to the collector that should have it, add the cost to that one's load, and return the collector.
+
+        None if no collector may own the shard.
+
+        Args:
+            shard: name of the shard.
+            cost: seconds of line time per second that polling it needs.
+        """
         hosts = hosts_of(shard)
         there = next((self._hosts[host] for host in hosts if host in self._hosts), [])
         able = there if hosts else [self._least_loaded(heap) for heap in self._heaps.values()]
@@ -234,7 +277,11 @@ class _Takers:
         return taker
 
     def _least_loaded(self, heap: list[tuple[float, str, Share]]) -> Share:
-        """Return the first of the collectors of one capacity."""
+        """Return the least loaded of the collectors with the same capacity.
+
+        Args:
+            heap: load, name and collector; entries with loads of the past are removed.
+        """
         while heap[0][0] != heap[0][2].load:  # it was the load before another shard was taken
             heappop(heap)
         return heap[0][2]

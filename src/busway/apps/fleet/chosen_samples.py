@@ -2,10 +2,10 @@
 
 Knows patterns and report rules; what has to stay with a store is refused by name.
 
-1. A rule compares with the last sample that the sink has taken since this process began: after a start the first sample
-   of each point is passed on.
-2. A sample from before that one is passed on whatever the rule says, such as those of a collector that was away: they
-   come between others, and what the sink lacks without them is not known.
+1. A rule compares a sample with the last one of its point that the sink has taken since this process began: after a
+   start the first sample of each point is passed on.
+2. A sample that is older than the last one is passed on whatever the rule says, such as one of a collector that was
+   away: it comes between others, and no rule can tell whether the sink needs it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,12 +27,14 @@ _Point = tuple[str, str]
 
 
 class ChosenSamples:
-    """A sink that gets only the points and the samples that its options and the report rules of points name.
+    """A sink that passes on to another sink only the samples chosen by that sink's options and the report rules.
 
     Args:
-        sink: gets the chosen samples.
-        options: of the sink; batches are the stream's.
-        rules: by device and point, the report rules of points, where the sink has none of its own.
+        sink: the sink that gets the chosen samples.
+        options: options of that sink: patterns of its points, and a report rule for all of them. The sizes of batches
+            have no effect, as batches come from the stream.
+        rules: by device and point, the report rules of points, used if the sink has none of its own; points that are
+            missing are passed on with every sample.
     """
 
     def __init__(self, sink: Sink, options: DeliveryOptions, rules: Mapping[_Point, ReportRule]) -> None:
@@ -45,7 +47,12 @@ class ChosenSamples:
         await self._sink.open()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Send the chosen ones of these samples. Raises `SinkDown`, `SinkRefused`: then they may be sent again."""
+        """Send the chosen ones of these samples; when this returns, the receiver has accepted them.
+
+        Raises:
+            SinkDown: some may have arrived. The samples may be given again: they are chosen anew.
+            SinkRefused: the receiver would refuse the samples again.
+        """
         fresh: dict[_Point, CommittedSample] = {}
         chosen = [each for each in samples if self._is_chosen(each, fresh)]
         if chosen:
@@ -82,11 +89,13 @@ class ChosenSamples:
 
 
 def refuse_what_needs_a_store(configuration: CollectorConfiguration, sink: str | None = None) -> None:
-    """Raise `ConfigError` for a sink that works only beside the store of one collector.
+    """Raise `ConfigError` for a sink that cannot take samples from a stream, but needs the store of one collector.
+
+    These are Sparkplug sinks, and sinks whose files are named by commits.
 
     Args:
-        configuration: of the zone.
-        sink: its name; None for all of the configuration.
+        configuration: the configuration of the zone.
+        sink: name of the sink to check; None for all sinks of the configuration.
     """
     for name, (made, _) in configuration.sinks.items():
         if sink not in (None, name):
@@ -101,7 +110,10 @@ def refuse_what_needs_a_store(configuration: CollectorConfiguration, sink: str |
 
 
 def sinks_without_alarms(configuration: CollectorConfiguration) -> list[str]:
-    """Return the names of sinks that take events of alarms, where the configuration has alarms: a stream has none."""
+    """Return the names of the sinks that would get alarm events from a store, and get none from a stream.
+
+    Empty if no point of the configuration has an alarm.
+    """
     if not any(point.alarms for device in configuration.devices.values() for point in device.points):
         return []
     return [name for name, (made, _) in configuration.sinks.items() if isinstance(made, AlarmSink)]

@@ -1,11 +1,11 @@
-"""What operators tell a fleet through its coordinator: the plant's configuration, and which collectors are drained.
+"""The entries by which operators control a fleet: the plant's configuration, and which collectors are drained.
 
 Knows entries and the checks of a collector file; knows no collector.
 
-1. A configuration is written only after it was checked, by compare-and-set on the revision that was seen. What is
-   refused changes nothing.
-2. The text alone is shared, with the path of its file: profiles that it names must be under the same path on every
-   machine of the fleet.
+1. A configuration is written only after it was checked, by compare-and-set on the revision that was seen. A refused
+   one changes nothing.
+2. The text alone is shared, with the path of its file: device profiles that the text names must be under the same path
+   on every machine of the fleet.
 3. Keys begin with ``control.``, so that a server can deny them to collectors.
 """
 
@@ -35,12 +35,12 @@ _LONGEST_TEXT: Final = 16 * 1024 * 1024
 
 @dataclass(frozen=True, slots=True)
 class SharedConfiguration:
-    """The text of a plant's configuration, as the coordinator has it.
+    """The text of a plant's configuration, as the coordinator keeps it for all collectors.
 
     Attributes:
-        name: the path of the file that was applied.
-        text: its content.
-        revision: of the entry.
+        name: path of the file that an operator applied.
+        text: content of that file.
+        revision: revision of the entry in the shared table; 0 for a file that is not there yet.
     """
 
     name: str
@@ -48,14 +48,27 @@ class SharedConfiguration:
     revision: int
 
     def parsed(self, times: LeaseTimes) -> CollectorConfiguration:
-        """Check the text. Raises `ConfigError` with all its problems."""
+        """Check the text, and return it as the configuration of a collector.
+
+        Args:
+            times: the lengths of the leases; a link must be fast enough for them.
+
+        Raises:
+            ConfigError: the text is wrong, with all its problems, or a link is too slow.
+        """
         configuration = with_short_user_timeout(parse_collector(self.text, self.name))
         refuse_slow_links(configuration, times)
         return configuration
 
 
 async def read_entries(coordinator: Coordinator, prefix: str) -> dict[str, Entry]:
-    """Return the entries whose keys begin with a prefix, as they are now. Raises `ConfigError`."""
+    """Return by key the entries of the shared table whose keys begin with a prefix, as they are now.
+
+    Waits without limit for a coordinator that does not answer.
+
+    Raises:
+        ConfigError: the table can never be read, such as for want of rights.
+    """
     found: dict[str, Entry] = {}
     async with aclosing(coordinator.watch(prefix)) as entries:
         async for entry in entries:
@@ -69,7 +82,7 @@ async def read_entries(coordinator: Coordinator, prefix: str) -> dict[str, Entry
 
 
 def decode_configuration(entry: Entry) -> SharedConfiguration:
-    """Return the configuration that an entry holds. Raises `ConfigError`."""
+    """Return the plant's configuration that an entry of the shared table holds. Raises `ConfigError` if unreadable."""
     try:
         unpacked = zlib.decompressobj().decompress(entry.value, _LONGEST_TEXT)
         name, text = json.loads(unpacked)
@@ -79,15 +92,18 @@ def decode_configuration(entry: Entry) -> SharedConfiguration:
 
 
 async def read_configuration(coordinator: Coordinator) -> SharedConfiguration | None:
-    """Return the configuration of a zone; None where none was applied. Raises `ConfigError`."""
+    """Return the configuration of a zone; None if none was applied. Raises `ConfigError` if it cannot be read."""
     entry = (await read_entries(coordinator, CONFIGURATION)).get(CONFIGURATION)
     return decode_configuration(entry) if entry is not None and entry.value else None
 
 
 async def recorded_times(coordinator: Coordinator) -> LeaseTimes:
-    """Return the times of leases that the collectors of a zone have; the usual ones where no collector has joined yet.
+    """Return the lease times of the collectors of a zone; the defaults if no collector has joined yet.
 
-    How often leases are renewed is not recorded: as often, for their length, as the usual ones.
+    The table has only ``ttl`` and ``guard``: ``renew`` and ``answer`` are the defaults, in proportion to ``ttl``.
+
+    Raises:
+        ConfigError: the table can never be read.
     """
     usual = LeaseTimes()
     entry = (await read_entries(coordinator, ZONE)).get(ZONE)
@@ -99,13 +115,18 @@ async def recorded_times(coordinator: Coordinator) -> LeaseTimes:
 
 
 async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseTimes | None = None) -> int:
-    """Check a collector file and make it the configuration of the zone; returns its revision.
+    """Check a collector file, make it the configuration of the zone, and return its revision.
+
+    Args:
+        coordinator: the coordinator of the zone.
+        path: path of the file.
+        times: the lengths of the leases; None for those that the collectors of the zone have.
 
     Raises:
         ConfigError: the file is wrong, with all problems; the zone's configuration is as before.
-        RevisionConflict: another one was applied meanwhile; the zone has that one.
+        RevisionConflict: another configuration was applied meanwhile, and is the zone's now.
         CoordinatorDown: nothing was changed.
-        OutcomeUnknown: it may hold.
+        OutcomeUnknown: the file may have become the configuration.
     """
     seen = (await read_entries(coordinator, CONFIGURATION)).get(CONFIGURATION)
     shared = await asyncio.to_thread(_checked, path, times or await recorded_times(coordinator))
@@ -118,17 +139,22 @@ async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseT
 
 
 def _checked(path: str, times: LeaseTimes) -> SharedConfiguration:
-    """Read a collector file and check it, with its problems under the path that was given."""
+    """Read and check a collector file. Raises `ConfigError` with all problems, which name the path as it was given."""
     text = read_text(path)
     SharedConfiguration(path, text, 0).parsed(times)
     return SharedConfiguration(os.path.abspath(path), text, 0)
 
 
 async def refuse_other_figures(coordinator: Coordinator, shards: int, times: LeaseTimes) -> None:
-    """Raise `ConfigError` if the zone has another number of shards, or other leases, than a collector that joins it.
+    """Raise `ConfigError` if the zone has another number of shards, or other lease times, than a collector that joins.
 
-    Nothing is refused where the coordinator does not answer, or no collector has joined yet: then the collector finds
-    out later, and owns nothing.
+    Nothing is raised if the coordinator does not answer in time, or no collector has joined yet. The collector then
+    finds a difference later, and owns nothing.
+
+    Args:
+        coordinator: the coordinator of the zone.
+        shards: how many shards (groups of links) the collector believes the zone has.
+        times: the lengths of the leases of the collector.
     """
     entry = None
     with contextlib.suppress(TimeoutError):
@@ -141,11 +167,21 @@ async def refuse_other_figures(coordinator: Coordinator, shards: int, times: Lea
 
 
 async def drain_collector(coordinator: Coordinator, name: str, *, draining: bool = True) -> None:
-    """Tell a collector to hand on all its shards and take none, or to take part again; it holds after a restart too.
+    """Tell a collector to give away all its shards (groups of links) and to take none, or to take part again.
 
-    Shards that no other collector takes stay with it.
+    The order stays in the table, also for later starts of the collector. Shards that no other collector takes stay with
+    it.
 
-    Raises as `apply_configuration`, and `ConfigError` for a name that no collector has ever had.
+    Args:
+        coordinator: the coordinator of the zone.
+        name: name of the collector.
+        draining: False to let the collector take part again.
+
+    Raises:
+        ConfigError: no collector has ever had this name.
+        RevisionConflict: the order was changed by another operator meanwhile; it is as that one has set it.
+        CoordinatorDown: nothing was changed.
+        OutcomeUnknown: the order may have been given.
     """
     members = await read_entries(coordinator, MEMBERS)
     if MEMBERS + checked_name(name, "collector") not in members:
@@ -160,10 +196,20 @@ async def drain_collector(coordinator: Coordinator, name: str, *, draining: bool
 
 
 async def raise_generation(coordinator: Coordinator, now: float) -> int:
-    """Let the epochs of a zone go on above all that were before, and return its new generation.
+    """Raise the generation of a zone, so that all later epochs are above those before, and return the new generation.
 
-    For a coordinator that has lost its entries, or has older ones: the generation is the time, in seconds since 1970
-    UTC, so nothing of the one before has to be known. Raises as `apply_configuration`.
+    To be called for a coordinator that has lost its entries, or has older ones from a backup. The generation is the
+    time, so that the one before need not be known.
+
+    Args:
+        coordinator: the coordinator of the zone.
+        now: seconds since 1970 UTC.
+
+    Raises:
+        ConfigError: the table can never be read.
+        RevisionConflict: the generation was raised by another operator meanwhile.
+        CoordinatorDown: nothing was changed.
+        OutcomeUnknown: the generation may have been raised.
     """
     seen = (await read_entries(coordinator, GENERATION)).get(GENERATION)
     generation = max(int(now), 1 + (0 if seen is None else decode_generation(seen.value)))

@@ -21,11 +21,11 @@ from ...errors import ModbusError
 
 
 class CoordinatorDown(ModbusError):
-    """Error: the coordinator, which keeps the table that collectors share, cannot be reached. Nothing was changed."""
+    """Error: the coordinator, which keeps the table that collectors share, cannot be used now. Nothing was changed."""
 
 
 class OutcomeUnknown(ModbusError):
-    """Error: it is not known whether the coordinator (the shared table) has made a change."""
+    """Error: no answer says whether a change of the shared table was made; it may have been, or may be made later."""
 
 
 class RevisionConflict(ModbusError):
@@ -37,10 +37,10 @@ class Entry:
     """One entry (key, value, revision) of the table that the collectors of a zone share.
 
     Attributes:
-        key: letters, digits, ``.``, ``-``, ``_``, at most 200.
-        value: its content, at most `LONGEST_VALUE` bytes; empty for a deleted entry.
-        revision: from 1; 0 only in the two marks of a watch.
-        time: when it was changed, seconds since 1970 UTC by the server's clock; None where the server does not say.
+        key: name of the entry: letters, digits, ``.``, ``-``, ``_``, at most 200.
+        value: content of the entry, at most `LONGEST_VALUE` bytes; empty for a deleted entry.
+        revision: number that grows with every change of the entry, from 1; 0 only in the two marks of a watch.
+        time: when the entry was changed, seconds since 1970 UTC by the server's clock; None if the server does not say.
     """
 
     key: str
@@ -51,38 +51,52 @@ class Entry:
 
 LONGEST_VALUE: Final = 512 * 1024
 SNAPSHOT_BEGINS: Final = Entry("", b"begins", 0)
-"""Given by a watch that begins again: the entries that exist follow once more."""
+"""Mark that a watch yields when it begins again: all entries that exist follow once more."""
 SNAPSHOT_ENDS: Final = Entry("", b"ends", 0)
-"""Given by a watch after the entries that existed when it began."""
+"""Mark that a watch yields after all entries that existed when it began: changes follow."""
 
 
 class Coordinator(Protocol):
     """Interface of a table of entries that several collectors share and change by compare-and-set."""
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add a new entry to the shared table; returns its revision.
+        """Add a new entry to the shared table, and return its revision.
+
+        Args:
+            key: name of the entry.
+            value: content of the entry, at most `LONGEST_VALUE` bytes.
 
         Raises:
-            RevisionConflict: it exists.
+            RevisionConflict: the entry exists.
             CoordinatorDown: nothing was changed.
-            OutcomeUnknown: it may have been added.
+            OutcomeUnknown: the entry may have been added.
+            ConfigError: the value is too long; nothing was changed.
         """
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry of the shared table if it still has this revision; returns the new one.
+        """Change an entry of the shared table if it still has a revision (compare-and-set); returns the new revision.
+
+        Args:
+            key: name of the entry.
+            value: new content, at most `LONGEST_VALUE` bytes; empty to delete the entry.
+            revision: the revision that the entry must have.
 
         Raises:
-            RevisionConflict: it has another one, or does not exist.
+            RevisionConflict: the entry has another revision, or does not exist; nothing was changed.
             CoordinatorDown: nothing was changed.
-            OutcomeUnknown: it may have been changed.
+            OutcomeUnknown: the entry may have been changed.
+            ConfigError: the value is too long; nothing was changed.
         """
 
     def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """Yield the entries of the shared table whose keys begin with a prefix, then their changes, until closed (rule
-        4).
+        """Yield all entries of the shared table whose keys begin with a prefix, then their changes, until closed.
 
-        Raises nothing for a lost connection; `ConfigError` where it can never work (rights, a wrong bucket).
+        `SNAPSHOT_ENDS` comes after the entries that exist. After a lost connection the watch begins again by itself,
+        with `SNAPSHOT_BEGINS` (rule 4).
+
+        Raises:
+            ConfigError: the table can never be read, such as for want of rights.
         """
 
     async def close(self) -> None:
-        """End the connection to the shared table. Its entries stay as they are."""
+        """Close the connection to the shared table. The entries of the table stay as they are."""

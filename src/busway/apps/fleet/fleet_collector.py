@@ -7,16 +7,16 @@ Knows the collector, the member and the log of ownership; what is owned is decid
 2. Right before each transaction the lease is asked (`FleetMember.may_begin`), with the longest that it may take. A
    lease that lapses therefore ends polling at once, whatever else waits.
 3. Changes of ownership are applied one after the other, all that have come together as one.
-4. The store has an interval for each time in which a link was not owned: from its end here until it is owned again.
-   Who takes a link from an owner that fell silent records the time since that one's last renewal: samples that the
-   other still sends shrink this gap.
+4. The store has an interval for each time in which a link was not owned: from the end of polling here until the link is
+   owned again. A collector that takes a link from an owner that fell silent records the time since that owner's last
+   renewal: samples that the old owner still sends shrink this gap.
 5. The key of each command that writes a point is taken for the whole zone before the wire (`key_table`), whatever way
    the command came: page, HTTP, MQTT, NATS. A message with a command is executed and answered by the owner of its link;
    with `zone` a server gives it to one collector, which passes it on.
-6. Where it was started with a revision, another configuration of the zone is taken when it comes, as a whole: one that
-   is refused, by its check or because a sink is another, changes nothing and is told. Links that it changes stop before
-   the last commit of the old one: no sample has a revision that it was not taken by. The store stays the one with
-   which the collector was started, whatever the new configuration names.
+6. A collector that was started with a revision takes each newer configuration of the zone, as a whole. One that is
+   refused, by its check or because a sink differs, changes nothing, and `refused` says why. Links that a new
+   configuration changes stop before the last commit of the old one, so every sample has the revision with which it was
+   taken. The store stays the one with which the collector was started, whatever the new configuration names.
 """
 
 import asyncio
@@ -61,34 +61,40 @@ _log = logging.getLogger("busway.fleet")
 
 
 class FleetCollector:
-    """A collector that shares the links of a plant with others; an asynchronous context manager.
+    """A collector that shares the links of a plant with others, and polls those it owns while ``async with`` lasts.
 
     Args:
         configuration: the configuration of the whole plant; each collector of the fleet has a store of its own.
         coordinator: the coordinator of the zone; not closed here.
-        name: of this collector, the only one of its name in the zone.
-        host: the name of this machine, for links that only some hosts can reach.
-        shards: how many the zone has, 1…1024; the same for all collectors.
-        hosts: by link, the hosts that can reach it, the preferred one first; links that are missing all can reach.
-        times: the lengths of the leases; the same for all collectors.
-        capacity: this collector's share of the work, relative to the others.
-        stream: gets its samples; None if they stay in its own store.
-        revision: the revision of the configuration, if that is from the coordinator; then it is followed (rule 6).
-        keys: the table of the keys of commands, the same for all collectors; not closed here. None for that of the
-            coordinator.
-        zone: the name of the zone, where `FleetCommands` passes on commands for links that others own; empty where
-            commands cannot be passed on.
-        now: the clock of leases.
+        name: name of this collector, the only one of that name in the zone.
+        host: name of this machine, for links that only some machines can reach.
+        shards: how many shards (groups of links) the zone has, 1…1024; the same for all collectors.
+        hosts: by link, the names of the machines that can reach the link, the preferred one first. Links that are
+            missing can be reached from all.
+        times: the lengths of the leases, the same for all collectors; None for the defaults of `LeaseTimes`.
+        capacity: this collector's part of the work, relative to the others.
+        stream: gets the collector's samples; None if they stay in its own store.
+        revision: revision of the configuration, if that is from the coordinator: newer ones are then taken over (rule
+            6). 0 if it is not.
+        keys: the table of the keys of commands, the same for all collectors; not closed here. None for the table of
+            ``coordinator``.
+        zone: name of the zone, if `FleetCommands` passes on commands for links that others own; empty if commands
+            cannot be passed on.
+        now: returns the time of the clock of leases, in seconds.
 
     Attributes:
-        member: its state in the zone, such as what it owns.
+        member: the collector's state in the zone, such as the shards that it owns.
         collector: polls the devices.
-        ownership: the log of what it owned.
-        outbox: sends its samples on; None without a stream.
-        revision: the revision of the configuration in force; 0 for one that is not from the coordinator.
-        unowned_seconds: seconds in which links that it took had no owner, as far as known, all links together.
+        ownership: the record of which links this collector owned when.
+        outbox: sends the samples to the stream; None without a stream.
+        revision: revision of the configuration in force; 0 if that is not from the coordinator.
+        unowned_seconds: seconds for which links had no owner before this collector took them, as far as is known, the
+            sum of all links.
         pass_on: asks the owner of a link to execute a command; None while that is not possible.
         refused: why the newest configuration of the zone was not taken; None if it was.
+
+    Raises:
+        ConfigError: a transaction on a link may last longer than a lease allows, or a name is invalid.
     """
 
     collector: Collector
@@ -151,9 +157,10 @@ class FleetCollector:
         self._tasks: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
-        """Open the store, and join the collectors that share the plant.
+        """Open the store, and join the collectors of the zone; links are polled once their shards are owned.
 
-        Raises as `Collector.__aenter__`, and `ConfigError` if the zone has another number of shards, or other leases.
+        Raises as `Collector.__aenter__`, and `ConfigError` if the zone has another number of shards, or other lease
+        times.
         """
         await refuse_other_figures(self._coordinator, self._shards, self.member.times)
         async with AsyncExitStack() as unless_started:
@@ -187,7 +194,10 @@ class FleetCollector:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Give all owned shards (groups of links) back to the fleet, then stop."""
+        """Stop polling, release all owned shards (groups of links) in at most `END_LIMIT` seconds, and close the store.
+
+        Leases that could not be released in time lapse: others take the shards later.
+        """
         async with AsyncExitStack() as steps:
             steps.callback(self.ownership.close)
             steps.push_async_exit(self._keys)
@@ -198,30 +208,30 @@ class FleetCollector:
 
     @property
     def links(self) -> frozenset[str]:
-        """The links that this collector polls now."""
+        """The names of the links that this collector polls now."""
         return frozenset(self._active)
 
     def owned_since(self, link: str) -> float | None:
-        """Return since when this collector polls a link, in seconds of the monotonic clock; None if it does not."""
+        """Return since when this collector polls a link, in seconds of `time.monotonic`; None if it does not."""
         return self._active_since.get(link) if link in self._active else None
 
     def follow_links(self, told: Callable[[], None]) -> None:
-        """Register a function that is called in the event loop after `links` have changed; it must be quick."""
+        """Register a function to be called in the event loop after the set of `links` has changed; it must be quick."""
         self._link_followers.append(told)
 
     @property
     def problem(self) -> str:
-        """Why this collector owns nothing, or its leases are not renewed; empty while all is well."""
+        """Why this collector may own no links, or why its leases are not renewed, in words; empty while all is well."""
         return self._defect or self._driver.problem
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the coordinator has confirmed this collector's last change."""
+        """Whether the coordinator has confirmed this collector's last change of the shared table."""
         return self._driver.error is None
 
     @property
     def behind(self) -> int:
-        """Commits of the store that not all sinks have; 0 without a stream."""
+        """The number of commits of the store that not all sinks have; 0 without a stream."""
         return 0 if self.outbox is None else max(0, self.collector.newest_commit - self.outbox.status().kept)
 
     def _opened_outbox(self) -> Outbox | None:
@@ -240,12 +250,13 @@ class FleetCollector:
         )
 
     def link_of(self, device: str) -> str:
-        """Return the link of a device of the plant; empty if there is no such device."""
+        """Return the name of the link of a device of the plant; empty if the configuration has no such device."""
         return self._link_of.get(device, "")
 
     def is_responsible(self, link: str) -> bool:
-        """Whether this collector answers for a link that it may not own: where no other one owns it, and this one is
-        the first of those that live.
+        """Whether this collector answers commands for a link: it is the owner, or the link has no live owner.
+
+        Without a live owner only the live collector whose name sorts first answers.
         """
         lease = self.member.leases().get(self.shard_of(link))
         living = {each.name for each in self.member.members(self._now())} | {self.member.name}
@@ -253,7 +264,7 @@ class FleetCollector:
         return (owner if owner in living else min(living)) == self.member.name
 
     def shard_of(self, link: str) -> str:
-        """Return the name of the shard (group of links) that a link belongs to; "none" if the file does not have it."""
+        """Return the name of a link's shard (group of links); ``none`` if the configuration has no such link."""
         return self._shard_of.get(link, "none")
 
     def _set_configuration(self, configuration: CollectorConfiguration) -> None:
@@ -265,13 +276,13 @@ class FleetCollector:
         self._link_of = {device.name: device.link for device in configuration.devices.values()}
 
     def _tell_costs(self) -> None:
-        """Tell the member which shards there are, and how busy each keeps its links."""
+        """Give `member` the names of the configuration's shards (groups of links) and the cost of polling each."""
         loads = {load.link: load.load for load in self._configuration.loads(self.collector.knowledge)}
         costs = costs_by_link(self._configuration, loads)
         self.member.set_shards({shard: sum(costs[link] for link in links) for shard, links in self._links_of.items()})
 
     async def _follow(self) -> None:
-        """Do what operators tell through the coordinator, until cancelled."""
+        """Take over new configurations of the zone and orders to drain from the coordinator, until cancelled."""
         async with aclosing(self._coordinator.watch(CONTROL)) as entries:
             async for entry in entries:
                 if entry.key == CONFIGURATION and entry.value and entry.revision > self.revision:
@@ -281,7 +292,7 @@ class FleetCollector:
                     self._driver.wake()
 
     async def _check(self, entry: Entry) -> None:
-        """Check another configuration; it is applied beside changes of ownership, or refused (rule 6)."""
+        """Check a newer configuration of the zone: have it applied by `_apply_changes`, or set `refused` (rule 6)."""
         try:
             shared = decode_configuration(entry)
             newer = await asyncio.to_thread(shared.parsed, self.member.times)
@@ -299,7 +310,10 @@ class FleetCollector:
         self._wake.set()
 
     async def _take_newer(self) -> None:
-        """Use the newer configuration: links that left it stop, new ones of owned shards begin."""
+        """Apply the newer configuration that was checked: links that it lacks stop, new ones of owned shards begin.
+
+        Does nothing if there is none. Raises `sqlite3.Error` if ownership cannot be recorded; to be called again then.
+        """
         if self._newer is None:
             return
         newer, revision = taken = self._newer
@@ -332,7 +346,10 @@ class FleetCollector:
         _log.info("the configuration of revision %d holds", revision)
 
     def _part_ended(self, task: asyncio.Task[None]) -> None:
-        """Let go of all links where a part of this collector has ended by a defect: their leases lapse."""
+        """End all tasks after one of them has ended by a defect: leases lapse, and other collectors take the links.
+
+        Called when a task has ended; does nothing while the collector ends in order.
+        """
         if self._is_ending or self._defect:
             return
         error = None if task.cancelled() else task.exception()
@@ -346,7 +363,7 @@ class FleetCollector:
         await end_tasks(self._tasks)
 
     def _permit(self, link: str) -> None:
-        """Raise `LinkDown` unless this collector owns the link's group and may begin a transaction now (rule 2)."""
+        """Raise `LinkDown` unless this collector owns the link and its lease outlasts a transaction that begins now."""
         if link not in self._active or not self.member.may_begin(self._shard_of[link], self._now(), self._worst[link]):
             raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent", kind="other")
         self._permitted[link] = time.time_ns()
@@ -378,7 +395,11 @@ class FleetCollector:
                     self.refused = None
 
     async def _apply(self, events: Sequence[ShardEvent]) -> None:
-        """Stop polling links that this collector no longer owns, start newly owned ones, and release stopped ones."""
+        """Apply events of shards: stop polling links that are owned no longer, begin with those that were gained.
+
+        Shards (groups of links) that are given away may be released once their links have stopped and their samples are
+        committed.
+        """
         ended = [event for event in events if event.step is not Step.GAINED]
         for event in ended:
             for link in self._links_of.get(event.shard, ()):
@@ -400,13 +421,13 @@ class FleetCollector:
             await self._poll_active()
 
     def _is_owned(self, event: ShardEvent) -> bool:
-        """Whether this collector still owns a group of links, without having lost it in between."""
+        """Whether an event says that a shard was gained, and the shard is still owned in the same epoch."""
         owned = self.member.owned.get(event.shard)
         is_kept = owned is not None and owned.epoch == event.epoch and owned.leaving is None
         return event.step is Step.GAINED and is_kept
 
     async def _record_end(self, event: ShardEvent) -> None:
-        """Record that links are not owned any more; where that fails their epoch ends with the next one."""
+        """Record that the links of a shard are owned no longer; an error is logged, and the record then has no end."""
         links, commit = self._links_of.get(event.shard, ()), self.collector.newest_commit
         try:
             await asyncio.to_thread(self.ownership.end, links, event.epoch, commit, time.time_ns())
@@ -431,9 +452,10 @@ class FleetCollector:
         self._active_since.update((link, now) for link in links)
 
     def _note_ends(self, events: Sequence[ShardEvent]) -> None:
-        """Record that links are not owned from now on, or since the last transaction where a lease has lapsed (rule 4).
+        """Begin in the store the interval in which links are not owned, for the shards that these events end (rule 4).
 
-        A process that was frozen learns only when it wakes that it has lost a lease.
+        It begins now; or at the last transaction if the lease has lapsed, since a process that was frozen learns only
+        when it wakes that it has lost a lease.
         """
         now = time.time_ns()
         for event in events:
@@ -443,11 +465,14 @@ class FleetCollector:
                     self._note_unowned(link, begin, None)
 
     def _end_of(self, link: str, renewed: float | None, now: int) -> int:
-        """Return when the last transaction of a link was over; at the earliest when its lease was renewed last.
+        """Return when the last transaction of a link was over, in nanoseconds since 1970 UTC, for a lease that lapsed.
+
+        At the earliest this is the last renewal of the lease, at the latest ``now``.
 
         Args:
-            link: its name.
-            renewed: seconds since 1970 UTC; None where its end is right now.
+            link: name of the link.
+            renewed: when the lease was renewed last, seconds since 1970 UTC; None for a lease that has not lapsed, and
+                ends now.
             now: nanoseconds since 1970 UTC.
         """
         if renewed is None:
@@ -456,7 +481,12 @@ class FleetCollector:
         return min(max(int(renewed * NANOSECONDS), over), now)
 
     def _note_silence(self, links: Sequence[str], silent_since: float | None) -> None:
-        """Record the time until now in which no collector owned these links, as far as it is known (rule 4)."""
+        """Record in the store, for links that are owned from now on, the time before without an owner (rule 4).
+
+        Args:
+            links: names of the links.
+            silent_since: last renewal by an owner that fell silent, seconds since 1970 UTC; None if that is not known.
+        """
         now = time.time_ns()
         for link in links:
             begin = self._unowned_since.pop(link, None)
@@ -477,7 +507,13 @@ class FleetCollector:
 
 
 class _OtherOwners:
-    """The other collectors of a fleet, as messages with commands see them."""
+    """The `OtherOwners` of a collector of a fleet: says who owns a device's link, and passes commands on to the owner.
+
+    Args:
+        fleet: this collector.
+        member: its name.
+        group: the name under which the collectors share messages with commands; empty if messages go to all.
+    """
 
     def __init__(self, fleet: FleetCollector, member: str, group: str) -> None:
         self._fleet = fleet

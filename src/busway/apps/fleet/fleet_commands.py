@@ -44,26 +44,27 @@ _log = logging.getLogger("busway.fleet")
 
 
 def command_subject(zone: str, link: str) -> str:
-    """Return the subject on which the owner of a link takes commands."""
+    """Return the NATS subject on which the owner of a link takes commands: ``busway.<zone>.command.<link>``."""
     return f"busway.{zone}.command.{subject_token(link)}"
 
 
 async def send_command(client: Any, zone: str, link: str, content: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """Ask the owner of a link to write a value to a point, once, and return its answer.
+    """Ask the collector that owns a link to write a value to a point, once, and return its answer.
 
     Args:
-        client: of nats-py, connected.
+        client: connected client of `connect_nats`.
         zone, link: names of the zone and the link.
-        content: the command, as rule 1 says.
-        seconds: for which the answer is waited for.
+        content: the command: key, device, point and value, and if wanted by and expires (rule 1).
+        seconds: seconds to wait for the answer.
 
     Returns:
         The answer: ``state`` and ``reason``, and further keys of `CommandResult.content`.
 
     Raises:
-        LinkDown: no collector owns the link now, or there is no connection; nothing was sent.
-        ConfigError: the credentials do not permit it; nothing was sent.
-        WriteOutcomeUnknown: no answer came. The same command with the same key may be sent again: it is written once.
+        LinkDown: no collector owns the link now, or there is no connection; nothing was sent to the device.
+        ConfigError: the credentials do not permit commands; nothing was sent to the device.
+        WriteOutcomeUnknown: no answer came, or one that cannot be read. The same command with the same key may be sent
+            again: the value is written once.
     """
     errors = import_module("nats.errors")
     subject = command_subject(zone, link)
@@ -84,14 +85,17 @@ async def send_command(client: Any, zone: str, link: str, content: dict[str, Any
 
 
 class FleetCommands:
-    """Takes commands for the links that a collector of a fleet owns, while the ``async with`` block lasts.
+    """Takes commands by NATS for the links that a collector of a fleet owns, while the ``async with`` block lasts.
+
+    It also passes on commands for links of other collectors to their owners, and publishes the audit line of each
+    command.
 
     Args:
         fleet: the running collector.
-        client: of nats-py, connected.
-        zone: its name.
-        replicas: servers that keep each line of the audit.
-        now: seconds since 1970 UTC.
+        client: connected client of `connect_nats`.
+        zone: name of the zone.
+        replicas: number of servers that keep each audit line, if the stream for them is created.
+        now: returns the time in seconds since 1970 UTC.
     """
 
     def __init__(
@@ -113,7 +117,12 @@ class FleetCommands:
         self._task: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
-        """Begin to listen on the subjects of owned links. Raises `ConfigError`, `StreamDown`: no stream for audits."""
+        """Begin to listen on the subjects of owned links, and to pass on commands.
+
+        Raises:
+            ConfigError: the stream for audit lines cannot be created or used.
+            StreamDown: no server has answered for `START_SECONDS`.
+        """
         await make_audit_stream(self._client, self._zone, self._replicas, start=START_SECONDS)
         await self._messages.__aenter__()
         self._fleet.follow_links(self._changed.set)
@@ -126,7 +135,7 @@ class FleetCommands:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take no more commands; those that run go on, and are recorded before the collector ends."""
+        """Take no more commands, and wait until those that run are ended, answered, and their audit lines published."""
         assert self._task is not None
         self._fleet.pass_on = None
         await end_tasks([self._task])
@@ -142,7 +151,7 @@ class FleetCommands:
             await self._listen(self._fleet.links)
 
     async def _listen(self, links: Iterable[str]) -> None:
-        """Listen on the subjects of these links alone."""
+        """Subscribe to the subjects of these links, and unsubscribe from those of all others."""
         errors = import_module("nats.errors")
         wanted = {command_subject(self._zone, link) for link in links}
         for subject in self._subscribed.keys() - wanted:
@@ -153,7 +162,7 @@ class FleetCommands:
                 self._subscribed[subject] = await self._client.subscribe(subject, cb=self._came)
 
     async def _pass_on(self, link: str, command: PointCommand) -> dict[str, Any]:
-        """Ask the owner of a link to execute a command, and return its answer; errors are told in it (rule 4)."""
+        """Ask the owner of a link to execute a command, and return its answer; an error is returned as an answer."""
         left = max(0.0, command.expires - self._now())
         content = {"key": command.key, "device": command.device, "point": command.point, "value": command.value}
         content |= {"by": command.by, "expires": command.expires}
@@ -175,7 +184,14 @@ class FleetCommands:
                 await message.respond(json.dumps(answer).encode())
 
     async def take(self, subject: str, data: bytes) -> dict[str, Any]:
-        """Execute the command in a request; returns the answer, errors too."""
+        """Execute the command that a request holds, and return the answer to it, as for `send_command`.
+
+        A request that is not a valid command for a link of this collector is answered with the state ``refused``.
+
+        Args:
+            subject: subject of the request.
+            data: the command in JSON (rule 1).
+        """
         try:
             command = self._parsed(data)
             device = self._fleet.collector.configuration.devices.get(command.device)
@@ -214,7 +230,7 @@ class FleetCommands:
         )
 
     def _told(self, result: CommandResult) -> None:
-        """Publish the audit line of a command that has ended."""
+        """Publish the audit line of a command that has ended, in a task. Called by the collector for each command."""
         if not self._has_ended:
             task = asyncio.create_task(self._publish_audit(result), name="busway fleet audit")
             self._publishing.add(task)

@@ -13,7 +13,10 @@ if TYPE_CHECKING:
 
 
 def fleet_families(fleet: "FleetCollector") -> Iterator[Any]:
-    """Yield the families of metrics of a collector of a fleet; from any thread."""
+    """Yield the metric families of prometheus-client with the state of one collector in its fleet.
+
+    May be called from any thread.
+    """
     core = import_module("prometheus_client.core")
     member = fleet.member
     owned = list(member.owned)

@@ -26,14 +26,14 @@ from .records import (
 
 @dataclass(frozen=True, slots=True)
 class ZoneMember:
-    """One collector of a zone.
+    """The status of one collector of a zone: whether it lives, what it owns, and how busy that keeps its links.
 
     Attributes:
-        record: what it says of itself.
-        lives: whether it renewed its entry while it was looked at.
-        is_drained: whether an operator drains it.
-        load: seconds of line time in a second that its shards need.
-        shards: those that it owns.
+        record: what the collector tells of itself.
+        lives: whether the collector renewed its entry in the shared table while the table was followed.
+        is_drained: whether an operator has told the collector to give away its shards (groups of links).
+        load: seconds of line time per second that polling its shards needs.
+        shards: names of the shards that the collector owns.
     """
 
     record: MemberRecord
@@ -44,7 +44,11 @@ class ZoneMember:
 
     @property
     def state(self) -> str:
-        """``polls``, ``drains``, ``refuses`` (its record says why), ``silent`` or ``ended``."""
+        """The state of the collector in one word: ``polls``, ``drains``, ``refuses``, ``silent`` or ``ended``.
+
+        A collector that refuses owns nothing, for the reason in ``record.problem``. A silent one no longer renews its
+        entry; one that has ended told so.
+        """
         if self.record.gone:
             return "ended"
         if not self.lives:
@@ -56,14 +60,14 @@ class ZoneMember:
 
 @dataclass(frozen=True, slots=True)
 class ZoneStatus:
-    """The status of a zone.
+    """The status of a zone of a fleet: its collectors, the owner of each shard (group of links), its configuration.
 
     Attributes:
-        members: by name.
-        leases: by shard, the last known lease.
-        configuration: the path of the file that was applied; empty for none.
-        revision: of the configuration; 0 for none.
-        generation: the generation of the zone.
+        members: by name, the collectors.
+        leases: by name of a shard, its last known lease.
+        configuration: path of the configuration file that an operator applied; empty if none was.
+        revision: revision of that configuration; 0 for none.
+        generation: the generation number of the zone.
     """
 
     members: dict[str, ZoneMember]
@@ -74,7 +78,16 @@ class ZoneStatus:
 
 
 async def zone_status(coordinator: Coordinator, seconds: float) -> ZoneStatus:
-    """Look at a zone until every collector has renewed its entry, at most for some seconds. Raises `ConfigError`."""
+    """Return the status of a zone, after following its table until every running collector has renewed its entry.
+
+    Args:
+        coordinator: the coordinator of the zone; not closed here.
+        seconds: longest wait for renewals once all entries are known. A collector that has not renewed its entry by
+            then does not live. The wait for the entries themselves has no limit.
+
+    Raises:
+        ConfigError: the table cannot be followed, or the zone's configuration cannot be read.
+    """
     found: dict[str, Entry] = {}
     living: set[str] = set()
     try:
@@ -98,17 +111,20 @@ async def zone_status(coordinator: Coordinator, seconds: float) -> ZoneStatus:
 
 
 def _running(found: dict[str, Entry]) -> set[str]:
-    """Return the keys of collectors that have not ended in order."""
+    """Return the keys of the table entries of collectors that have not ended in order."""
     members = {key: decode_member(entry.value) for key, entry in found.items() if key.startswith(MEMBERS)}
     return {key for key, record in members.items() if record is not None and not record.gone}
 
 
 def status_of(found: Mapping[str, Entry], living: Container[str]) -> ZoneStatus:
-    """Return the status of a zone. Raises `ConfigError` for a configuration that cannot be read.
+    """Return the status of a zone, computed from the entries of its table.
 
     Args:
-        found: the entries of its table, by key.
-        living: the keys of collectors that live.
+        found: all entries of the table, by key.
+        living: keys of the entries of collectors that live.
+
+    Raises:
+        ConfigError: the zone's configuration in the table cannot be read.
     """
     generation = decode_generation(found[GENERATION].value) if GENERATION in found else 1
     leases: dict[str, LeaseRecord] = {}

@@ -1,14 +1,14 @@
 """The keys of commands that one entry of a zone's table remembers, and the results of the newest, as data and as bytes.
 
-Pure: knows no coordinator and no clock.
+Each command that writes a point has a key, and is sent at most once. Pure: knows no coordinator and no clock.
 
 1. A key is remembered as 16 bytes and the time of its use. `MOST_KEYS` are kept; then the oldest go, but none that is
    younger than `REMEMBERED` seconds: as long as all are younger, new ones are refused.
 2. `REMEMBERED` is longer than a command may wait (`LONGEST_SECONDS`): one that says until when it may be sent has
    expired before its key is forgotten.
 3. Results are kept up to `MOST_BYTES`, the newest. A key without its result is refused.
-4. Keys that a collector makes itself are no more than their results: no caller can give them again.
-5. What cannot be read is an error, never an empty memory.
+4. Of a key that a collector made itself only the result is kept: no caller can give such a key again.
+5. An entry that cannot be read is an error, never an empty memory.
 """
 
 import base64
@@ -31,25 +31,26 @@ _KEY: Final = struct.Struct(">16sI")
 
 @dataclass(slots=True)
 class KeyMemory:
-    """Keys of commands, when each was used, and the results of the newest.
+    """The keys of commands that were used, when each was used, and the results of the newest commands.
 
     Attributes:
-        used: by digest of a key, when it was used, in seconds since 1970 UTC; in the order of their use.
-        results: by key, who took it (a collector, a slash and a word for this start of it), and the result as far as it
-            is known.
+        used: by digest of a key, when the key was used, in seconds since 1970 UTC; in the order of use.
+        results: by key, the owner that took the key and the result of the command as far as it is known. An owner is
+            ``collector/run``: the name of a collector and a random word for this start of it.
     """
 
     used: dict[bytes, int] = field(default_factory=dict)
     results: dict[str, tuple[str, CommandResult]] = field(default_factory=dict)
 
     def found(self, result: CommandResult) -> CommandResult | None:
-        """Return the result of the first command with this command's key; None if the key is new.
+        """Return the result of the first command with the key of a command; None if the key is new.
 
         Args:
-            result: the command that asks.
+            result: the command whose key is looked up, with its result so far.
 
         Returns:
-            For a command that is not finished, unknown; for one whose result is no longer kept, a refusal.
+            The first command's final result. If that command is not finished, its result in the state unknown; if its
+            result is no longer kept, ``result`` in the state refused.
         """
         key = result.command.key
         if key in self.results:
@@ -63,7 +64,16 @@ class KeyMemory:
         return None
 
     def add(self, result: CommandResult, owner: str, now: float) -> None:
-        """Remember a new key with its result. Raises `Overloaded`: all keys are too young to be forgotten (rule 1)."""
+        """Remember a new key with the result of its command so far.
+
+        Args:
+            result: the command with the key.
+            owner: ``collector/run`` of the collector that takes the key.
+            now: seconds since 1970 UTC.
+
+        Raises:
+            Overloaded: the memory is full, and all keys are too young to be forgotten (rule 1).
+        """
         key = result.command.key
         if not key.startswith(MADE):
             if len(self.used) >= MOST_KEYS:
@@ -72,12 +82,15 @@ class KeyMemory:
         self.results[key] = owner, result
 
     def is_open(self, key: str, owner: str) -> bool:
-        """Whether a key was taken by this owner for a command that is not finished."""
+        """Whether this owner (``collector/run``) took the key for a command that is not finished."""
         found = self.results.get(key)
         return found is not None and found[0] == owner and found[1].state is CommandState.OPEN
 
     def end(self, result: CommandResult) -> bool:
-        """Set the final result of a command; False if that is no longer kept."""
+        """Set the final result of a command. Returns False and changes nothing if its key has no result here any more.
+
+        The command's key stays taken either way.
+        """
         key = result.command.key
         if key not in self.results:
             return False
@@ -93,7 +106,7 @@ class KeyMemory:
             del self.used[digest]
 
     def encode(self) -> bytes:
-        """Return the memory as bytes for the shared table; results that are too many are dropped, the oldest first."""
+        """Return the memory as bytes for the shared table, with the newest results, up to `MOST_BYTES` of them."""
         newest: list[str] = []
         left = MOST_BYTES
         for owner, result in reversed(self.results.values()):
@@ -107,7 +120,7 @@ class KeyMemory:
 
 
 def decode_memory(value: bytes) -> KeyMemory:
-    """Return the keys in the bytes of a table entry. Raises `KeysUnavailable`: this program cannot read them."""
+    """Return the keys of commands in the bytes of a table entry. Raises `KeysUnavailable` if they cannot be read."""
     try:
         found = json.loads(value)
         used = dict(_KEY.iter_unpack(base64.b64decode(found["keys"], validate=True)))

@@ -8,9 +8,9 @@ Knows the coordinator; what an entry remembers is decided by `key_memory`. Works
 2. Entries are not read: a watch shows them. One that it has not shown yet is stale at worst, so that the change is
    refused, and made again once the watch shows the newer one.
 3. A change whose outcome is not known is no claim: the command is refused, nothing is sent. Its key may be taken, for
-   this collector, which takes it again when it is asked again; for others it is unknown.
-4. The end of a command is written with some tries. Where they fail the key stays taken, and its outcome is unknown to
-   others.
+   this collector, which takes it again when it is asked again; for others the result of the command is unknown.
+4. The end of a command is written with some tries. If all fail, the key stays taken, and for other collectors the
+   result of the command is unknown.
 """
 
 import asyncio
@@ -43,17 +43,19 @@ _log = logging.getLogger("busway.fleet")
 
 
 def slot_of(key: str) -> str:
-    """Return the name of the table's entry that remembers a key."""
+    """Return the name of the entry of the shared table that remembers a command's key: ``keys.000`` … ``keys.255``."""
     return f"{KEYS}{int.from_bytes(hashlib.sha256(key.encode()).digest()[-2:], 'big') % SLOTS:03d}"
 
 
 class KeyTable:
-    """Takes keys of commands for one collector of a fleet, while the ``async with`` block lasts.
+    """Takes the keys of one collector's commands in a table that the whole zone shares, so that each is sent only once.
+
+    Works while the ``async with`` block lasts. It is the `KeyClaims` of a collector of a fleet.
 
     Args:
         table: the table of keys, which all collectors of the zone share; not closed here.
-        collector: the name of the collector.
-        now: seconds since 1970 UTC.
+        collector: name of the collector.
+        now: returns the time in seconds since 1970 UTC.
     """
 
     def __init__(self, table: Coordinator, collector: str, *, now: Callable[[], float] = time.time) -> None:
@@ -67,19 +69,31 @@ class KeyTable:
         self._task: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
-        """Begin to follow the table of keys."""
+        """Begin to follow the shared table of keys in a task."""
         self._task = asyncio.create_task(self._follow(), name="busway fleet keys")
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop following the table; commands must have ended."""
+        """Stop following the shared table of keys. All commands must have ended before."""
         assert self._task is not None
         await end_tasks([self._task])
 
     async def claim(self, result: CommandResult) -> CommandResult | None:
-        """Take the key of a command for all collectors of the zone. As `KeyClaims.claim`."""
+        """Take the key of a command for all collectors of the zone, in at most `CLAIM_SECONDS`.
+
+        Args:
+            result: open for a command that will be sent, or finished for one that will not.
+
+        Returns:
+            None if the key was new and is taken now; otherwise the result of the first command with this key, as
+            `KeyMemory.found` describes it.
+
+        Raises:
+            KeysUnavailable: it is not known whether the key is new. The command must not be sent.
+            Overloaded: no further key can be remembered. The command must not be sent.
+        """
         key = result.command.key
         try:
             async with asyncio.timeout(CLAIM_SECONDS):
@@ -93,7 +107,10 @@ class KeyTable:
         return found
 
     def known(self, result: CommandResult) -> CommandResult | None:
-        """Return the first result for a key that the watch has shown as taken; None if it has not."""
+        """Return the result of the first command with this command's key, without waiting; None if none is known.
+
+        Takes nothing, and knows only the entries that the table has shown so far: `claim` decides.
+        """
         seen = self._seen.get(slot_of(result.command.key))
         if seen is None:
             return None
@@ -103,7 +120,10 @@ class KeyTable:
             return None  # nothing is sent on this: `claim` decides
 
     async def finish(self, result: CommandResult) -> None:
-        """Record the end of a command in the zone, with some tries (rule 4)."""
+        """Record the final result of a command for all collectors of the zone; tried three times.
+
+        Raises nothing: if all tries fail, other collectors take the result for unknown (rule 4).
+        """
         for pause in RECORD_AGAIN:
             await asyncio.sleep(pause)
             try:
@@ -123,7 +143,7 @@ class KeyTable:
         return found, found is None
 
     def _doubt(self, key: str) -> None:
-        """Remember that this collector may have taken a key, and has sent nothing (rule 3)."""
+        """Remember that this collector may have taken a key, though its command was refused and not sent (rule 3)."""
         self._doubtful[key] = None
         if len(self._doubtful) > MOST_DOUBTFUL:
             del self._doubtful[next(iter(self._doubtful))]
@@ -131,11 +151,17 @@ class KeyTable:
     async def _change(
         self, key: str, change: Callable[[KeyMemory], tuple[CommandResult | None, bool]]
     ) -> CommandResult | None:
-        """Change the entry of a key by compare-and-set, again after each conflict (rules 1 and 2).
+        """Change the table entry that remembers a key by compare-and-set; tried again after each conflict.
 
         Args:
-            key: the key.
-            change: changes the memory in place; returns what this returns, and whether there is something to write.
+            key: the key of a command.
+            change: changes the keys of the entry in place. It returns what this method returns, and whether the entry
+                has to be written.
+
+        Raises:
+            KeysUnavailable: the entry cannot be read.
+            CoordinatorDown: nothing was changed.
+            OutcomeUnknown: the entry may have been changed.
         """
         slot = slot_of(key)
         async with self._locks.setdefault(slot, asyncio.Lock()):

@@ -27,19 +27,20 @@ from .coordinator import (
 from .lease_holder import FleetMember, NotConfirmed, Proposal, ShardEvent
 
 WATCH_AGAIN: Final = 0.5
-"""Seconds before the table is followed anew after an error that should not be."""
+"""Seconds before the table is followed again after an unexpected error."""
 _log = logging.getLogger("busway.fleet")
 
 
 def boot_time() -> float:
-    """Return the seconds of a clock that is never set; where possible one that also runs while the machine sleeps."""
+    """Return the time of the clock of leases, in seconds: never set, and running while a machine with Linux sleeps."""
     clock = getattr(time, "CLOCK_BOOTTIME", None)
     return time.monotonic() if clock is None else time.clock_gettime(clock)
 
 
 async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:
-    """Cancel tasks again and again until they have ended: on Python 3.11 `asyncio.wait_for` can swallow
-    a cancellation.
+    """Cancel tasks and wait until all have ended; a task that goes on is cancelled again every second.
+
+    On Python 3.11 `asyncio.wait_for` can swallow a cancellation. Errors of the tasks are not raised.
     """
     left = {task for task in tasks if not task.done()}
     while left:
@@ -49,21 +50,21 @@ async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:
 
 
 def end_if_cancelled() -> None:
-    """Raise `CancelledError` where this task was cancelled and what it awaited has swallowed that (`end_tasks`)."""
+    """Raise `CancelledError` if the current task was cancelled and a function that it awaited has swallowed that."""
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
 
 
 class MemberDriver:
-    """Runs one collector's part in the fleet: connects a `FleetMember`, without IO, to the shared table, in a task.
+    """Runs a `FleetMember` on asyncio: gives it the entries of the shared table, and makes the changes it proposes.
 
     Args:
-        member: the member whose proposed changes are made.
+        member: one collector as a holder of leases.
         coordinator: the coordinator of its zone; not closed here.
-        told: gets each event of a shard, in order, in the event loop; it must be quick.
-        now: the clock of leases.
-        behind: gives the commits that not all sinks have.
+        told: called with each event of a shard (group of links), in order, in the event loop; it must be quick.
+        now: returns the time of the clock of leases, in seconds.
+        behind: returns the number of commits that not all sinks have.
     """
 
     def __init__(
@@ -87,19 +88,19 @@ class MemberDriver:
 
     @property
     def error(self) -> str | None:
-        """Why the last change of the shared table was not confirmed; None if it was."""
+        """Why the coordinator has not confirmed the last change of the shared table; None if it was confirmed."""
         return self._error
 
     @property
     def problem(self) -> str:
-        """Why this collector may own nothing, or own nothing soon, in words; empty while all is well."""
+        """Why this collector may own no shard, or will soon lose its shards, in words; empty while all is well."""
         return self.member.problem or self._error or ""
 
     async def run(self) -> None:
-        """Follow the table that all collectors share, and take, renew and release shards, until cancelled.
+        """Follow the shared table, and take, renew and release shards (groups of links), until cancelled.
 
         Raises:
-            ConfigError: the table can never be read, such as for want of rights.
+            ExceptionGroup: with a `ConfigError`: the table can never be read, such as for want of rights.
         """
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -111,14 +112,14 @@ class MemberDriver:
             await asyncio.gather(*self._asking, return_exceptions=True)
 
     def wake(self) -> None:
-        """Ask the `FleetMember` for changes now, because its state was changed from outside."""
+        """Have `run` ask the `FleetMember` for changes at once; to be called after that object's state was changed."""
         self._wake.set()
 
     async def end(self, seconds: float) -> bool:
-        """Release all shards (groups of links) while `run` still runs; returns whether that was done in time.
+        """Release all shards (groups of links) while `run` still runs; returns False if that takes too long.
 
         Args:
-            seconds: how long it may take.
+            seconds: longest wait.
         """
         self.member.end()
         self.wake()
@@ -183,7 +184,7 @@ class MemberDriver:
         self.member.wall_ahead = time.time() - self._now()
 
     def _tell_problem(self) -> None:
-        """Log why this collector is not allowed to own links, and later that it is allowed to again; each once."""
+        """Log once why this collector may own no links, and once that it may own links again."""
         problem = self.member.problem
         if problem != self._problem:
             if not problem:
@@ -193,7 +194,7 @@ class MemberDriver:
             self._problem = problem
 
     def _failed(self, error: str) -> None:
-        """Note why a change was not confirmed; each reason is logged once until one is confirmed."""
+        """Note why a change of the shared table was not confirmed; log a reason that is new since the last success."""
         self._error = error
         if error not in self._logged:
             self._logged.add(error)

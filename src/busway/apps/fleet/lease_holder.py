@@ -5,7 +5,7 @@ The driver (`lease_driver`) makes each proposal once, and tells `FleetMember.out
 `FleetMember.left` is called. `FleetMember.may_begin` is the fence: it is asked before each transaction on a link.
 
 1. A shard is owned from a confirmed compare-and-set on until its deadline: the moment *before* the last confirmed
-   renewal was sent, plus the time to live, less the guard. A renewal without an answer is none.
+   renewal was sent, plus the time to live, less the guard. A renewal without an answer does not count.
 2. A shard of another owner is free when its entry says released, or has had one revision for the time to live and the
    guard, by this collector's own clock. It is taken by a compare-and-set on that revision: an old view harms nothing.
 3. What this start of the collector has let lapse is free for it at once; it gets a new epoch. What an earlier start
@@ -61,7 +61,12 @@ MOST_LEAVING: Final = 8
 
 
 class Step(Enum):
-    """What happens to a shard (group of links) of this collector: gained, to be given away in order, or lost."""
+    """What has happened to a shard (group of links) of this collector.
+
+    ``GAINED``: the shard is owned, and polling its links may begin. ``LEAVE``: the shard will be given away; its links
+    are to stop after the transactions that run, then `FleetMember.left` is called. ``LOST``: the shard is not owned any
+    more; the connections of its links are to be reset at once.
+    """
 
     GAINED = "gained"  # its links may begin
     LEAVE = "leave"  # its links are to stop after what runs; then call `FleetMember.left`
@@ -70,15 +75,15 @@ class Step(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ShardEvent:
-    """One event of a shard (group of links), for the collector: it may begin or must stop to poll the shard's links.
+    """An event that tells the collector to begin or to stop polling the links of one shard (group of links).
 
     Attributes:
-        shard: its name.
+        shard: name of the shard.
         step: the kind of event.
-        epoch: the epoch of the ownership.
-        reason: why, in words; empty where it was gained.
-        silent_since: where it was taken from an owner that fell silent, or has lapsed here, when it was renewed last,
-            seconds since 1970 UTC by the wall clock of its owner; None otherwise.
+        epoch: epoch of the ownership that begins or ends.
+        reason: why the shard is given away or lost, in words; empty for a shard that was gained.
+        silent_since: if the shard was taken from an owner that fell silent, or its lease has lapsed here: when the
+            lease was renewed last, seconds since 1970 UTC by the owner's wall clock. None otherwise.
     """
 
     shard: str
@@ -92,10 +97,12 @@ class ShardEvent:
 class Proposal:
     """One change that this collector wants to make in the table that collectors share.
 
+    The driver makes the change, and tells the answer to `FleetMember.outcome`.
+
     Attributes:
-        key, value: the entry.
-        revision: the revision that the entry must have; 0 to create it.
-        asked: when it was proposed, by the clock of `FleetMember.turn`.
+        key, value: key and new value of the table entry.
+        revision: the revision that the entry must have now; 0 to create the entry.
+        asked: when the change was proposed, in the clock of `FleetMember.turn`.
     """
 
     key: str
@@ -105,7 +112,11 @@ class Proposal:
 
 
 class NotConfirmed(Enum):
-    """Why a change that this collector wanted to make in the shared table was not confirmed."""
+    """Why a change that this collector wanted to make in the shared table was not confirmed.
+
+    ``CONFLICT``: the entry had another revision, and nothing was changed. ``UNKNOWN``: no answer says whether the
+    change was made.
+    """
 
     CONFLICT = "conflict"
     UNKNOWN = "unknown"
@@ -124,22 +135,24 @@ class _SeenMember:
     revision: int
     at: float
     ahead: float | None
-    """Seconds by which its clock was ahead of the coordinator's; below zero by what its change took on the way."""
+    """Seconds by which the member's wall clock was ahead of the coordinator's, less the time its change took to arrive.
+    None if the coordinator tells no time.
+    """
 
 
 @dataclass(slots=True)
 class OwnedShard:
-    """A shard (group of links) that this collector owns, with its lease.
+    """A shard (group of links) that this collector owns, with the state of its lease.
 
     Attributes:
         epoch: the epoch of the ownership.
-        revision: the revision of its entry.
-        asked: when the last confirmed renewal was begun.
-        renew_at: when the next renewal is due.
+        revision: revision of the lease's table entry.
+        asked: when the last confirmed renewal was proposed, in the clock of `FleetMember.turn`.
+        renew_at: when the next renewal is to be proposed, in the same clock.
         count: renewals so far.
-        leaving: the collector that gets it next; None while it stays.
-        has_left: whether its links have stopped.
-        hole: the time without an owner before it was taken.
+        leaving: name of the collector that gets the shard next, empty for any; None while the shard stays.
+        has_left: whether the links have stopped, so that the lease may be released.
+        hole: the time without an owner before this collector took the shard; None if it is not known.
     """
 
     epoch: Epoch
@@ -154,7 +167,16 @@ class OwnedShard:
 
 @dataclass(slots=True)
 class MemberCounts:
-    """Counters of a collector's dealings with the fleet since it began."""
+    """Counters of what happened to the leases of a collector since its start.
+
+    Attributes:
+        taken: shards (groups of links) taken.
+        lapsed: shards lost because their lease was not renewed in time.
+        handed_on: shards released in order.
+        renewals: confirmed renewals of leases.
+        conflicts: changes of the shared table that were refused, as the entry had another revision.
+        unknown: changes of the shared table without an answer.
+    """
 
     taken: int = 0
     lapsed: int = 0
@@ -165,23 +187,29 @@ class MemberCounts:
 
 
 class FleetMember:
-    """One collector's view of the fleet: its shards (groups of links) and leases, the others, and changes to ask for.
+    """One collector as a holder of leases: decides which shards (groups of links) it takes, renews and gives away.
+
+    Does no IO. The driver gives it the entries of the shared table (`entry`), makes the changes that `turn` returns,
+    and tells their answers to `outcome`; `events` says which links may begin or must stop. ``now`` is always the time
+    in seconds by the clock of leases (`busway.apps.fleet.lease_driver.boot_time`).
 
     Args:
         name, run, host: as in `MemberRecord`.
-        times: the lengths of the leases; the same for all members.
-        chance: spreads renewals and looks in time.
-        capacity: its share of the work, relative to the others.
-        shards: how many shards the zone has, 1…1024; the same for all members.
+        times: the lengths of the leases; the same for all collectors of the zone.
+        chance: spreads renewals in time, and the checks for free shards.
+        capacity: the collector's part of the work, relative to the others.
+        shards: how many shards the zone has, 1…1024; the same for all collectors.
 
     Attributes:
-        owned: the shards that it owns, by name.
-        counts: its counters.
+        times: the lengths of the leases.
+        owned: by name, the shards that this collector owns.
+        counts: counters of what happened to its leases.
         generation: the generation number of the zone.
-        rival: another process with this name that lives; None without one.
-        clock_error: seconds by which its wall clock is ahead of the coordinator's; 0 within `CLOCK_LIMIT`.
-        behind: commits that not all sinks have, to be told to the others.
-        wall_ahead: seconds by which the wall clock is ahead of the clock of leases; for the record of gaps only.
+        rival: the word ``run`` of another live process with the same name; None without one.
+        clock_error: seconds by which the wall clock is ahead of the coordinator's; 0 within `CLOCK_LIMIT`.
+        behind: commits that not all sinks have; set by the driver and told to the other collectors.
+        wall_ahead: seconds by which the wall clock is ahead of the clock of leases; set by the driver, and used only to
+            date entries and to find wrong clocks.
     """
 
     def __init__(
@@ -232,33 +260,40 @@ class FleetMember:
 
     @property
     def name(self) -> str:
-        """The name of this collector in the fleet."""
+        """The name of this collector, the only one of that name in its zone."""
         return self._me.name
 
     def cost(self, shard: str) -> float:
-        """Return the seconds per second that polling the links of a shard (group of links) needs."""
+        """Return the seconds of line time per second that polling a shard (group of links) needs; 0 if not known."""
         return self._costs.get(shard, 0.0)
 
     def set_shards(self, costs: Mapping[str, float]) -> None:
-        """Set which shards (groups of links) the fleet has, with their costs; owned ones that are not among them are
-        given back.
+        """Set which shards (groups of links) have links, and what each costs; owned shards without links are released.
+
+        Args:
+            costs: by name of the shard, the seconds of line time per second that polling its links needs.
         """
         self._costs = costs
         self._look_at = 0.0
 
     def set_revision(self, revision: int) -> None:
-        """Set the configuration revision that this collector works with, to be told to the others."""
+        """Set the revision of the configuration that this collector works with; the other collectors are told."""
         self._me = replace(self._me, revision=revision)
 
     def drain(self, *, draining: bool = True) -> None:
-        """Give all shards (groups of links) to other collectors and take none; or take some again."""
+        """Begin to give all shards (groups of links) to other collectors and to take none, or end that.
+
+        Args:
+            draining: False to take shards again.
+        """
         self._drains = draining
         self._me = replace(self._me, draining=draining or bool(self._me.problem))
         self._my_renewal = 0.0
 
     def end(self) -> None:
-        """Release all shards (groups of links) whose links have stopped, then tell the others that this collector
-        leaves.
+        """Begin to release all shards (groups of links), and then tell the others that this collector has ended.
+
+        The next turns make the changes; `has_ended` says when they are done.
         """
         self._ends = self._drains = True
         self._me = replace(self._me, draining=True)
@@ -266,17 +301,18 @@ class FleetMember:
 
     @property
     def has_ended(self) -> bool:
-        """Whether the collector has released all its shards (groups of links) after `end`."""
+        """Whether, after `end`, all shards (groups of links) are released and the other collectors are told so."""
         return self._ends and not self.owned and self._me.gone and f"{MEMBERS}{self.name}" not in self._open
 
     @property
     def problem(self) -> str:
-        """Why this collector may own nothing; empty while it may."""
+        """Why this collector may own no shard (group of links), in words; empty while it may."""
         return "another process has its name" if self.rival is not None else self._me.problem
 
     def deadline(self, shard: str) -> float:
-        """Return until when all transactions of a shard (group of links) must have ended; minus infinity if it is not
-        owned.
+        """Return until when all transactions of a shard (group of links) must have ended, in the clock of leases.
+
+        Minus infinity if the shard is not owned, or its links have stopped to give it away.
         """
         owned = self.owned.get(shard)
         if owned is None or owned.has_left:
@@ -284,35 +320,43 @@ class FleetMember:
         return self.times.deadline(owned.asked)
 
     def may_begin(self, shard: str, now: float, worst: float) -> bool:
-        """Whether a transaction on a shard's links that may take ``worst`` seconds may begin now."""
+        """Whether a transaction on a link of a shard may begin now: it would end before the shard's lease does.
+
+        To be asked right before each transaction.
+
+        Args:
+            shard: name of the shard (group of links).
+            now: the time by the clock of leases.
+            worst: most seconds that the transaction can take.
+        """
         return now + worst < self.deadline(shard)
 
     def members(self, now: float) -> list[MemberRecord]:
-        """Return the live collectors of the zone, this one included, by name."""
+        """Return the records of the live collectors of the zone, this one included, in the order of their names."""
         found = [each.record for each in self._members.values() if self._lives(each, now)]
         return sorted((*found, self._me), key=lambda each: each.name)
 
     def leases(self) -> dict[str, LeaseRecord]:
-        """Return the last known lease (owner and epoch) of each shard (group of links)."""
+        """Return by name of each shard (group of links) its last known lease; shards without a lease are missing."""
         return {shard: each.record for shard, each in self._leases.items() if each.record is not None}
 
     # What comes in.
 
     def begin_snapshot(self) -> None:
-        """Prepare to receive all entries of the shared table, because following it begins (again).
+        """Prepare to receive all entries of the shared table: following the table begins, or begins again.
 
-        What was known stays known; an entry that is shown with a lower revision now replaces it.
+        Known entries stay known. An entry that is then shown with a lower revision replaces the known one.
         """
         self._complete_at = None
         self._shown_again = {f"{LEASES}{shard}" for shard in self._leases}
         self._shown_again |= {f"{MEMBERS}{name}" for name in (*self._members, self.name)}
 
     def end_snapshot(self, now: float) -> None:
-        """End the receipt of all existing entries of the shared table; from now on changes come."""
+        """Note that all existing entries of the shared table were given to `entry`: what follows are changes."""
         self._complete_at = now
 
     def entry(self, entry: Entry, now: float) -> None:
-        """Take over a new or changed entry of the table that collectors share."""
+        """Take over a new or changed entry of the shared table; an older revision than the known one is ignored."""
         self._forget_wrong_revision(entry)
         if entry.key.startswith(LEASES):
             self._lease(entry.key[len(LEASES) :], entry, now)
@@ -338,7 +382,7 @@ class FleetMember:
             del self._members[name]
 
     def _compare_zone(self, entry: Entry) -> None:
-        """Compare the figures of this collector with those of the zone (rule 7)."""
+        """Compare the number of shards and the lease times of this collector with those of the zone (rule 7)."""
         self._zone_revision = entry.revision
         zone = decode_zone(entry.value)
         if zone is None:
@@ -367,9 +411,7 @@ class FleetMember:
             self._last_epochs[shard] = epoch
 
     def _compare(self, shard: str) -> None:
-        """Compare the shards (groups of links) owned here with an entry of the coordinator's table; give up what was
-        lost.
-        """
+        """Compare an owned shard (group of links) with its lease in the shared table; give it up if another owns it."""
         owned, seen = self.owned.get(shard), self._leases.get(shard)
         if owned is None or seen is None or seen.revision <= owned.revision:
             return
@@ -406,14 +448,17 @@ class FleetMember:
             self._members[name] = _SeenMember(record, entry.revision, now, ahead)
 
     def _compare_clocks(self, entry: Entry, record: MemberRecord, now: float) -> None:
-        """Compare the wall clock with the coordinator's: an own change was made after it was asked for, before now."""
+        """Set `clock_error` from an entry of this collector that the coordinator has dated.
+
+        The coordinator made the change after it was proposed (``record.at``) and before ``now``.
+        """
         self._is_known = True
         if entry.time is not None and record.count == self._me.count:
             ahead, behind = record.at - entry.time, entry.time - (now + self.wall_ahead)
             self.clock_error = ahead if ahead > CLOCK_LIMIT else -behind if behind > CLOCK_LIMIT else 0.0
 
     def _clock_problem(self, now: float) -> str:
-        """Return why this collector's clock forbids it to own anything; empty where it does not (rule 6)."""
+        """Return in words that the wall clock is too wrong to own a shard; empty if it is not (rule 6)."""
         if not self.clock_error:
             return ""
         others = [each.ahead for each in self._members.values() if each.ahead is not None and self._lives(each, now)]
@@ -431,7 +476,13 @@ class FleetMember:
             self._my_renewal = min(self._my_renewal, now)
 
     def outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
-        """Take the answer to a proposed change of the shared table: the new revision, or why it was not made."""
+        """Take over the answer to a proposed change of the shared table.
+
+        Args:
+            proposal: the change, as `turn` returned it.
+            result: the new revision of the entry, or why the change was not confirmed.
+            now: the time by the clock of leases.
+        """
         if self._open.pop(proposal.key, None) is None:
             return
         if result is NotConfirmed.CONFLICT:
@@ -495,7 +546,10 @@ class FleetMember:
         self._compare(shard)
 
     def left(self, shard: str) -> None:
-        """Give a shard (group of links) away, whose links have stopped and whose samples are stored."""
+        """Note that a shard's links have stopped and their samples are stored: the next turn releases the shard.
+
+        To be called after an event `Step.LEAVE`.
+        """
         owned = self.owned.get(shard)
         if owned is not None:
             owned.has_left = True
@@ -504,12 +558,15 @@ class FleetMember:
     # What goes out.
 
     def events(self) -> list[ShardEvent]:
-        """Return and forget what has happened to shards (groups of links) since the last call, in order."""
+        """Return the events of shards (groups of links) since the last call, in order; each is returned once."""
         found, self._events = self._events, []
         return found
 
     def turn(self, now: float) -> list[Proposal]:
-        """Return the changes to make in the shared table now; leases that have run out count as free."""
+        """Return the changes to make in the shared table now, each to be made once; ends leases that have run out.
+
+        The changes renew leases and this collector's own entry, release shards (groups of links) and take free ones.
+        """
         for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
             self.counts.lapsed += 1
             self._lose(shard, "it could not be renewed in time", self.owned[shard].asked + self.wall_ahead)
@@ -526,7 +583,7 @@ class FleetMember:
         return found
 
     def next_turn(self) -> float:
-        """Return when `turn` must be called again, unless another method is called before."""
+        """Return when `turn` must be called again, in the clock of leases; earlier after a call of another method."""
         due = [self._look_at if self._complete_at is not None else float("inf")]
         if f"{MEMBERS}{self.name}" not in self._open:
             due.append(self._my_renewal)
@@ -617,7 +674,7 @@ class FleetMember:
             self._silent_since[shard] = seen.record.at
 
     def _free(self, now: float) -> dict[str, float]:
-        """Return the shards (groups of links) that this collector could take now, with their costs."""
+        """Return the shards (groups of links) without an owner now, with their costs; has the next look in time."""
         found: dict[str, float] = {}
         for shard, cost in self._costs.items():
             if shard in self.owned:
@@ -640,7 +697,7 @@ class FleetMember:
         return seen.at if record.run == self._me.run else self.times.free_at(seen.at)
 
     def _hand_on(self, now: float) -> None:
-        """Start to give away the shards (groups of links) that other collectors should own, by `balance`."""
+        """Begin to give away shards (groups of links) that this collector must not keep or that `balance` moves."""
         leaving = sum(each.leaving is not None for each in self.owned.values())
         for shard, owned in self.owned.items():
             unwanted = shard not in self._costs or self._ends or self._me.problem

@@ -1,6 +1,6 @@
 """The times of leases: until when an owner of a shard may send requests, and when another may take the shard.
 
-The clock is one that counts while the machine sleeps (``CLOCK_BOOTTIME``), and is never set.
+All times are seconds of a clock that is never set and counts while the machine sleeps (``CLOCK_BOOTTIME``).
 """
 
 from dataclasses import dataclass
@@ -13,10 +13,14 @@ class LeaseTimes:
     """How long a collector's right to poll (lease) holds and how often it is renewed; the same for all collectors.
 
     Attributes:
-        ttl: seconds for which a lease holds from the moment its last successful renewal was begun, 3…300.
-        renew: seconds between two renewals, at most a third of ``ttl``.
-        guard: seconds that a holder ends earlier and another one begins later; covers clocks that drift.
-        answer: seconds after which the outcome of a change that was not answered is unknown.
+        ttl: seconds for which a lease holds, counted from when its last successful renewal was sent, 3…300.
+        renew: seconds between two renewals, above 0 and at most a third of ``ttl``.
+        guard: seconds by which the owner stops earlier and another collector begins later, so that clocks may drift;
+            from a hundredth to a quarter of ``ttl``.
+        answer: seconds after which the outcome of a change without an answer is unknown; at most a third of ``ttl``.
+
+    Raises:
+        ConfigError: a value is out of its range.
     """
 
     ttl: float = 15.0
@@ -43,23 +47,26 @@ class LeaseTimes:
             raise ConfigError(f"an answer is waited for up to {self.ttl / 3:g} s, not {self.answer:g}", key="answer")
 
     def deadline(self, asked: float) -> float:
-        """Return when an owner must have ended all transactions if its last renewal was sent at ``asked``."""
+        """Return when an owner must have ended all transactions if its last confirmed renewal was sent at ``asked``."""
         return asked + self.ttl - self.guard
 
     def free_at(self, seen: float) -> float:
-        """Return when a shard (group of links) may be taken from its owner if its lease has not changed
-        since ``seen``.
+        """Return from when a shard (group of links) may be taken from an owner that is silent since ``seen``.
+
+        Args:
+            seen: when the lease of the shard was last seen to change, by the clock of the collector that wants the
+                shard.
         """
         return seen + self.ttl + self.guard
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Epoch:
-    """Number of an ownership of a shard (group of links); each later owner has a greater one.
+    """The number of one ownership of a shard (group of links); each later ownership has a greater number.
 
     Attributes:
         generation: raised by an operator who restores the coordinator from a backup, so that epochs never go back.
-        revision: the revision of the lease when it was taken; more where the owner before had as much or more.
+        revision: revision of the table entry by which the lease was taken; more if an earlier epoch is not below that.
     """
 
     generation: int
@@ -69,5 +76,8 @@ class Epoch:
         return f"{self.generation}.{self.revision}"
 
     def above(self, other: "Epoch | None") -> "Epoch":
-        """Return this epoch, or the one next to another that is not below it: a server may count lower than before."""
+        """Return an epoch above another one: this epoch if it is above, else the one that follows the other.
+
+        A coordinator that was restored may count revisions from a lower number.
+        """
         return self if other is None or self > other else Epoch(other.generation, other.revision + 1)

@@ -1,10 +1,12 @@
-"""Live values of a collector of a fleet on plain subjects of NATS: what was committed last, for displays.
+"""Live values of a collector of a fleet on plain subjects of NATS: the values committed last, for displays.
 
-Knows commits and subjects. Nothing here is kept or acknowledged: who needs every sample reads the stream.
+Knows commits and subjects. Messages are neither kept nor acknowledged: a program that needs every sample reads the
+stream.
 
-1. A device's last batch is on ``busway.<zone>.live.<device>``: JSON with time (milliseconds since 1970 UTC), and by
-   point the value and the reason why it is none.
-2. Of batches of the same points that come together the last one is sent; while the server is away, none.
+1. A device's last batch is on ``busway.<zone>.live.<device>``: JSON with device, time (milliseconds since 1970 UTC),
+   and for each point the value, and the reason if its quality is not good.
+2. Of several batches of the same points within `SEND_EVERY` seconds the last one is sent. While there is no connection
+   to the server, none is sent.
 """
 
 import asyncio
@@ -24,12 +26,12 @@ _MILLION: Final = 1_000_000
 
 
 class LiveSubjects:
-    """Publishes the last values of a collector while the ``async with`` block lasts.
+    """Publishes the last values of a collector on subjects of NATS while the ``async with`` block lasts.
 
     Args:
         collector: the running collector.
-        client: of nats-py, connected.
-        zone: the zone of the collector.
+        client: connected client of nats-py.
+        zone: name of the collector's zone.
     """
 
     def __init__(self, collector: Collector, client: Any, zone: str) -> None:
@@ -39,14 +41,14 @@ class LiveSubjects:
         collector.subscribe(self._told)
 
     async def __aenter__(self) -> Self:
-        """Begin to publish."""
+        """Begin to publish, in a task, what the collector commits."""
         self._task = asyncio.create_task(self._send(), name="busway fleet live values")
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End publishing."""
+        """Stop publishing. The client stays connected."""
         assert self._task is not None
         await end_tasks([self._task])
 
@@ -71,7 +73,7 @@ class LiveSubjects:
 
 
 def encoded_batch(batch: SampleBatch) -> bytes:
-    """Return a batch of samples as the JSON of a live message."""
+    """Return a batch of samples as the JSON of a message with live values (rule 1)."""
     points = {
         point: {"value": value, **({"reason": reason_text(reason)} if reason else {})}
         for point, value, reason in zip(batch.points, batch.values, batch.reason_column(), strict=True)

@@ -1,10 +1,10 @@
 """Messages that carry the samples of one link in consecutive commits between collectors and sinks, in MessagePack.
 
-1. A message is named by link, epoch, its commits and the round of its sender, and never as others. A sink replaces
-   samples with the same device, point and time.
-2. ``complete`` is a commit of the same collector: every sample up to it was acknowledged by the stream before this
-   message was sent. What reads the stream in order therefore has them all.
-3. A message of a newer format is refused as a whole, and told; nothing of it is guessed.
+1. The name of a message has collector, store, link, epoch, commits and the round of its sender; no two messages have
+   the same name. A sink replaces samples with the same device, point and time.
+2. ``complete`` is a commit of the same collector: the stream has acknowledged every sample up to that commit before
+   this message was sent. A reader that takes the stream in order therefore has them all.
+3. A message of a newer format is refused as a whole; nothing in it is guessed.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,7 +24,7 @@ MOST_ROWS: Final = 2000
 
 
 class UnreadableMessage(ModbusError):
-    """Error: received bytes are no message with samples."""
+    """Error: bytes from a stream are not a message with samples, or have a format that this program does not know."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,16 +32,18 @@ class SampleMessage:
     """A message with the samples of one link in consecutive commits.
 
     Attributes:
-        collector: who sends them.
-        store: a word for the store that they are from; another store has other commits.
-        link, epoch: which link, and in which ownership of it they were taken; None for samples from before the fleet.
-        revision: the revision of the configuration that they were taken by.
-        complete: as in rule 2.
-        kept: the commit that its sender would begin with if it sent again: it expects no sink to lack those up to it.
-        part: which part of its commits it is, from 0.
-        round: a number that its sender changes whenever it begins again; a stream that knows the earlier message takes
-            this one too.
-        samples: by commit, time and point; none in a message that only tells ``complete``.
+        collector: name of the collector that sends the message.
+        store: a random word for the store of that collector; commits of different stores are not related.
+        link: name of the link that the samples were read over; empty for devices without a link.
+        epoch: epoch of the link's ownership in which the samples were taken; None for samples from before the fleet.
+        revision: revision of the configuration with which the samples were taken; 0 if none is known.
+        complete: the commit up to which the stream had acknowledged all samples of this store before this message.
+        kept: the commit up to which, as the sender knows, all sinks have the samples of this store. The sender begins
+            after that commit when it sends again.
+        part: number of this message among those with the same commits of the link, from 0.
+        round: a number that the sender changes whenever it begins again, so that a stream that has the earlier message
+            takes this one too.
+        samples: the samples in the order of their commits; empty in a message that only tells ``complete``.
     """
 
     collector: str
@@ -57,12 +59,12 @@ class SampleMessage:
 
     @property
     def name(self) -> str:
-        """Return the name of the message, by which a stream drops one that it has already (rule 1)."""
+        """The name of the message, by which a stream recognises and drops a message that it has already (rule 1)."""
         first, last = (self.samples[0].commit, self.samples[-1].commit) if self.samples else (0, self.complete)
         return f"{self.collector}/{self.store}/{self.link}/{self.epoch or 0}/{first}-{last}.{self.part}.{self.round}"
 
     def encode(self) -> bytes:
-        """Return the message with samples as bytes."""
+        """Return the message as bytes in MessagePack. Raises `MissingExtra` without the package msgpack."""
         require("msgpack", "samples of a fleet")
         columns = tuple(zip(*self.samples, strict=True)) or ((),) * 8
         commits, devices, points, times, half_widths, values, reasons, units = columns
@@ -92,7 +94,12 @@ class SampleMessage:
 
 
 def decode_message(data: bytes) -> SampleMessage:
-    """Return the message with samples that bytes hold. Raises `UnreadableMessage`."""
+    """Return the message with samples that bytes from a stream hold.
+
+    Raises:
+        UnreadableMessage: the bytes are no such message, or are of a format that is not known here.
+        MissingExtra: the package msgpack is not installed.
+    """
     require("msgpack", "samples of a fleet")
     msgpack = import_module("msgpack")
     try:
@@ -125,7 +132,12 @@ def decode_message(data: bytes) -> SampleMessage:
 
 
 def by_link(samples: Sequence[CommittedSample], link_of: dict[str, str]) -> Iterator[tuple[str, list[CommittedSample]]]:
-    """Return samples by link, in their order; those of devices without a link under an empty name."""
+    """Yield for each link its name and its samples, which keep their order; links come in the order of their names.
+
+    Args:
+        samples: samples of any devices.
+        link_of: by device, the name of its link; samples of devices that are missing have the link ``""``.
+    """
 
     def link(sample: CommittedSample) -> str:
         return link_of.get(sample.device, "")
@@ -135,7 +147,7 @@ def by_link(samples: Sequence[CommittedSample], link_of: dict[str, str]) -> Iter
 
 
 def _packed(value: Any) -> Any:
-    """Return a value as MessagePack can hold it: integers beyond 64 bits as text in a list."""
+    """Return a value in the form that MessagePack can hold: an integer beyond 64 bits as a list with its text."""
     if isinstance(value, int) and not -(2**63) <= value < 2**64:
         return [str(value)]
     return value

@@ -3,13 +3,13 @@
 Knows commits and cursors; `streams` knows the engine.
 
 1. Samples are sent after their commit, in the order of commits, and again after each start from the cursor on: the
-   lowest commit up to which every sink has said that it keeps them. The stream may lose all that it has.
-2. The cursor is in the manifest of the store, where retention counts what it takes from before it.
-3. Where sinks do not move for `AGAIN_AFTER` seconds although something was sent, it is sent again from the cursor on.
-4. Whatever begins again below what was sent, after a start, a refusal or rule 3, has names that the stream does not
-   know. A stream that drops a message of a known name leaves the older copy, which it may lose before a sink has it:
-   the sink would believe what follows.
-5. A stream that is full or away stops nothing: samples wait in the store. The status says so.
+   commit up to which every sink has told that it has all samples. The stream may lose all messages.
+2. The cursor is in the manifest of the store. Retention counts the samples after the cursor that it deletes as lost.
+3. If no sink moves for `AGAIN_AFTER` seconds although samples were sent, they are sent again from the cursor on.
+4. Messages that are sent again, after a start, a refusal or by rule 3, have names that the stream does not know. A
+   stream that recognised the name would drop the new message, and might lose the older copy before a sink has it: the
+   sink would then believe that it has everything.
+5. A stream that is full or away stops nothing: samples wait in the store, and the status says so.
 """
 
 import asyncio
@@ -44,10 +44,14 @@ class StreamDown(ModbusError):
 
 
 class SampleStream(Protocol):
-    """Interface of a stream that takes messages with samples, to pass them on to sinks."""
+    """Interface of a message stream that takes samples from collectors, and passes them on to sinks."""
 
     async def publish(self, message: SampleMessage) -> None:
-        """Send a message with samples to the stream; when this returns, the stream has it. Raises `StreamDown`."""
+        """Send a message with samples to the stream; when this returns, the stream has the message.
+
+        Raises:
+            StreamDown: the stream has not acknowledged the message, but may have it.
+        """
 
     def kept(self, collector: str, store: str) -> int | None:
         """Return the commit up to which all sinks have the samples of a store; None if no sink is known."""
@@ -58,8 +62,8 @@ class OutboxStatus:
     """How far the sending of stored samples to the message stream has come, and what is wrong.
 
     Attributes:
-        sent: the last commit that the stream has.
-        kept: the last commit that all sinks keep.
+        sent: the commit up to which the stream has all samples.
+        kept: the commit up to which all sinks have all samples.
         messages: number of messages acknowledged since the start.
         error: why the stream does not take more; None while it does.
     """
@@ -74,13 +78,14 @@ class Outbox:
     """Sends the samples of a collector's store to the message stream of its fleet until all sinks have them.
 
     Args:
-        folder, manifest: of the store.
+        folder, manifest: folder and manifest of the store.
         stream: the message stream that gets the samples.
-        collector, store: names in the messages.
-        link_of: by device, its link; asked before each batch.
-        epoch_of: the epoch of a link in which a commit was made.
-        revision_of: the revision of the configuration by which a commit was made.
-        now: seconds of a clock that is not set.
+        collector: name of the collector in the messages.
+        store: the word that names its store in the messages.
+        link_of: returns by device the name of its link; called before each batch.
+        epoch_of: returns the epoch in which a link's samples of a commit were taken; None for no epoch.
+        revision_of: returns the revision of the configuration with which a commit's samples were taken.
+        now: returns the time in seconds, by a clock that is never set.
     """
 
     def __init__(
@@ -113,7 +118,7 @@ class Outbox:
         return OutboxStatus(self._sent, self._kept, self._messages, self._error)
 
     async def run(self) -> None:
-        """Send stored samples to the message stream until cancelled."""
+        """Send stored samples to the message stream until cancelled; a stream that is away or full is tried again."""
         wait = PAUSE
         while True:
             try:
@@ -132,7 +137,11 @@ class Outbox:
                 await asyncio.sleep(IDLE)
 
     async def step(self) -> bool:
-        """Send the next batch of stored samples to the stream; returns whether more may wait. Raises `StreamDown`."""
+        """Send the next batch of stored samples to the stream; returns whether more samples are probably waiting.
+
+        Raises:
+            StreamDown: the stream has not taken the whole batch; the next call sends it again.
+        """
         await self._take_kept()
         found = await asyncio.to_thread(self._reader.read, self._sent, MOST)
         if found is None:
@@ -150,8 +159,9 @@ class Outbox:
         return len(found.samples) >= MOST
 
     async def _take_kept(self) -> None:
-        """Move the sending position in the store to the commit up to which all sinks have the samples
-        (rules 1 and 3).
+        """Move the cursor in the store's manifest to the commit up to which all sinks have the samples.
+
+        If no sink has moved for `AGAIN_AFTER` seconds, sending begins again at the cursor (rule 3).
         """
         kept = self._stream.kept(self._collector, self._store)
         if kept is not None and kept > self._kept:
@@ -181,7 +191,13 @@ class Outbox:
         return found
 
     def _of_one_epoch(self, link: str, part: int, rows: list[CommittedSample]) -> list[SampleMessage]:
-        """Return messages of samples of one link, each of one epoch and one revision of the configuration."""
+        """Return samples of one link as messages, one for each epoch and revision of the configuration.
+
+        Args:
+            link: name of the link.
+            part: number of this part of the link's samples in the batch, from 0.
+            rows: the samples, `MOST_ROWS` at most.
+        """
         groups: dict[tuple[Epoch | None, int], list[CommittedSample]] = {}
         for row in rows:
             groups.setdefault((self._epoch_of(link, row.commit), self._revision_of(row.commit)), []).append(row)

@@ -40,15 +40,15 @@ ON CONFLICT DO UPDATE SET last_commit = NULL, "end" = NULL
 
 @dataclass(frozen=True, slots=True)
 class Ownership:
-    """A period in which this collector owned a link: its epoch (number) and first and last commits.
+    """A period in which this collector owned a link: its epoch, its times and its first and last commits.
 
     Attributes:
-        link: its name.
+        link: name of the link.
         epoch: the epoch of the ownership.
-        after_commit: the last commit before it.
-        begin: nanoseconds since 1970 UTC.
-        last_commit: the last commit in it; None while it lasts, or where the process was killed.
-        end: nanoseconds since 1970 UTC; None like ``last_commit``.
+        after_commit: the last commit before the period.
+        begin: begin of the period, nanoseconds since 1970 UTC.
+        last_commit: the last commit in the period; None while the period lasts, or if the process was killed in it.
+        end: end of the period, nanoseconds since 1970 UTC; None if ``last_commit`` is None.
     """
 
     link: str
@@ -60,16 +60,18 @@ class Ownership:
 
 
 class OwnershipLog:
-    """The record of the links that this collector owned, beside its store; usable from any thread.
+    """The record of which links this collector owned when, in the file ``fleet.sqlite`` beside its store.
+
+    May be used from any thread.
 
     Args:
-        folder: the folder of the store, whose lock this process holds.
+        folder: folder of the store; this process must hold the store's lock.
 
     Attributes:
-        store: a word for this store, which no other one has.
+        store: a random word that names this store, the same at every start.
 
     Raises:
-        ConfigError: the file cannot be opened.
+        ConfigError: the file cannot be used.
     """
 
     store: str
@@ -102,7 +104,17 @@ class OwnershipLog:
             self._database.close()
 
     def begin(self, links: Iterable[str], epoch: Epoch, after_commit: int, now: int) -> None:
-        """Record that links are owned from now on. Raises `sqlite3.Error`; then they must not be polled."""
+        """Record on disk that links are owned from now on; only then may they be polled.
+
+        Args:
+            links: names of the links.
+            epoch: the epoch of the ownership.
+            after_commit: the last commit before the ownership.
+            now: nanoseconds since 1970 UTC.
+
+        Raises:
+            sqlite3.Error: nothing was recorded; the links must not be polled.
+        """
         rows = [(link, epoch.generation, epoch.revision, after_commit, now) for link in links]
         with self._lock:
             self._database.execute("BEGIN IMMEDIATE")
@@ -116,7 +128,17 @@ class OwnershipLog:
                 self._epochs.setdefault(link, []).append((after_commit, epoch))
 
     def end(self, links: Iterable[str], epoch: Epoch, last_commit: int, now: int) -> None:
-        """Record that links are no longer owned; all their samples are committed. Raises `sqlite3.Error`."""
+        """Record on disk that links are no longer owned; all their samples must be committed.
+
+        Args:
+            links: names of the links.
+            epoch: the epoch of the ownership that ends.
+            last_commit: the last commit in the ownership.
+            now: nanoseconds since 1970 UTC.
+
+        Raises:
+            sqlite3.Error: nothing was recorded.
+        """
         rows = [(last_commit, now, link, epoch.generation, epoch.revision) for link in links]
         with self._lock:
             self._database.executemany(
@@ -125,15 +147,13 @@ class OwnershipLog:
             )
 
     def epoch_of(self, link: str, commit: int) -> Epoch | None:
-        """Return the number of the ownership under which a link's sample with this commit was read; None before the
-        fleet.
-        """
+        """Return the epoch in which a link's samples of a commit were taken; None if they are from before the fleet."""
         known = self._epochs.get(link, ())
         place = bisect_left(known, commit, key=lambda each: each[0])
         return known[place - 1][1] if place else None
 
     def set_configuration(self, revision: int, after_commit: int) -> None:
-        """Record that samples after a commit are taken by a revision of the configuration. Raises `sqlite3.Error`."""
+        """Record that samples after a commit are taken with a revision of the configuration. Raises `sqlite3.Error`."""
         with self._lock:
             if self._revisions and self._revisions[-1][1] == revision:
                 return
@@ -141,12 +161,12 @@ class OwnershipLog:
             self._revisions.append((after_commit, revision))
 
     def revision_of(self, commit: int) -> int:
-        """Return the revision of the configuration by which a commit's samples were taken; 0 if none is known."""
+        """Return the revision of the configuration with which a commit's samples were taken; 0 if none is known."""
         place = bisect_left(self._revisions, commit, key=lambda each: each[0])
         return self._revisions[place - 1][1] if place else 0
 
     def all(self) -> list[Ownership]:
-        """Return all periods in which links were owned, the oldest first."""
+        """Return all recorded periods in which this collector owned a link, the oldest first."""
         with self._lock, closing(self._database.cursor()) as cursor:
             rows = cursor.execute("SELECT * FROM ownership ORDER BY after_commit, begin, link").fetchall()
         return [

@@ -12,11 +12,11 @@ from .lease_times import LeaseTimes
 
 
 def restricted(configuration: CollectorConfiguration, links: Container[str]) -> CollectorConfiguration:
-    """Return a copy of a configuration with only some of its links and their devices; all else stays.
+    """Return a copy of a plant's configuration with only some of its links, and the devices on them; all else stays.
 
     Args:
         configuration: the configuration of the whole plant.
-        links: the names of the links that stay.
+        links: names of the links that stay.
     """
     common: Configuration = replace(
         configuration.common,
@@ -27,10 +27,10 @@ def restricted(configuration: CollectorConfiguration, links: Container[str]) -> 
 
 
 def with_short_user_timeout(configuration: CollectorConfiguration) -> CollectorConfiguration:
-    """Return a configuration whose connections forget a request that is not acknowledged when its time is over.
+    """Return a copy of a configuration in which no link has a ``user_timeout`` above its timeout for a reply.
 
-    The system would repeat it for `SocketParameters.user_timeout`, 30 s, also after this process has ended or given the
-    connection up: a cable that is mended meanwhile brings it to a device that another collector owns by then.
+    ``user_timeout`` is how long TCP repeats bytes that the device has not acknowledged. With the default of 30 s a
+    request could still reach the device, once a cable is mended, after another collector has taken over the link.
     """
     links = {name: _link_with_short_user_timeout(link) for name, link in configuration.links.items()}
     return replace(configuration, common=replace(configuration.common, links=links))
@@ -47,10 +47,15 @@ def _link_with_short_user_timeout(link: NamedLink) -> NamedLink:
 
 
 def longest_transaction(configuration: CollectorConfiguration, link: str) -> float:
-    """Return how long a transaction may take, from its permission until none of it can reach the device.
+    """Return the seconds from the permission of a transaction until none of its bytes can reach the device any more.
 
-    It may have to connect first, and the system repeats what is not acknowledged; a poller repeats nothing. A gateway
-    that keeps requests in a queue of its own adds to this: its longest wait belongs to the guard of the leases.
+    The time to connect is included, and the time for which TCP repeats bytes that are not acknowledged; infinity if TCP
+    repeats them without limit. A gateway on the way that queues requests adds to this time: its longest wait belongs to
+    `LeaseTimes.guard`.
+
+    Args:
+        configuration: the configuration of the plant.
+        link: name of one of its links.
     """
     settings = configuration.links[link].settings
     offered, timeout = options_of(settings.endpoint), settings.parameters.timeout
@@ -74,5 +79,10 @@ def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) 
 
 
 def costs_by_link(configuration: CollectorConfiguration, loads: Mapping[str, float]) -> dict[str, float]:
-    """Return how busy polling keeps each link, in seconds per second, at least 0.001."""
+    """Return by name of each link how busy polling keeps it, in seconds of line time per second; at least 0.001.
+
+    Args:
+        configuration: the configuration whose links are returned.
+        loads: the load of each link; links that are missing have no load.
+    """
     return {name: max(0.001, loads.get(name, 0.0)) for name in configuration.links}

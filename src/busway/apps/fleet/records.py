@@ -1,7 +1,7 @@
 """The entries that collectors share through a coordinator, as data and as bytes: leases, members, the generation.
 
-Each record is a line of JSON. What cannot be read is treated as if it were not there, and told: a newer version of this
-program must not stop an older one.
+Each record is a JSON array. A record that cannot be read is treated as missing: a newer version of this program must
+not stop an older one.
 """
 
 import json
@@ -18,12 +18,13 @@ ZONE: Final = "zone"
 
 @dataclass(frozen=True, slots=True)
 class LeaseHole:
-    """The time in which no collector owned a shard (group of links) before its owner took it.
+    """The span of time in which no collector owned a shard (group of links) before its present owner took the shard.
 
     Attributes:
-        before: the collector that had it.
-        was_silent: whether that one fell silent; it gave the shard back otherwise.
-        begin, end: its last renewal or its release, and the taking; seconds since 1970 UTC by the clocks of both.
+        before: name of the collector that owned the shard before.
+        was_silent: True if that collector stopped renewing its lease; False if it released the shard.
+        begin: last renewal or release by the owner before, seconds since 1970 UTC by that owner's clock.
+        end: when the present owner took the shard, seconds since 1970 UTC by its own clock.
     """
 
     before: str
@@ -34,18 +35,21 @@ class LeaseHole:
 
 @dataclass(frozen=True, slots=True)
 class LeaseRecord:
-    """The lease (right to poll) of one shard (group of links): who owns it, in which epoch.
+    """The lease (right to poll) of one shard (group of links): which collector owns the shard, in which epoch.
 
     Attributes:
-        owner, run: the collector, and a word for this start of it; two processes of one name are two owners.
-        held: whether it owns the shard; False after it has released it.
+        owner: name of the collector that owns the shard, or owned it last.
+        run: a random word for this start of the owner; two processes of one name are two owners.
+        held: whether the owner still owns the shard; False once the shard is released.
         count: renewals so far, so that every renewal changes the entry.
-        cost: seconds of its links' time that the reads of the shard need in a second.
-        epoch: the epoch of the ownership; None in the entry that takes the lease, whose own revision it is.
-        target: the collector that it was released for; empty where all may take it.
-        at: seconds since 1970 UTC by the owner's wall clock; for the record of gaps only, no decision rests on it.
-        before: in the entry that takes the lease, the last epoch that the owner knows of; None without one.
-        hole: the time without an owner before this one took the shard; None for the first owner.
+        cost: seconds of line time per second that the reads of the shard's links need.
+        epoch: the epoch of the ownership; None in the entry that takes the lease, as the revision of that entry gives
+            the epoch (`epoch_at`).
+        target: name of the collector that the shard was released for; empty if any collector may take it.
+        at: when the entry was written, seconds since 1970 UTC by the owner's wall clock; for the record of gaps only,
+            no decision rests on it.
+        before: in the entry that takes the lease, the last epoch of the shard that the owner knows; None for none.
+        hole: the time without an owner before this one took the shard; None if it is not known.
     """
 
     owner: str
@@ -60,7 +64,12 @@ class LeaseRecord:
     hole: LeaseHole | None = None
 
     def epoch_at(self, revision: int, generation: int) -> Epoch:
-        """Return the epoch of the ownership, from the entry's own revision where the entry takes the lease."""
+        """Return the epoch of the ownership; in the entry that takes the lease, the entry's revision gives the epoch.
+
+        Args:
+            revision: revision of the entry that holds this record.
+            generation: generation of the zone.
+        """
         return self.epoch or Epoch(generation, revision).above(self.before)
 
     def encode(self) -> bytes:
@@ -84,19 +93,20 @@ class LeaseRecord:
 
 @dataclass(frozen=True, slots=True)
 class MemberRecord:
-    """One running collector as the others see it: name, capacity, configuration.
+    """What one collector tells the others of its zone about itself: name, host, capacity, configuration, problems.
 
     Attributes:
-        name, run: as in `LeaseRecord`.
-        host: the machine, for links that are pinned to it.
-        count: renewals so far.
-        capacity: its share of the work, relative to the others; 1 is usual.
-        draining: whether it hands everything on and takes nothing.
-        revision: the revision of the configuration that it works by.
-        gone: whether it has ended in order.
-        at: seconds since 1970 UTC by its wall clock; to find clocks that are wrong.
-        problem: why it owns nothing; empty while it may own.
-        behind: commits of its store that not all sinks have.
+        name: name of the collector, the only one of that name in the zone.
+        run: a random word for this start of the collector.
+        host: name of its machine, for links that only some machines can reach.
+        count: how often the record was renewed.
+        capacity: the collector's part of the work, relative to the others; 1 is usual.
+        draining: whether the collector gives away all its shards (groups of links) and takes none.
+        revision: revision of the configuration that the collector works with; 0 if that is not from the coordinator.
+        gone: whether the collector has ended in order.
+        at: when the record was written, seconds since 1970 UTC by the collector's wall clock; shows wrong clocks.
+        problem: why the collector may own no shard; empty while it may.
+        behind: commits of the collector's store that not all sinks have.
     """
 
     name: str
@@ -133,11 +143,11 @@ class MemberRecord:
 
 @dataclass(frozen=True, slots=True)
 class ZoneRecord:
-    """What all collectors of a zone must have alike, or one link could have two owners.
+    """The settings that all collectors of a zone must share, so that no link has two owners.
 
     Attributes:
         shards: how many shards (groups of links) the zone has.
-        ttl, guard: as in `LeaseTimes`.
+        ttl, guard: as in `LeaseTimes`, in seconds.
     """
 
     shards: int
@@ -145,11 +155,15 @@ class ZoneRecord:
     guard: float
 
     def encode(self) -> bytes:
-        """Return the record as bytes for the shared table."""
+        """Return the settings of the zone as bytes for the shared table."""
         return json.dumps([self.shards, self.ttl, self.guard], separators=(",", ":")).encode()
 
     def difference(self, zone: "ZoneRecord") -> str:
-        """Return in words what the zone has and this does not; empty where they are alike."""
+        """Return in words how the settings of a zone differ from these; empty if they are equal.
+
+        Args:
+            zone: the settings that the zone has.
+        """
         found = []
         if self.shards != zone.shards:
             found.append(f"{zone.shards} shards and not {self.shards}")
@@ -161,7 +175,7 @@ class ZoneRecord:
 
 
 def decode_zone(value: bytes) -> ZoneRecord | None:
-    """Return what all collectors of a zone have alike, from the bytes of a table entry; None if they are not that."""
+    """Return the settings that all collectors of a zone share, from the bytes of a table entry; None if unreadable."""
     try:
         shards, ttl, guard = _list(value)[:3]
         return ZoneRecord(int(shards), float(ttl), float(guard))
@@ -211,7 +225,7 @@ def decode_member(value: bytes) -> MemberRecord | None:
 
 
 def decode_generation(value: bytes) -> int:
-    """Return the fleet's generation number in the bytes of a table entry; 1 if they hold none."""
+    """Return the zone's generation number in the bytes of a table entry; 1 if they hold none."""
     try:
         return max(1, int(value))
     except ValueError:

@@ -20,22 +20,22 @@ SYNCS: Final = (2, 10)
 """The first version that can be told to sync each message to the disk before it is acknowledged."""
 CLIENT_PORT, ROUTE_PORT, LEAF_PORT = 4222, 6222, 7422
 ANSWER_WITHIN: Final = "1h"
-"""For so long may a collector answer a command."""
+"""Time in which a collector may answer a command, as nats-server writes it."""
 ACCOUNTS_FILE: Final = "accounts.conf"
 LEAFS_FILE: Final = "leafs.conf"
-"""Secret: the passwords of edge sites, for servers of the centre."""
+"""Name of a secret file: the passwords of edge sites, for servers of the centre."""
 
 
 @dataclass(frozen=True, slots=True)
 class NatsServer:
-    """One server of a fleet's coordinator.
+    """One NATS server of a fleet: its name and addresses.
 
     Attributes:
-        name: unique among the servers; also the name of its certificate.
-        host: on which it listens, and by which the others reach it.
-        port: for clients.
-        route_port: for other servers of its cluster.
-        leaf_port: for edge sites.
+        name: name of the server, unique among the servers; also the name of its certificate files.
+        host: host on which the server listens, and by which the others reach it.
+        port: TCP port for clients.
+        route_port: TCP port for other servers of its cluster.
+        leaf_port: TCP port for servers of edge sites.
     """
 
     name: str
@@ -47,14 +47,14 @@ class NatsServer:
 
 @dataclass(frozen=True, slots=True)
 class NatsServerOptions:
-    """What all servers of a fleet have alike.
+    """Options that are the same for all NATS servers of a fleet.
 
     Attributes:
-        version: of nats-server, the first two numbers.
-        store: the folder of the streams; each server has one of its own there, by its name.
-        tls: the folder of certificates: for each server ``NAME.pem`` and ``NAME.key``, and ``ca.pem``. None for no
-            encryption.
-        cluster: the name of the cluster, where there are several servers.
+        version: the first two numbers of the version of nats-server.
+        store: folder of the streams on each machine; each server has a folder with its own name in it.
+        tls: folder of the certificates on each machine: ``NAME.pem`` and ``NAME.key`` of the server, and ``ca.pem``.
+            None for no encryption.
+        cluster: name of the cluster, if there are several servers.
     """
 
     version: tuple[int, int] = (2, 9)
@@ -66,7 +66,14 @@ class NatsServerOptions:
 def server_text(
     server: NatsServer, servers: Sequence[NatsServer], options: NatsServerOptions, *, has_sites: bool = False
 ) -> str:
-    """Return the configuration of one server of a cluster, or of the only one."""
+    """Return the text of the configuration file of one NATS server, which may be one of a cluster.
+
+    Args:
+        server: the server.
+        servers: all servers of the centre, this one included.
+        options: options of all servers.
+        has_sites: whether servers of edge sites may connect.
+    """
     lines = _common(server, options)
     if len(servers) > 1:
         routes = ", ".join(f'"nats://{each.host}:{each.route_port}"' for each in servers)
@@ -91,14 +98,26 @@ def server_text(
 
 
 def site_text(site: NatsServer, options: NatsServerOptions) -> str:
-    """Return the configuration of the server of an edge site, whose name is that of its zone."""
+    """Return the text of the configuration file of the NATS server of an edge site.
+
+    Args:
+        site: the server; its name is that of the site's zone.
+        options: options of all servers.
+    """
     lines = _common(site, options, site.name)
     lines += [f'include "./{site.name}-leaf.conf"', f'include "./{site.name}-{ACCOUNTS_FILE}"']
     return "\n".join(lines) + "\n"
 
 
 def site_secret_text(site: NatsServer, centre: Sequence[NatsServer], options: NatsServerOptions, password: str) -> str:
-    """Return how an edge site connects to the centre; a secret."""
+    """Return the text of the file by which the server of an edge site connects to the centre; it has a password.
+
+    Args:
+        site: the server of the edge site.
+        centre: the servers of the centre.
+        options: options of all servers.
+        password: the password of the site.
+    """
     scheme = "nats-leaf" if options.tls is None else "tls"
     urls = ", ".join(f'"{scheme}://{site.name}:{password}@{each.host}:{each.leaf_port}"' for each in centre)
     tls = "" if options.tls is None else f", tls {{ ca_file: {_quoted(f'{options.tls}/ca.pem')} }}"
@@ -106,7 +125,11 @@ def site_secret_text(site: NatsServer, centre: Sequence[NatsServer], options: Na
 
 
 def leafs_text(passwords: Mapping[str, str]) -> str:
-    """Return the users by which edge sites connect to the centre, each for the account of its zone; a secret."""
+    """Return the text of `LEAFS_FILE`: the users by which edge sites connect to the centre, with their passwords.
+
+    Args:
+        passwords: by name of each site, its password. Each user belongs to the account of the site's zone.
+    """
     users = (
         f'  {{ user: "{site}", password: "{password}", account: "zone-{site}" }}'
         for site, password in passwords.items()
@@ -131,12 +154,12 @@ def _common(server: NatsServer, options: NatsServerOptions, domain: str | None =
 def accounts_text(
     zones: Mapping[str, Mapping[str, str]], status_key: str, sites: Mapping[str, Mapping[str, str]] | None = None
 ) -> str:
-    """Return the accounts that all servers share.
+    """Return the text of `ACCOUNTS_FILE`: an account for each zone with its users, and the system account.
 
     Args:
-        zones: by name of a zone and role, the public key of the user.
-        status_key: the public key of the user of the system account.
-        sites: the same of zones of edge sites, at the centre.
+        zones: by name of a zone and name of a role, the public key of the user.
+        status_key: public key of the user of the system account, who asks how the servers are.
+        sites: like ``zones``, for zones of edge sites in the file of the centre; None for none.
     """
     lines = [
         "# Accounts of all servers, made by busway fleet server-config. Remove a user and reload to revoke it.",

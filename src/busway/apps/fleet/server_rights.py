@@ -5,7 +5,7 @@ Pure: knows subjects, streams and roles; knows no server. The table of rights in
 1. What is not named is refused. No role may delete, purge or change a stream, or delete its messages.
 2. Only the operator makes streams (`busway fleet apply`), only under the names of its zone.
 3. All roles read the table of the zone. Each changes only the keys that are its own.
-4. A collector answers the sender of a command, and publishes to no other inbox (``allow_responses``).
+4. A collector may answer the sender of a command, and may publish to no other inbox (``allow_responses``).
 """
 
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ ANSWERS: Final = "_INBOX.>"
 
 @dataclass(frozen=True, slots=True)
 class Right:
-    """One thing that a role may do, and the subjects that it needs.
+    """One thing that a role may do at the NATS servers, and the subjects that a client needs for it.
 
     Attributes:
-        does: in words, for the table of the documentation.
-        publish, subscribe: subjects, with ``{zone}`` for the name of the zone.
-        answers: whether it answers requests that it gets.
+        does: what the role may do, in words, for the table of the documentation.
+        publish, subscribe: the subjects to publish and to subscribe to, with ``{zone}`` for the name of the zone.
+        answers: whether the role may answer requests that it receives.
     """
 
     does: str
@@ -38,11 +38,11 @@ class Right:
 
 @dataclass(frozen=True, slots=True)
 class Permissions:
-    """Subjects that a user may publish and subscribe to.
+    """The subjects of NATS that a user may publish and subscribe to.
 
     Attributes:
         publish, subscribe: the subjects.
-        answers: whether the user may answer requests.
+        answers: whether the user may answer requests that it receives.
     """
 
     publish: tuple[str, ...]
@@ -101,22 +101,23 @@ RIGHTS: Final[dict[str, tuple[Right, ...]]] = {
         Right("reads live values and the audit", _followed(_AUDIT), ("busway.{zone}.live.*",)),
     ),
 }
-"""By role, what it may do. The first roles are those of a zone."""
+"""By role of a zone, what the role may do."""
 STATUS: Final = Permissions(
     ("$SYS.REQ.SERVER.PING", "$SYS.REQ.SERVER.PING.*", "$SYS.REQ.SERVER.*.VARZ", "$SYS.REQ.SERVER.*.JSZ"),
     (ANSWERS,),
     answers=False,
 )
-"""Of the user of the system account, which only asks how servers are."""
+"""The permissions of the user of the system account, which only asks how the servers are."""
 
 
 def permissions(role: str, zone: str, *, is_site: bool = False) -> Permissions:
     """Return the subjects that a role may publish and subscribe to in a zone.
 
     Args:
-        role: of `RIGHTS`.
-        zone: its name.
-        is_site: whether this is the centre, and the zone is that of an edge site: its table is reached by its domain.
+        role: ``collector``, ``sink`` or ``operator``: a key of `RIGHTS`.
+        zone: name of the zone.
+        is_site: True for the permissions at the centre for the zone of an edge site: the subjects by which the site's
+            JetStream domain is reached are added.
     """
     rights = RIGHTS[role]
     publish = dict.fromkeys(subject.replace("{zone}", zone) for each in rights for subject in each.publish)
@@ -127,14 +128,25 @@ def permissions(role: str, zone: str, *, is_site: bool = False) -> Permissions:
 
 
 def in_domain(subject: str, domain: str) -> str:
-    """Return the subject by which one of JetStream's, or a key of a table, is reached in another domain."""
+    """Return the subject by which a subject of JetStream's API or a table's key is reached in another domain.
+
+    Other subjects are the same in all domains, and are returned as they are.
+
+    Args:
+        subject: the subject within its domain.
+        domain: name of the JetStream domain of an edge site.
+    """
     if subject.startswith("$JS.API."):
         return f"$JS.{domain}.API.{subject.removeprefix('$JS.API.')}"
     return f"$JS.{domain}.API.{subject}" if subject.startswith("$KV.") else subject
 
 
 def rights_table(zone: str) -> str:
-    """Return the rights of all roles as a table of Markdown."""
+    """Return the rights of all roles as a table in Markdown, for the documentation.
+
+    Args:
+        zone: the name of a zone that the subjects show.
+    """
     lines = ["| role | may | publishes | subscribes |", "| --- | --- | --- | --- |"]
     for role, rights in RIGHTS.items():
         for right in rights:

@@ -13,21 +13,22 @@ from ...errors import ConfigError
 
 FEWEST: Final = 1
 MOST: Final = 1024
-"""Shards in one zone. Each lease is renewed by itself, and all collectors of the zone see every renewal."""
+"""Most shards in one zone. Each lease is renewed by itself, and all collectors of the zone see every renewal."""
 PINNED: Final = "pin."
 _KEYS: Final = "-commands"
 LONGEST_ZONE: Final = 63 - len(_KEYS)
-"""Characters in the name of a zone that collectors run in."""
+"""Most characters in the name of a zone that collectors run in."""
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 
 
 def shard_of(link: str, shards: int) -> str:
     """Return the name of the shard (group of links) that a link belongs to: ``0000`` … ``1023``.
 
-    With another number of shards as few links as possible move: n of n + 1 stay where a shard is added.
+    The name follows from the link's name alone. With another number of shards as few links as possible belong to
+    another one: if shard n + 1 is added, n of n + 1 links stay where they are.
 
     Args:
-        link: the name of the link.
+        link: name of the link.
         shards: how many shards the zone has, 1…1024.
     """
     # Jump consistent hashing (Lamping and Veach 2014): moves as few links as rendezvous hashing, in log n steps.
@@ -41,29 +42,29 @@ def shard_of(link: str, shards: int) -> str:
 
 
 def pinned_shard(hosts: Sequence[str]) -> str:
-    """Return the name of the shard (group of links) for links that only these hosts can reach: ``pin.<first
-    host>.<second>``.
+    """Return the name of the shard (group of links) for links that only some hosts can reach: ``pin.HOST.HOST``.
+
+    Args:
+        hosts: names of the machines that can reach the links, the preferred one first.
     """
     return PINNED + ".".join(hosts)
 
 
 def hosts_of(shard: str) -> tuple[str, ...]:
-    """Return the hosts whose collectors may own a shard (group of links), the preferred one first; empty for all of the
-    zone.
-    """
+    """Return the hosts whose collectors may own a shard (group of links), the preferred one first; empty for all."""
     return tuple(shard.removeprefix(PINNED).split(".")) if shard.startswith(PINNED) else ()
 
 
 def shard_names(shards: int) -> list[str]:
-    """Return the names of all shards (groups of links) that any host may own."""
+    """Return the names of a zone's shards (groups of links) that any host may own: ``0000``, ``0001`` and so on."""
     return [f"{number:04d}" for number in range(shards)]
 
 
 def links_by_shard(links: Iterable[tuple[str, Sequence[str]]], shards: int) -> dict[str, list[str]]:
-    """Return links grouped by shard; shards without links are left out.
+    """Return by name of each shard the names of its links; shards without links are left out.
 
     Args:
-        links: the name of each link, and the hosts that can reach it; no hosts where all collectors can.
+        links: the name of each link, and the names of the hosts that can reach it; no hosts if all collectors can.
         shards: how many shards the zone has, 1…1024.
     """
     found: dict[str, list[str]] = {}
@@ -73,9 +74,10 @@ def links_by_shard(links: Iterable[tuple[str, Sequence[str]]], shards: int) -> d
 
 
 def checked_zone(zone: str) -> str:
-    """Return the name of a zone after checking it: the keys of its commands are in a zone of a longer name, too.
+    """Return the name of a zone of collectors if it is valid.
 
-    Raises `ConfigError`.
+    Raises:
+        ConfigError: the name has invalid characters, or more than `LONGEST_ZONE`: that of `keys_zone` is longer.
     """
     if len(checked_name(zone, "zone")) > LONGEST_ZONE:
         raise ConfigError(
@@ -85,12 +87,20 @@ def checked_zone(zone: str) -> str:
 
 
 def keys_zone(zone: str) -> str:
-    """Return the name of the zone in which the coordinator has the keys of a zone's commands."""
+    """Return the name of the coordinator's zone that keeps the keys of another zone's commands: ``ZONE-commands``."""
     return zone + _KEYS
 
 
 def checked_name(name: str, what: str) -> str:
-    """Return the name of a zone, host or collector after checking it: it becomes part of keys. Raises `ConfigError`."""
+    """Return the name of a zone, host or collector if it may be part of a key of the shared table.
+
+    Args:
+        name: the name: up to 63 letters, digits, ``-`` and ``_``, the first a letter or digit.
+        what: what has the name, for the error.
+
+    Raises:
+        ConfigError: the name is invalid.
+    """
     if not _NAME.fullmatch(name):
         raise ConfigError(
             f"{what} {name!r} cannot be a name: use up to 63 letters, digits, - and _, the first a letter or digit",

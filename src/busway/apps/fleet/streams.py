@@ -6,7 +6,7 @@ Knows streams, subjects and consumers; the protocol is nats-py's (``busway[fleet
    collectors still have what no sink keeps, and send it again.
 2. A sink is a durable consumer with explicit acknowledgement. It tells how far it is by a cursor in the coordinator's
    table, written after the sink has committed.
-3. A message that was sent and not acknowledged may be in the stream. Sent again it has another ``Nats-Msg-Id``
+3. A message that was sent and not acknowledged may be in the stream. Sent again, it has another ``Nats-Msg-Id``
    (`outbox`), and sinks replace samples with the same device, point and time.
 """
 
@@ -51,15 +51,15 @@ _log = logging.getLogger("busway.fleet")
 
 @dataclass(frozen=True, slots=True)
 class StreamOptions:
-    """Options of the message stream that carries samples from collectors to sinks: how long, on how many servers.
+    """Options of a new stream that carries samples from collectors to sinks: its size, age and number of copies.
 
     Attributes:
-        replicas: servers that keep each message, 1…5.
-        max_bytes: bytes on each server, at most.
-        max_age: seconds for which messages are kept, at most.
-        duplicate_window: seconds in which the server drops a message that it has already.
-        source: the domain of the edge site whose stream is copied into this one; None for a stream that collectors
-            publish to.
+        replicas: number of servers that keep each message, 1…5.
+        max_bytes: most bytes of the stream on each server; the oldest messages are dropped.
+        max_age: seconds after which a message is dropped.
+        duplicate_window: seconds for which the server recognises a message that it has already, and drops the second.
+        source: JetStream domain of the edge site whose stream is copied into this one; None for a stream that
+            collectors publish to.
     """
 
     replicas: int = 1
@@ -70,16 +70,16 @@ class StreamOptions:
 
 
 async def make_stream(client: Any, zone: str, options: StreamOptions | None = None, *, start: float = 30.0) -> str:
-    """Find or create the message stream for a zone's samples; returns its name.
+    """Find or create the message stream for a zone's samples, and return its name.
 
     Args:
-        client: of nats-py, connected.
-        zone: the name of the zone.
-        options: of a stream that is created.
-        start: seconds for which a server that does not answer is asked again; 0 for once.
+        client: connected client of nats-py.
+        zone: name of the zone.
+        options: options for a stream that is created, and the least number of replicas of one that exists.
+        start: seconds for which a server that does not answer is asked again; 0 to ask once.
 
     Raises:
-        ConfigError: it cannot be created or used.
+        ConfigError: the stream cannot be created or used, or has too few replicas.
         StreamDown: no server has answered.
     """
     return await until_up(lambda: _made_stream(client, zone, options or StreamOptions()), StreamDown, start)
@@ -113,7 +113,20 @@ async def _made_stream(client: Any, zone: str, options: StreamOptions) -> str:
 async def make_audit_stream(
     client: Any, zone: str, replicas: int, *, domain: str | None = None, start: float = 30.0
 ) -> None:
-    """Find or create the stream of a zone's audit lines. Args and errors as `make_stream`."""
+    """Find the message stream for the lines of a zone's audit log, or create it.
+
+    Args:
+        client: connected client of nats-py.
+        zone: name of the zone.
+        replicas: number of servers that keep each message of a stream that is created, 1…5.
+        domain: JetStream domain of the edge site that has the stream; None for the server that ``client`` is
+            connected to.
+        start: seconds for which a server that does not answer is asked again; 0 to ask once.
+
+    Raises:
+        ConfigError: the stream cannot be created or used.
+        StreamDown: no server has answered.
+    """
     api = import_module("nats.js.api")
     config = api.StreamConfig(
         name=f"busway-audit-{zone}",
@@ -127,16 +140,17 @@ async def make_audit_stream(
 
 
 async def found_or_made(client: Any, config: Any, domain: str | None = None) -> Any:
-    """Return the configuration of a message stream of NATS, which is created if missing.
+    """Find or create a message stream of NATS, and return the configuration that the server has of the stream.
 
     Args:
-        client: of nats-py, connected.
-        config: of a stream that is created; its name finds an existing one.
-        domain: of an edge site that is asked through the centre; None for the server itself.
+        client: connected client of nats-py.
+        config: ``StreamConfig`` of nats-py: its name finds the stream; all of it is used for a stream that is created.
+        domain: JetStream domain of the edge site that has the stream, asked through the centre; None for the server
+            that ``client`` is connected to.
 
     Raises:
-        ConfigError: it cannot be created or used.
-        StreamDown: the server does not answer, or not yet.
+        ConfigError: the stream cannot be created or used.
+        StreamDown: the server does not answer, or cannot use the stream yet.
     """
     nats, errors = import_module("nats"), import_module("nats.js.errors")
     jetstream = client.jetstream(timeout=10.0, domain=domain)
@@ -169,13 +183,13 @@ async def found_or_made(client: Any, config: Any, domain: str | None = None) -> 
 
 
 class NatsStream:
-    """The connection over which one collector sends samples into a message stream, from which sinks get them.
+    """Sends the samples of one collector into the zone's message stream, and follows which of them all sinks have.
 
     Args:
-        client: of nats-py, connected.
-        zone: the zone of the collector.
-        shard_of: the shard of a link.
-        timeout: seconds for an acknowledgement.
+        client: connected client of nats-py.
+        zone: name of the collector's zone.
+        shard_of: returns the name of a link's shard (group of links).
+        timeout: seconds to wait for the acknowledgement of a message.
     """
 
     def __init__(self, client: Any, zone: str, shard_of: Callable[[str], str], *, timeout: float = 5.0) -> None:
@@ -184,7 +198,11 @@ class NatsStream:
         self._cursors = CursorBook()
 
     async def publish(self, message: SampleMessage) -> None:
-        """Send a message with samples; when it returns, the stream has it. Raises `StreamDown`."""
+        """Send a message with samples to the stream; when this returns, the stream has the message.
+
+        Raises:
+            StreamDown: the connection is lost, or no acknowledgement came; the message may be in the stream.
+        """
         nats = import_module("nats")
         if not self._client.is_connected:
             raise StreamDown("the connection to the server is lost")
@@ -197,22 +215,27 @@ class NatsStream:
             raise StreamDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
 
     def kept(self, collector: str, store: str) -> int | None:
-        """Return the number of the last commit that all sinks have received; None if no sink is known."""
+        """Return up to which commit all sinks have the samples of a collector's store; None if no sink is known.
+
+        Args:
+            collector: name of the collector.
+            store: the word that names its store in messages.
+        """
         return self._cursors.kept(collector, store)
 
     async def watch_cursors(self, coordinator: Coordinator) -> None:
-        """Follow, until cancelled, up to which commit each sink has received samples."""
+        """Follow the positions of all sinks in the shared table until cancelled; `kept` answers from them."""
         await self._cursors.watch(coordinator)
 
 
 @dataclass(frozen=True, slots=True)
 class SinkCursors:
-    """Up to which commit one sink has received the samples of each collector.
+    """How far one sink has come in a zone's stream, and up to which commit it has the samples of each collector.
 
     Attributes:
-        sequence: the number of the last message of the stream that it has taken; 0 before the first.
-        commits: by collector and store, the commit up to which it keeps all samples.
-        proved: those of which the next message may prove more (`SinkProgress`).
+        sequence: number of the last message of the stream that the sink has taken; 0 before the first.
+        commits: by ``collector/store``, the commit up to which the sink has all samples.
+        proved: the ``collector/store`` of which the next message can raise that commit (`SinkProgress`).
     """
 
     sequence: int
@@ -225,7 +248,7 @@ class SinkCursors:
 
 
 class CursorBook:
-    """Up to which commit each sink has received the samples of the collectors, as the shared table says."""
+    """The positions of all sinks of a zone in the shared table: which samples of which collector each sink has."""
 
     def __init__(self) -> None:
         self._cursors: dict[str, SinkCursors] = {}
@@ -233,7 +256,10 @@ class CursorBook:
         self._shown_again: set[str] = set()
 
     def begin_snapshot(self) -> None:
-        """Prepare to receive all entries once more: they replace what is known, also where their revision is lower."""
+        """Prepare to receive all entries of the shared table once more.
+
+        An entry that is shown again replaces what is known of its sink, even if its revision is lower.
+        """
         self._shown_again = set(self._revisions)
 
     def take(self, entry: Entry) -> None:
@@ -256,20 +282,28 @@ class CursorBook:
             self._cursors[sink] = found
 
     def kept(self, collector: str, store: str) -> int | None:
-        """Return the commit that all sinks have reached; None without sinks, 0 if one has not begun."""
+        """Return up to which commit all sinks have the samples of a collector's store.
+
+        None if no sink is known; 0 if a sink has nothing of this store yet.
+        """
         place = f"{collector}/{store}"
         return min((each.commits.get(place, 0) for each in self._cursors.values()), default=None)
 
     def of(self, sink: str) -> tuple[SinkCursors | None, int]:
-        """Return the commits up to which one sink has samples, and the revision of its entry, 0 without one."""
+        """Return the position of one sink and the revision of its table entry; None and 0 if the sink has no entry."""
         return self._cursors.get(sink), self._revisions.get(sink, 0)
 
     def positions(self) -> dict[str, int]:
-        """Return by sink the number of the last message of the stream that it has taken."""
+        """Return by name of each sink the number of the last message that the sink has taken from the stream."""
         return {name: each.sequence for name, each in sorted(self._cursors.items())}
 
     async def watch(self, coordinator: Coordinator, told: Callable[[], None] = lambda: None) -> None:
-        """Follow the shared table until cancelled; ``told`` is called once all existing entries are known."""
+        """Follow the positions of sinks in the shared table until cancelled.
+
+        Args:
+            coordinator: the coordinator of the zone.
+            told: called in the event loop each time that all existing entries are known.
+        """
         async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
             async for entry in entries:
                 if entry is SNAPSHOT_BEGINS:
@@ -281,12 +315,13 @@ class CursorBook:
 
 @dataclass(frozen=True, slots=True)
 class SinkLag:
-    """How far one sink is behind the stream.
+    """How far one sink is behind the newest message of its zone's stream.
 
     Attributes:
-        messages: that it has not taken.
-        seconds: the age of the oldest of them, by the clocks of the server and of this machine; 0 where it has all,
-            None where it is not known: the credentials do not permit to read the stream, or it has dropped the message.
+        messages: number of messages in the stream that the sink has not taken.
+        seconds: age of the oldest of them, by the clocks of the server and of this machine; 0 if the sink has all
+            messages. None if the age is not known: the credentials do not permit reading the stream, or the stream has
+            dropped the message.
     """
 
     messages: int
@@ -296,13 +331,13 @@ class SinkLag:
 async def sink_lags(
     client: Any, coordinator: Coordinator, zone: str, now: Callable[[], float] = time.time
 ) -> dict[str, SinkLag]:
-    """Return by sink how far it is behind the stream; empty where the zone has no stream.
+    """Return by name of each sink how far the sink is behind the zone's stream; empty if the zone has no stream.
 
     Args:
-        client: of nats-py, connected.
+        client: connected client of nats-py.
         coordinator: the coordinator of the zone.
-        zone: its name.
-        now: seconds since 1970 UTC.
+        zone: name of the zone.
+        now: returns the time in seconds since 1970 UTC.
 
     Raises:
         StreamDown: the server does not answer.
@@ -335,7 +370,13 @@ async def sink_lags(
 
 
 async def _stored_at(client: Any, stream: str, sequence: int) -> float | None:
-    """Return when a message was stored, in seconds since 1970 UTC; None if that cannot be had."""
+    """Return when a stream has stored a message, in seconds since 1970 UTC; None if the server does not tell.
+
+    Args:
+        client: connected client of nats-py.
+        stream: name of the stream.
+        sequence: number of the message in the stream.
+    """
     nats = import_module("nats")
     subject = f"$JS.API.STREAM.MSG.GET.{stream}"
     try:
@@ -346,11 +387,18 @@ async def _stored_at(client: Any, stream: str, sequence: int) -> float | None:
 
 
 class SinkProgress:
-    """Computes up to which commits a sink has all samples, from the messages that it has taken.
+    """Computes up to which commits a sink has all samples, from the messages of the stream that the sink has taken.
 
-    1. Messages that follow each other without a gap in the sequence of the stream prove ``complete`` of a sender.
+    1. While the numbers of the messages have no gap, each message proves that the sink has all samples of its sender up
+       to the commit `SampleMessage.complete`.
     2. After a gap (the stream dropped messages, or they come again later) nothing is proved of a sender until it has
-       begun again at what is kept: with a message whose ``complete`` is not above that.
+       begun again: with a message whose ``complete`` is not above the commit that the sink is known to have.
+
+    Args:
+        cursors: the position that the sink saved last; None for a new sink.
+
+    Attributes:
+        gaps: how many gaps or unreadable messages there were.
     """
 
     def __init__(self, cursors: SinkCursors | None) -> None:
@@ -361,11 +409,16 @@ class SinkProgress:
 
     @property
     def cursors(self) -> SinkCursors:
-        """Return up to which commit of each collector the sink has all samples."""
+        """The present position of the sink, to be saved in the shared table."""
         return SinkCursors(self._sequence, dict(self._commits), frozenset(self._proved))
 
     def take(self, sequence: int, message: SampleMessage | None) -> None:
-        """Count a message as received by the sink; None for a message that could not be decoded."""
+        """Count a message of the stream as taken by the sink; a message that came before is ignored.
+
+        Args:
+            sequence: number of the message in the stream.
+            message: the decoded message; None if it could not be decoded.
+        """
         if sequence <= self._sequence:
             return  # it came again
         if sequence != self._sequence + 1 or message is None:
@@ -383,23 +436,23 @@ class SinkProgress:
 
 
 class StreamSink:
-    """Passes the samples in the collectors' message stream on to one sink, each at least once.
+    """Passes the samples in a zone's message stream on to one sink, each at least once.
 
     Args:
-        client: of nats-py, connected.
-        coordinator: the coordinator of the zone, for the cursor.
-        zone: its name.
-        name: the name of the sink; a name keeps its place in the stream.
+        client: connected client of nats-py.
+        coordinator: the coordinator of the zone, which keeps the position of the sink.
+        zone: name of the zone.
+        name: name of the sink; a sink started again under its name goes on where it was in the stream.
         sink: the sink that gets the samples.
-        set_aside: gets what the sink refuses for good, and why.
-        options: of the stream, which is made where the sink comes before all collectors.
+        set_aside: called with each sample that the sink refuses for good, and the reason.
+        options: options for the stream, which is created if missing.
 
     Attributes:
         taken: samples that the sink has taken since the start.
-        refused: samples that it refused.
-        unreadable: messages that could not be read.
-        dropped: messages that a full stream has dropped before this sink took them.
-        error: what cannot be reached now; None while all is well.
+        refused: samples that the sink has refused for good.
+        unreadable: messages that could not be decoded, and were left out.
+        dropped: messages that a full stream has dropped before this sink took them; collectors send them again.
+        error: why no samples are passed on now; None while they are.
     """
 
     def __init__(
@@ -422,7 +475,11 @@ class StreamSink:
         self._missing = 0, 0.0
 
     async def run(self) -> None:
-        """Pass samples on to the sink until cancelled; connects again after a failure."""
+        """Pass samples on to the sink until cancelled. After a failure it is tried again every half second.
+
+        Raises:
+            ConfigError: the stream cannot be created or used.
+        """
         nats = import_module("nats")
         known = asyncio.Event()
         watch = asyncio.create_task(self._book.watch(self._coordinator, known.set))
@@ -478,7 +535,10 @@ class StreamSink:
                 await subscription.unsubscribe()
 
     async def _take(self, jetstream: Any, stream: str, found: Iterable[Any]) -> None:
-        """Send messages to the sink, save its position, then acknowledge; if interrupted, they come again in order."""
+        """Send messages to the sink, save its position in the shared table, then acknowledge the messages.
+
+        If a step fails, the messages are given back to the stream, which delivers them again in order.
+        """
         messages = sorted(found, key=lambda each: int(each.metadata.sequence.stream))
         ready = await self._following(jetstream, stream, messages)
         try:
@@ -496,7 +556,16 @@ class StreamSink:
         await self._client.flush(timeout=5)
 
     async def _following(self, jetstream: Any, stream: str, messages: list[Any]) -> list[Any]:
-        """Return the messages that continue without a gap; all of them if the stream has lost what is missing."""
+        """Return the messages that may be sent to the sink now: those that continue its position without a gap.
+
+        All of them are returned if the missing ones do not come any more: the stream has dropped them, or has not given
+        them for `MISSING_SECONDS`.
+
+        Args:
+            jetstream: JetStream context of nats-py.
+            stream: name of the stream.
+            messages: messages of nats-py, in the order of their numbers in the stream.
+        """
         expected = self._progress.cursors.sequence + 1
         place = 0
         for message in messages:
@@ -526,13 +595,16 @@ class StreamSink:
         return messages
 
     def _is_missing_for_good(self, sequence: int) -> bool:
-        """Whether a message has not come for so long that it will not: servers may differ in what they number so."""
+        """Whether a message is missing for more than `MISSING_SECONDS`, so that it is not waited for any longer.
+
+        Servers of a cluster can differ in which message has a number.
+        """
         if self._missing[0] != sequence:
             self._missing = sequence, time.monotonic()
         return time.monotonic() > self._missing[1] + MISSING_SECONDS
 
     async def _give_back(self, messages: Iterable[Any]) -> None:
-        """Let the stream deliver messages again soon, after those that come before them."""
+        """Refuse messages, so that the stream delivers them again after 0.2 s; errors are ignored."""
         errors = import_module("nats.errors")
         with contextlib.suppress(errors.Error, OSError, TimeoutError):
             for message in messages:

@@ -1,4 +1,4 @@
-"""Follows the table of a zone, for its page: the status at any moment, and the holes of ownership since the start.
+"""Follows the shared table of a zone for the zone's web page: the status now, and times in which shards had no owner.
 
 Knows entries of the coordinator; asks no collector.
 
@@ -29,13 +29,13 @@ MOST_HOLES: Final = 200
 
 @dataclass(frozen=True, slots=True)
 class OwnershipHole:
-    """A time in which no collector owned a shard (group of links).
+    """A span of time in which no collector owned a shard (group of links).
 
     Attributes:
-        shard: its name.
-        before, after: the collector that had it, and the one that took it.
-        was_silent: whether the first one fell silent; it gave the shard back otherwise.
-        begin, end: seconds since 1970 UTC.
+        shard: name of the shard.
+        before, after: names of the collector that owned the shard before, and of the one that took it.
+        was_silent: True if the owner before stopped renewing its lease; False if it released the shard.
+        begin, end: last renewal or release by the owner before, and the taking; seconds since 1970 UTC.
         epoch: the epoch of the new ownership.
     """
 
@@ -49,12 +49,12 @@ class OwnershipHole:
 
 
 class ZoneWatch:
-    """Follows the shared table of a zone while the ``async with`` block lasts.
+    """Follows the shared table of a zone while the ``async with`` block lasts, and tells the status of the zone.
 
     Args:
         coordinator: the coordinator of the zone; not closed here.
-        times: the lengths of the leases; the same as those of the collectors.
-        now: the clock of leases.
+        times: the lengths of the leases, the same as those of the collectors; None for the defaults of `LeaseTimes`.
+        now: returns the time of the clock of leases, in seconds; see `boot_time`.
     """
 
     def __init__(
@@ -69,14 +69,14 @@ class ZoneWatch:
         self._task: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
-        """Begin to follow the table."""
+        """Begin to follow the zone's table in a task; its entries are not known yet (`is_complete`)."""
         self._task = asyncio.create_task(self._follow(), name="busway fleet watch")
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Stop following the table."""
+        """Stop following the zone's table. The coordinator stays open."""
         assert self._task is not None
         await end_tasks([self._task])
 
@@ -86,7 +86,11 @@ class ZoneWatch:
         return self._complete.is_set()
 
     def status(self) -> ZoneStatus:
-        """Return the status of the zone as it is known now. Raises `ConfigError` for an unreadable configuration."""
+        """Return the status of the zone as far as it is known now.
+
+        Raises:
+            ConfigError: the zone's configuration in the table cannot be read.
+        """
         now = self._now()
         living = {key for key, at in self._seen.items() if key.startswith(MEMBERS) and now < self._times.free_at(at)}
         return status_of(self._entries, living)
@@ -96,7 +100,7 @@ class ZoneWatch:
         return [*reversed(self._holes)]
 
     def sinks(self) -> dict[str, int]:
-        """Return by sink the number of the last message of the stream that it has taken."""
+        """Return by name of each sink the number of the last message that the sink has taken from the zone's stream."""
         found: dict[str, int] = {}
         for key, entry in sorted(self._entries.items()):
             if key.startswith(CURSORS) and entry.value:
@@ -107,7 +111,7 @@ class ZoneWatch:
         return found
 
     def take(self, entry: Entry) -> None:
-        """Take over an entry of the table, or a mark of its watch."""
+        """Update what is known by an entry that `Coordinator.watch` has yielded, or by one of its two marks."""
         if entry is SNAPSHOT_BEGINS:
             self._complete.clear()
             self._shown_again = set(self._entries)

@@ -25,14 +25,27 @@ _T = TypeVar("_T")
 
 
 async def open_local(folder: str, zone: str) -> "LocalCoordinator":
-    """Open the table that a zone's collectors share, as a file in a folder, created if missing. Raises
-    `ConfigError`.
+    """Open the table that a zone's collectors on one machine share, a file ``<zone>.fleet``; created if missing.
+
+    Args:
+        folder: folder of the file, created if missing.
+        zone: name of the zone.
+
+    Raises:
+        ConfigError: the zone has no valid name, or the file cannot be used.
     """
     return await asyncio.to_thread(LocalCoordinator, Path(folder or "."), checked_name(zone, "zone"))
 
 
 class LocalCoordinator:
-    """Shared table of a zone's collectors in the file ``<folder>/<zone>.fleet``."""
+    """The shared table of a zone's collectors on one machine, in the SQLite file ``<folder>/<zone>.fleet``.
+
+    Attributes:
+        path: path of the file.
+
+    Raises:
+        ConfigError: the file cannot be used.
+    """
 
     def __init__(self, folder: Path, zone: str) -> None:
         self.path: Path = folder / f"{zone}.fleet"
@@ -49,15 +62,24 @@ class LocalCoordinator:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="busway-fleet")
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add a new entry to the shared table. Raises as `Coordinator.create`."""
+        """Add a new entry to the shared table, and return its revision. Arguments and errors: `Coordinator.create`."""
         return await self._in_thread(lambda: self._changed(key, value, None))
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry of the shared table if it still has this revision. Raises as `Coordinator.replace`."""
+        """Change an entry of the shared table if it still has this revision, and return its new revision.
+
+        Arguments and errors: `Coordinator.replace`.
+        """
         return await self._in_thread(lambda: self._changed(key, value, revision))
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """Yield the entries of the shared table, then their changes, until the iterator is closed."""
+        """Yield the entries whose keys begin with ``prefix``, then their changes, until closed.
+
+        As `Coordinator.watch`, but the watch never begins again.
+
+        Raises:
+            CoordinatorDown: the file cannot be read.
+        """
         last = 0
         first = True
         while True:
@@ -70,7 +92,7 @@ class LocalCoordinator:
             await asyncio.sleep(LOOK_EVERY)
 
     async def close(self) -> None:
-        """Close the file of the shared table."""
+        """Close the file of the shared table, after the change that is being made."""
         await asyncio.to_thread(self._thread.shutdown)
         with self._lock:
             self._database.close()

@@ -64,8 +64,18 @@ _log = logging.getLogger("busway.fleet")
 
 
 async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCoordinator":
-    """Open the table that a zone's collectors share in NATS. Raises `ConfigError`, `CoordinatorDown`,
-    `MissingExtra`.
+    """Connect to the table that a zone's collectors share in NATS, a key-value bucket; it is created if missing.
+
+    Args:
+        url: ``nats://HOST:PORT`` or ``tls://HOST:PORT``, with further hosts after commas.
+        zone: name of the zone.
+        options: credentials, certificates, replicas and the timeout of the connection.
+
+    Raises:
+        ConfigError: the zone has no valid name, the server is too old or refuses the credentials or rights, or the
+            bucket has too few replicas.
+        CoordinatorDown: the server cannot be used now.
+        MissingExtra: the package nats-py (or nkeys, for a credentials file) is not installed.
     """
     require("nats", "a coordinator on NATS")
     bucket = f"busway-{checked_name(zone, 'zone')}"
@@ -79,7 +89,17 @@ async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCo
 
 
 async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py's own
-    """Connect to NATS by a URL that may name several servers; also used for streams. Raises as `open_nats`."""
+    """Return a client of nats-py that is connected to a server of a URL, and connects again after a lost connection.
+
+    Args:
+        url: ``nats://HOST:PORT`` or ``tls://HOST:PORT``, with further hosts after commas.
+        options: credentials, certificates and the timeout of the connection.
+
+    Raises:
+        ConfigError: the server is too old, or refuses the credentials, or the credentials file cannot be used.
+        CoordinatorDown: no server can be reached.
+        MissingExtra: the package nkeys is not installed, and a credentials file needs it.
+    """
     nats = import_module("nats")
     scheme, _, hosts = url.partition("://")
     given = {
@@ -132,13 +152,17 @@ async def _close(client: Any) -> None:
 
 
 def _is_refusal(cause: str) -> bool:
-    """Whether a server has refused the credentials, and not only waited too long for them on a busy machine."""
+    """Whether a server's error text says that the credentials are refused; a timeout of the login is no refusal."""
     return "auth" in cause.lower() and "timeout" not in cause.lower()
 
 
 @cache
 def _client_kind() -> Any:
-    """Return nats-py's client with rule 6: its own ends for good where a server ends a connection with an error."""
+    """Return a subclass of nats-py's client that never gives up a connection that was up (rule 6).
+
+    The client of nats-py itself ends for good if a server ends a connection with an error. The subclass also keeps the
+    last error of the server as ``cause``, and hides secrets in it.
+    """
     nats = import_module("nats")
 
     class Client(nats.NATS):  # type: ignore[misc, name-defined] # Any: the package is loaded when it is used
@@ -176,7 +200,7 @@ def _client_kind() -> Any:
                 raise
 
         def _read_seed(self) -> None:
-            """Read the seed of the key pair again: it may be another one since the server has refused the old one."""
+            """Read the seed of the key pair from its file again: an operator may have replaced a refused one."""
             if self._nkeys_seed is not None:
                 _credentials(self._nkeys_seed)
                 self._setup_nkeys_connect()
@@ -191,7 +215,15 @@ def _client_kind() -> Any:
 
 
 def _credentials(path: str | None) -> dict[str, str]:
-    """Return how nats-py is told of a credentials file, or of one with the seed of a key pair. Raises `ConfigError`."""
+    """Return the argument of nats-py's ``connect`` for a file with credentials or with the seed of a key pair.
+
+    Args:
+        path: path of the file; None for no file, and no argument.
+
+    Raises:
+        ConfigError: the file cannot be read, or holds an invalid seed.
+        MissingExtra: the package nkeys is not installed.
+    """
     if path is None:
         return {}
     require("nkeys", "a credentials file of NATS")
@@ -207,13 +239,18 @@ def _credentials(path: str | None) -> dict[str, str]:
 
 
 def refused_subject(client: Any, subject: str) -> str:
-    """Return what the server said last if that is that the credentials do not permit a subject; empty otherwise."""
+    """Return the server's last error if it says that the credentials do not permit this subject; empty otherwise."""
     cause = str(client.cause)
     return cause if "permissions" in cause.lower() and f'"{subject.lower()}"' in cause.lower() else ""
 
 
 async def asked(client: Any, subject: str, answer: Coroutine[Any, Any, _T]) -> _T:
-    """Wait for the answer to a request; where the server refuses its subject, for no longer.
+    """Wait for the answer to a request, and return it; stop waiting at once if the server refuses the subject.
+
+    Args:
+        client: client of `connect_nats`.
+        subject: subject of the request.
+        answer: the coroutine of nats-py that sends the request; its own errors are raised too.
 
     Raises:
         TimeoutError: the subject is refused (`refused_subject`), or no answer came in time.
@@ -239,7 +276,18 @@ def _tls(options: CoordinatorOptions) -> ssl.SSLContext:
 
 
 async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> None:
-    """Find or create a key-value bucket. Raises `ConfigError`, `CoordinatorDown`."""
+    """Find or create a key-value bucket of NATS, and check its replicas and that it is kept on disk.
+
+    Args:
+        client: client of `connect_nats`.
+        bucket: name of the bucket: ``busway-<zone>``.
+        options: replicas, timeout and domain of the bucket.
+
+    Raises:
+        ConfigError: the credentials do not permit it, the server has no JetStream, or the bucket has too few replicas
+            or is in memory only.
+        CoordinatorDown: the servers do not answer, or cannot use the bucket yet.
+    """
     nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
     jetstream = client.jetstream(timeout=4 * options.answer, domain=options.domain)
     stream = f"KV_{bucket}"
@@ -303,11 +351,15 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
 
 
 class _Watch:
-    """What one watch has shown, compared with what the server that leads has answered (rule 3).
+    """Compares the entries that one watch has shown with the answers of the server that leads the cluster (rule 3).
 
     Args:
-        prefix: of the keys that are watched.
-        now: seconds of a clock that is not set.
+        prefix: beginning of the keys that are watched.
+        now: returns the time in seconds, by a clock that is never set.
+
+    Attributes:
+        messages: messages of the watch's consumer that are not shown yet.
+        differs: how watch and leader disagree, in words; empty while they agree.
     """
 
     def __init__(self, prefix: str, now: Callable[[], float]) -> None:
@@ -320,11 +372,11 @@ class _Watch:
 
     @property
     def keys(self) -> int:
-        """How many keys it has shown."""
+        """How many keys the watch has shown."""
         return len(self._shown)
 
     def show(self, key: str, revision: int, value: bytes) -> None:
-        """Count an entry as shown."""
+        """Note that the watch has shown an entry, and compare the entry with the leader's last answer for its key."""
         self._shown[key] = revision, hash(value)
         owed, content, _ = self._owed.get(key, (0, None, 0.0))
         if owed and content == hash(value) and revision > owed:
@@ -333,7 +385,7 @@ class _Watch:
             del self._owed[key]
 
     def confirm(self, key: str, revision: int, value: bytes) -> None:
-        """Expect a change that the leader has confirmed."""
+        """Note a change that the leader has confirmed: the watch must show this revision within `LATE` seconds."""
         if not key.startswith(self.prefix):
             return
         shown, content = self._shown.get(key, (0, 0))
@@ -343,7 +395,13 @@ class _Watch:
             self._owed.setdefault(key, (revision, hash(value), self._now()))
 
     def refuse(self, key: str, expected: int, revision: int) -> None:
-        """Expect the revision that the leader names in a refusal of a change that expected another one."""
+        """Note a change that the leader has refused: the watch must show the leader's revision within `LATE` seconds.
+
+        Args:
+            key: key of the entry.
+            expected: the revision that the change expected.
+            revision: the revision that the leader has.
+        """
         if not key.startswith(self.prefix):
             return
         shown = self._shown.get(key, (0, 0))[0]
@@ -353,7 +411,7 @@ class _Watch:
             self._owed.setdefault(key, (revision, None, self._now()))
 
     def is_right(self) -> bool:
-        """Whether it agrees with the leader, as far as is known now."""
+        """Whether the watch agrees with the leader, as far as is known now; otherwise ``differs`` says why not."""
         if not self.differs:
             limit = self._now() - LATE
             late = [(key, revision) for key, (revision, _, since) in self._owed.items() if since < limit]
@@ -365,10 +423,17 @@ class _Watch:
 
 
 class NatsCoordinator:
-    """Shared table of a zone's collectors in a key-value bucket of NATS.
+    """The shared table of a zone's collectors in a key-value bucket of NATS.
+
+    Args:
+        client: client of `connect_nats`; closed by `close`.
+        bucket: name of the bucket, which exists.
+        answer: seconds to wait for the answer to a change.
+        domain: JetStream domain of the edge site that has the bucket; None for the server that ``client`` is connected
+            to.
 
     Attributes:
-        client: the connection, for the streams of the same collector.
+        client: the client of nats-py, for the streams of the same collector.
     """
 
     def __init__(self, client: Any, bucket: str, answer: float, domain: str | None = None) -> None:
@@ -380,11 +445,14 @@ class NatsCoordinator:
         self._at_leader = False
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add a new entry to the shared table. Raises as `Coordinator.create`."""
+        """Add a new entry to the shared table, and return its revision. Arguments and errors: `Coordinator.create`."""
         return await self._changed(key, value, 0)
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry of the shared table if it still has this revision. Raises as `Coordinator.replace`."""
+        """Change an entry of the shared table if it still has this revision, and return its new revision.
+
+        Arguments and errors: `Coordinator.replace`.
+        """
         return await self._changed(key, value, revision)
 
     async def _changed(self, key: str, value: bytes, revision: int) -> int:
@@ -420,7 +488,7 @@ class NatsCoordinator:
         return int(made.seq)
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """Yield the entries of the shared table, then their changes, until the iterator is closed."""
+        """Yield the entries whose keys begin with ``prefix``, then their changes, until closed: `Coordinator.watch`."""
         first = True
         while True:
             if not first:
@@ -432,8 +500,9 @@ class NatsCoordinator:
             await asyncio.sleep(0.2)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Yield the entries that one NATS consumer gets; end, without an error, when it has a gap, is silent or does
-        not agree with the leader.
+        """Yield the entries that one consumer of NATS gets, then their changes.
+
+        Ends without an error when the consumer has a gap or is silent, or disagrees with the leader.
         """
         nats, errors = import_module("nats"), import_module("nats.js.errors")
         watch, subscription = _Watch(prefix, time.monotonic), None
@@ -481,7 +550,7 @@ class NatsCoordinator:
     async def _consume(self, watch: _Watch) -> tuple[Any, int]:
         """Create the NATS consumer that follows the shared table; returns its subscription and how many entries exist.
 
-        Where servers did not agree it is on the server that leads: others are left, and end by themselves.
+        After servers have disagreed, consumers are created until one is on the server that leads, `MOST_TRIES` at most.
         """
         leader, stream = None, f"KV_{self._bucket}"
         if self._at_leader:

@@ -1,7 +1,7 @@
 """Opens the coordinator of a fleet by its URL, whose scheme names the backend; loads only that one.
 
 1. Servers and collectors may be started at once: a server that does not answer yet is asked again for
-   `CoordinatorOptions.start` seconds, and the log says so. What cannot become right by waiting is raised at once.
+   `CoordinatorOptions.start` seconds, and the log says so. An error that waiting cannot cure is raised at once.
 """
 
 import asyncio
@@ -28,14 +28,15 @@ class CoordinatorOptions:
     """Options of the connection to the table that collectors share: user, credentials, TLS files, replicas.
 
     Attributes:
-        user, password, token: credentials for the server; None where the URL or the credentials file says all.
-        credentials: path of a NATS credentials file; None for none.
-        ca, certificate, key: paths of PEM files for TLS; None for those of the system, or for none.
-        replicas: servers that must keep each entry, 1…5 (NATS).
-        domain: the JetStream domain of the edge site that has the table, asked through the centre (NATS); None for that
-            of the server itself.
+        user, password, token: credentials for the server; None if the URL or the credentials file has them.
+        credentials: path of a NATS credentials file, or of a file with the seed of a key pair; None for none.
+        ca: path of a PEM file with the authorities of the server's certificate; None for those of the system.
+        certificate, key: paths of PEM files with the client's certificate and its key; None for none.
+        replicas: number of servers that must keep each entry, 1…5 (NATS).
+        domain: JetStream domain of the edge site that has the table, asked through the centre (NATS); None for the
+            server that the URL names.
         answer: seconds after which a change without an answer has an unknown outcome.
-        start: seconds for which a server that does not answer is asked again when the coordinator is opened; 0 for
+        start: seconds for which a server that does not answer is asked again when the coordinator is opened; 0 to ask
             once. Servers that were started just now have to elect a leader.
     """
 
@@ -58,11 +59,12 @@ async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | No
     Args:
         url: ``local:FOLDER`` for the collectors of one machine, ``nats://host:4222`` (several hosts with commas,
             ``tls://`` for encryption), or ``postgresql://user@host/database``.
-        zone: the name of the zone.
-        options: how it is reached.
+        zone: name of the zone.
+        options: credentials, certificates and timeouts of the connection; None for the defaults.
 
     Raises:
-        ConfigError: the URL or the zone cannot be, the server is too old, has too few replicas or refuses the rights.
+        ConfigError: the URL or the name of the zone is invalid, or the server is too old, has too few replicas or
+            refuses the rights.
         CoordinatorDown: the server could not be reached for ``options.start`` seconds.
         MissingExtra: a package for this backend is not installed.
     """
@@ -89,7 +91,12 @@ async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | No
 
 
 def _check_hosts(url: str, secrets: HiddenSecrets) -> None:
-    """Raise `ConfigError` where a host or port of a URL cannot be, before a backend fails on it as on a defect."""
+    """Raise `ConfigError` if a host or port in the URL of a coordinator is invalid.
+
+    Args:
+        url: URL for NATS or PostgreSQL.
+        secrets: hides the secrets of the URL in the error.
+    """
     scheme, _, rest = url.partition("://")
     is_database = scheme in ("postgresql", "postgres")
     place, _, query = rest.partition("?")
@@ -112,11 +119,11 @@ def _check_hosts(url: str, secrets: HiddenSecrets) -> None:
 
 
 def hidden_secrets(url: str, options: CoordinatorOptions) -> HiddenSecrets:
-    """Return what hides the secrets of a coordinator in texts: those of its options and those in its URL.
+    """Return an object that hides a coordinator's passwords and tokens in texts, such as errors.
 
     Args:
-        url: of the coordinator. A user without a password is a token where several hosts, each with its own, may be.
-        options: how it is reached.
+        url: URL of the coordinator. In a URL of NATS a user without a password is a token.
+        options: options of the connection, with a password or token of their own.
     """
     scheme, _, rest = url.partition("://")
     is_database = scheme in ("postgresql", "postgres")
@@ -128,12 +135,13 @@ def hidden_secrets(url: str, options: CoordinatorOptions) -> HiddenSecrets:
 
 
 async def until_up(ask: Callable[[], Awaitable[_T]], down: type[ModbusError], seconds: float) -> _T:
-    """Ask a server until it is up, for some seconds at most; the first refusal is logged.
+    """Call a function until the server that it asks is up, and return its result; the first failure is logged.
 
     Args:
-        ask: asks once.
-        down: what it raises while the server is not up. This is raised at the end; any other error at once.
-        seconds: after which no new question is asked.
+        ask: asks the server once.
+        down: the error that ``ask`` raises while the server is not up. It is raised here once the time is over; any
+            other error is raised at once.
+        seconds: seconds after which ``ask`` is not called again; 0 to call it once.
     """
     loop = asyncio.get_running_loop()
     until = loop.time() + seconds

@@ -3,9 +3,9 @@
 Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 
 1. A change is one ``UPDATE … WHERE revision = …``; the database compares and sets.
-2. Each change is told by ``NOTIFY`` with its key. A watch reads what was told, and compares the revisions of all
-   entries every `COMPARE_EVERY` seconds, so that what was lost with a connection is found.
-3. Changes that were confirmed must survive the server: ``fsync`` and ``synchronous_commit`` must be on.
+2. Each change is told by ``NOTIFY`` with its key. A watch reads the entries with these keys, and compares the revisions
+   of all entries every `COMPARE_EVERY` seconds, so that changes whose notification was lost are found.
+3. Changes that were confirmed must survive a crash of the server: ``fsync`` and ``synchronous_commit`` must be on.
 """
 
 import asyncio
@@ -49,8 +49,18 @@ WHERE zone = $1 AND key = $2 AND revision = $5 RETURNING revision, pg_notify($4,
 
 
 async def open_postgresql(url: str, zone: str, options: CoordinatorOptions) -> "PostgresqlCoordinator":
-    """Open the table that a zone's collectors share in PostgreSQL. Raises `ConfigError`, `CoordinatorDown`,
-    `MissingExtra`.
+    """Connect to the table that a zone's collectors share in PostgreSQL; the table is created if missing.
+
+    Args:
+        url: ``postgresql://user@host/database``.
+        zone: name of the zone.
+        options: credentials, certificates and the timeout of the connection.
+
+    Raises:
+        ConfigError: the zone has no valid name, the server is too old, refuses the credentials or rights, or would lose
+            confirmed changes.
+        CoordinatorDown: the server cannot be used now.
+        MissingExtra: the package asyncpg is not installed.
     """
     require("asyncpg", "a coordinator on PostgreSQL")
     coordinator = PostgresqlCoordinator(url, checked_name(zone, "zone"), options)
@@ -59,18 +69,18 @@ async def open_postgresql(url: str, zone: str, options: CoordinatorOptions) -> "
 
 
 def _errors(pg: Any) -> tuple[type[Exception], ...]:
-    """Return what asyncpg raises where a server is away, ends or answers wrongly."""
+    """Return the exceptions that asyncpg raises if a server cannot be reached, ends or answers wrongly."""
     return pg.PostgresError, pg.InterfaceError, pg.InternalClientError, OSError, TimeoutError
 
 
 def _channel(zone: str) -> str:
-    """Return the channel on which changes of a zone are told: a name of PostgreSQL, which has at most 63 bytes."""
+    """Return the name of the ``NOTIFY`` channel for changes of a zone, of at most 63 bytes as PostgreSQL wants."""
     name = f"busway_fleet_{zone}"
     return name if len(name) < 64 else f"busway_fleet_{hashlib.blake2b(zone.encode(), digest_size=16).hexdigest()}"
 
 
 class PostgresqlCoordinator:
-    """Shared table of a zone's collectors: the table ``busway_fleet`` of PostgreSQL."""
+    """The shared table of a zone's collectors in PostgreSQL: the rows of the zone in the table ``busway_fleet``."""
 
     def __init__(self, url: str, zone: str, options: CoordinatorOptions) -> None:
         self._url, self._zone, self._options = url, zone, options
@@ -82,7 +92,12 @@ class PostgresqlCoordinator:
         return self._secrets.hide(error) or type(error).__name__
 
     async def open(self) -> None:
-        """Connect to PostgreSQL and check the server. Raises `ConfigError`, `CoordinatorDown`."""
+        """Connect to PostgreSQL, check version and settings of the server, and create the table if missing.
+
+        Raises:
+            ConfigError: the server is too old, refuses the credentials or rights, or would lose confirmed changes.
+            CoordinatorDown: the server cannot be used now.
+        """
         pg, shown = import_module("asyncpg"), self._secrets.hide(self._url)
         try:
             async with asyncio.timeout(4 * self._options.answer):
@@ -129,11 +144,14 @@ class PostgresqlCoordinator:
                 )
 
     async def create(self, key: str, value: bytes) -> int:
-        """Add a new entry to the shared table. Raises as `Coordinator.create`."""
+        """Add a new entry to the shared table, and return its revision. Arguments and errors: `Coordinator.create`."""
         return await self._changed(key, value, _CREATE)
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry of the shared table if it still has this revision. Raises as `Coordinator.replace`."""
+        """Change an entry of the shared table if it still has this revision, and return its new revision.
+
+        Arguments and errors: `Coordinator.replace`.
+        """
         return await self._changed(key, value, _REPLACE, revision)
 
     async def _changed(self, key: str, value: bytes, statement: str, *revision: int) -> int:
@@ -157,7 +175,7 @@ class PostgresqlCoordinator:
         return int(made)
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
-        """Yield the entries of the shared table, then their changes, until the iterator is closed."""
+        """Yield the entries whose keys begin with ``prefix``, then their changes, until closed: `Coordinator.watch`."""
         first = True
         while True:
             if not first:
@@ -169,7 +187,7 @@ class PostgresqlCoordinator:
             await asyncio.sleep(0.2)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Yield entries over one database connection; end, without an error, when it is lost."""
+        """Yield entries and changes over one database connection; end, without an error, when it is lost."""
         pg = import_module("asyncpg")
         told: set[str] = set()
         wake = asyncio.Event()
@@ -227,6 +245,6 @@ class PostgresqlCoordinator:
         return [Entry(key, bytes(value), revision) for key, value, revision in rows if key.startswith(prefix)]
 
     async def close(self) -> None:
-        """Close the connection to PostgreSQL, where the shared table is."""
+        """Close all connections to PostgreSQL at once. The shared table stays as it is."""
         if self._pool is not None:
             self._pool.terminate()
