@@ -2,7 +2,7 @@
 
 =================  =====================================================================================================
 `arguments`        Options that several commands share, and the conversion of their texts to checked values
-`captures`         What commands that read capture files share: options, opening the file, warnings about what is missing
+`captures`         What commands that read capture files share: options, opening the file, warnings about missing frames
 `certs`            `busway certs`: makes certificates to try Modbus/TCP Security with, and shows what certificates say
 `check`            `busway check`: checks a device against the specification, and reports where it differs
 `cloning`          `busway simulate --clone`: records a live device into a simulation file

@@ -19,7 +19,7 @@ from ..errors import InvalidRequest
 from ..values.refusal import shown
 
 _MOST_STEPS_OFF: Final = 1e-6
-"""How far from a whole number of steps a value may be: what binary fractions cost."""
+"""Largest distance of a value from whole steps, in steps or as a share of them: the error of binary fractions."""
 LARGEST_EXPONENT: Final = 10
 """Scale factors lie in -10…10 (SunSpec Device Information Model Specification, sunssf)."""
 
@@ -45,10 +45,11 @@ class Conversion:
 
     Attributes:
         scale, offset: ``value = raw · scale + offset``.
-        scale_from: the name of a point whose value is the exponent of ten that the value is multiplied with.
-        linear: instead of scale and offset.
-        invalid: raw numbers that stand for no value. Of signed types also as the pattern of bits: ``0x8000``.
-        valid: values outside these ends are uncertain.
+        scale_from: name of a point whose value is an exponent: the value is multiplied by ten to that power. Empty for
+            none.
+        linear: a linear range that replaces scale and offset; None without one.
+        invalid: raw numbers that mean "no value". For signed types also as a bit pattern: ``0x8000``.
+        valid: smallest and largest value; values beyond them are uncertain. None at an end: no limit there.
         names: names of numbers, number by name.
         flags: names of the bits of a whole number, bit by name.
     """
@@ -64,11 +65,11 @@ class Conversion:
 
     @property
     def changes(self) -> bool:
-        """Whether the values of the point differ from its raw numbers."""
+        """Whether scale, offset or linear range change raw numbers to other values; ``scale_from`` does not count."""
         return self.scale != 1.0 or self.offset != 0.0 or self.linear is not None
 
     def factors(self) -> tuple[Fraction, Fraction]:
-        """Scale and offset of the point as exact fractions."""
+        """Return scale and offset as exact fractions; those of the linear range if there is one."""
         if self.linear is None:
             return _exact(self.scale), _exact(self.offset)
         low, high = _exact(self.linear.raw[0]), _exact(self.linear.raw[1])
@@ -77,11 +78,13 @@ class Conversion:
         return scale, least - low * scale
 
     def source(self, raw: str, *, whole: bool) -> str:
-        """Return a Python expression for the value, given an expression for the raw number; for compiled decoders.
+        """Return the source of a Python expression that computes the value from a raw number; for compiled decoders.
+
+        The expression does not contain ``scale_from``.
 
         Args:
-            raw: the name.
-            whole: whether raw numbers are whole.
+            raw: source of the raw number, such as a variable's name.
+            whole: whether raw numbers are integers.
         """
         text = raw
         if self.changes:
@@ -104,12 +107,12 @@ class Conversion:
         """Return the raw number to write for a value of the point.
 
         Args:
-            value: in the unit of measure.
-            whole: whether raw numbers are whole.
-            exponent: what the point of ``scale_from`` holds.
+            value: the value in the unit of measure.
+            whole: whether raw numbers are integers.
+            exponent: the exponent that the point of ``scale_from`` holds; 0 without one.
 
         Raises:
-            InvalidRequest: it is no number, or no whole number of steps.
+            InvalidRequest: the value is no number, or no whole number of steps where raw numbers are integers.
         """
         if not self.changes and not exponent:
             return value
@@ -130,13 +133,17 @@ class Conversion:
 
 
 def _exact(number: float) -> Fraction:
-    """Return a float as the decimal fraction it was written as: 1/10 for 0.1."""
+    """Return a float as the exact decimal fraction that its text shows: 1/10 for 0.1."""
     return Fraction(number) if isinstance(number, int) else Fraction(repr(float(number)))
 
 
 def pattern(number: float, *, bits: int, signed: bool) -> float:
-    """Return a raw number; a bit pattern becomes the signed number that it means: 0x8000 is -32768 in 16 bits with a
-    sign.
+    """Return the number that a raw number or bit pattern stands for: 0x8000 is -32768 in 16 bits with a sign.
+
+    Args:
+        number: a raw number, or the bit pattern of a negative one; other numbers are returned unchanged.
+        bits: size of the type in bits.
+        signed: whether the type has a sign.
     """
     if signed and isinstance(number, int) and 1 << bits - 1 <= number < 1 << bits:
         return number - (1 << bits)
@@ -144,13 +151,24 @@ def pattern(number: float, *, bits: int, signed: bool) -> float:
 
 
 def converter(conversion: Conversion, *, whole: bool) -> Callable[[float], float]:
-    """Return a compiled function from raw numbers to values of a point, faster than `value_of`."""
+    """Return a compiled function that converts raw numbers of a point to values, faster than `value_of`.
+
+    Args:
+        conversion: the conversion of the point; its ``scale_from`` is not applied.
+        whole: whether raw numbers are integers.
+    """
     convert: Callable[[float], float] = eval(f"lambda raw: {conversion.source('raw', whole=whole)}")
     return convert
 
 
 def value_of(conversion: Conversion, raw: float, *, whole: bool) -> float:
-    """Return the value for one raw number of a point, without ``scale_from``; slower than compiled decoders."""
+    """Return the value for one raw number of a point, in the unit of measure; slower than a compiled `converter`.
+
+    Args:
+        conversion: the conversion of the point; its ``scale_from`` is not applied.
+        raw: the raw number.
+        whole: whether raw numbers are integers.
+    """
     if not conversion.changes:
         return raw
     scale, offset = conversion.factors()

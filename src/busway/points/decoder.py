@@ -2,11 +2,11 @@
 
 Knows points and the bytes of a reply; knows no request and no clock.
 
-1. All numbers of a read are unpacked by one ``struct`` call. Where their bytes do not lie as ``struct`` wants them
-   (another order, points that overlap), their registers are put in its order first, all in one step.
+1. All numbers of a read are unpacked by one ``struct`` call. If ``struct`` cannot unpack the bytes as they lie (another
+   order, points that overlap), the registers are first rearranged, all in one step.
 2. What each point needs beyond that (a scale, a comparison, a bit) is source of one generated function, as `pdu` does
    with messages; texts and the like are decoded by their type.
-3. Good values cost nothing beside their value: only what is not good has an entry in ``flaws``.
+3. Good values cost nothing beside their value: only values that are not good have an entry in ``flaws``.
 4. Points may overlap. A register that several points use is unpacked once.
 """
 
@@ -50,8 +50,8 @@ class DecodedRead:
     """The values of all points in one reply, and the reasons of those that are not good.
 
     Attributes:
-        values: one for each point, in the order of the points; None where there is none.
-        flaws: the reason (`Reason`) by position of the point, for values that are not good.
+        values: the value of each point, in the order of the decoder's points; None for a point without a value.
+        flaws: the reason (`Reason`) by position of the point, only for values that are not good.
     """
 
     values: list[Any]  # what the points' types say
@@ -62,10 +62,14 @@ class ReadDecoder:
     """Turns the replies to one particular read request into the values of its points.
 
     Args:
-        points: those that the read serves, in the order in which their values are wanted.
+        points: the points that the read serves, in the order in which their values are wanted.
         table: the table that is read.
-        start: the offset of the first item read.
-        count: how many items it asks for.
+        start: the offset of the first item that is read.
+        count: number of items that are read.
+
+    Attributes:
+        points, table, start, count: as given.
+        size: number of data bytes in each reply.
 
     Raises:
         InvalidRequest: a point does not lie within the read.
@@ -88,11 +92,11 @@ class ReadDecoder:
 
         Args:
             data: registers in wire order, or bits as in a reply, the first in the lowest bit.
-            known: the exponents of ``scale_from`` by the name of their point. Those in this reply are put into it, and
-                hold for it already.
+            known: exponents for ``scale_from``, by name of the point that holds them. Exponents in this reply are
+                added, and apply to this reply already. None if there are none.
 
         Raises:
-            InvalidRequest: there are not as many bytes as the read asks for.
+            InvalidRequest: ``data`` has not as many bytes as the read asks for.
         """
         if len(data) != self.size:
             raise InvalidRequest(
@@ -109,15 +113,15 @@ def _alone(point: Point) -> ReadDecoder:
 
 
 def decode_point(point: Point, data: Wire, known: Mapping[str, int] | None = None) -> Reading:
-    """Return the value of one point from its registers or bits alone.
+    """Return the value and quality of one point from its own registers or bit.
 
     Args:
         point: the point.
-        data: its registers in wire order, or a byte with its bit as the lowest.
-        known: exponents by the name of the point that holds them, for ``scale_from``.
+        data: its registers in wire order; for a coil or discrete input a byte with its bit as the lowest.
+        known: exponents for ``scale_from``, by name of the point that holds them.
 
     Raises:
-        InvalidRequest: there are not as many bytes as it takes.
+        InvalidRequest: ``data`` has not as many bytes as the point takes.
     """
     found = _alone(point).decode(data, dict(known or {}))
     return Reading(found.values[0], found.flaws.get(0, Reason.NONE))
@@ -198,7 +202,7 @@ class _Source:
         self.namespace: dict[str, Any] = {"inf": math.inf, "nan": math.nan}
 
     def text(self) -> str:
-        """Return the source code of the function ``decode(data, known)``."""
+        """Return the source code of the function ``decode(data, known)``, which returns values and flaws."""
         for point in self._points:
             number = _number_of(point, self._start)
             if number is not None and number not in self._numbers:
@@ -345,7 +349,13 @@ def _padded(numbers: Sequence[_Number], count: int) -> str:
 
 
 def _gatherer(pick: Callable[[Any], Iterable[int]], count: int, *, swaps: bool) -> "Callable[[Wire], array[int]]":
-    """Return a function that arranges a reply's registers, also byte-swapped ones and a zero, for unpacking."""
+    """Return a function that picks the registers of a reply, some with swapped bytes, in the order for ``struct``.
+
+    Args:
+        pick: takes positions from the registers, followed by the byte-swapped registers if ``swaps``, and zeros.
+        count: number of registers in a reply.
+        swaps: whether byte-swapped registers are needed.
+    """
     rest = array("H", [0] if swaps else [0] * (count + 1))
 
     def gather(data: Wire) -> "array[int]":

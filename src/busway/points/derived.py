@@ -2,9 +2,9 @@
 
 Knows points and their latest readings; knows no request and no clock.
 
-1. The total of an accumulator goes on where its counter begins again. A counter that falls by more than half of its
-   range was set back by its device, and did not roll over: its total goes on too.
-2. A computed point has no value where one of its inputs has none, and is as uncertain as its inputs are.
+1. The total of an accumulator goes on when its counter starts again. If a counter falls by at most half of its range,
+   its device has reset it, and it did not roll over: the total goes on too.
+2. A computed point has no value if one of its inputs has none, and is as uncertain as its inputs are.
 """
 
 import math
@@ -20,11 +20,11 @@ class Accumulator:
     """Running total of a counter that rolls over: the total grows on when the counter restarts at 0.
 
     Args:
-        rollover: the number at which it begins again from 0.
+        rollover: the value at which the counter restarts at 0, in the unit of measure.
 
     Attributes:
         total: the present total.
-        resets: how often the device set it back.
+        resets: how often the device has reset the counter.
         last: the last reading of the counter; None before the first.
     """
 
@@ -37,7 +37,13 @@ class Accumulator:
         self.last: float | None = None
 
     def take(self, value: float) -> float:
-        """Add the current reading of the counter to the total. Returns the total."""
+        """Add the increase of the counter since its last reading to the total, and return the total.
+
+        The first reading is the first total.
+
+        Args:
+            value: the present reading of the counter, in the unit of measure.
+        """
         last = self.last
         self.last = value
         if last is None:
@@ -56,10 +62,10 @@ class Derivation:
     """The computed points of one device: running totals and formulas.
 
     Args:
-        points: all of the device; those that need nothing are left alone.
+        points: points of the device; only those with a rollover or a formula are computed.
 
     Raises:
-        ConfigError: a formula is none.
+        ConfigError: a formula is invalid.
 
     Attributes:
         accumulators: running totals by the names of their points.
@@ -78,7 +84,13 @@ class Derivation:
         ]
 
     def restore(self, name: str, total: float, last: float) -> None:
-        """Continue a running total from an earlier value, if the point has one."""
+        """Continue the running total of a point from an earlier one; does nothing if the point has no running total.
+
+        Args:
+            name: name of the point.
+            total: the earlier total.
+            last: the reading of the counter that belongs to it.
+        """
         accumulator = self.accumulators.get(name)
         if accumulator is not None:
             accumulator.total, accumulator.last = total, last
@@ -89,7 +101,7 @@ class Derivation:
         return not self.accumulators and not self._computed
 
     def inputs(self) -> frozenset[str]:
-        """The names of the points that the formulas use."""
+        """Return the names of the points that the formulas use."""
         return frozenset(name for _, expression, _ in self._computed for name in expression.names)
 
     def apply(self, latest: Mapping[str, Reading], time: float = 0.0) -> dict[str, Reading]:
@@ -135,7 +147,10 @@ class Derivation:
 
 
 def _ordered(expressions: Mapping[str, Expression]) -> list[str]:
-    """Return the computed points, each after those that its formula uses; circular ones were refused before."""
+    """Return the names of the computed points, each after those that its formula uses.
+
+    Circular formulas were refused before.
+    """
     done: dict[str, None] = {}
 
     def visit(name: str, depth: int) -> None:

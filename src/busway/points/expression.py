@@ -2,13 +2,13 @@
 
 Knows numbers, names and a few functions; knows no point: the caller says what a name means.
 
-1. There are: numbers; ``+ - * / // % **``; comparisons, ``and or not``, ``a if b else c``; the functions below; ``t``,
-   seconds since the beginning; ``pi``; names of points, dots included; ``point("…")`` for any other name, such as
-   ``point("3/voltage L1")``, which is a point of unit 3.
-2. What cannot be computed (a division by zero, the root of -1) is NaN. Truth is 1 and 0.
-3. An expression is short and flat: a bounded number of characters and levels, so it costs a bounded time. Whatever
-   numbers come in, those in between are bounded too: powers are computed with fractions, rounding beyond `_MOST_DIGITS`
-   is none, and whole numbers that come from outside have at most `WHOLE_BITS` bits.
+1. A formula may contain: numbers; ``+ - * / // % **``; comparisons, ``and or not``, ``a if b else c``; the functions
+   below; ``t``, seconds since the beginning; ``pi``; names of points, dots included; ``point("…")`` for any other name,
+   such as ``point("3/voltage L1")``, which is a point of unit 3.
+2. What cannot be computed (a division by zero, the root of -1) is NaN. True is 1 and False is 0.
+3. A formula has a bounded number of characters and levels, so that evaluating it takes a bounded time. Intermediate
+   results are bounded too: powers are computed as floats, rounding takes at most `_MOST_DIGITS` digits, and whole
+   numbers from outside have at most `WHOLE_BITS` bits.
 4. Written here, on the standard library's ``ast``: expressions come from files of others, and rule 3 must hold.
 """
 
@@ -29,9 +29,9 @@ Bound = Callable[[float], float]
 _LONGEST: Final = 1000
 _DEEPEST: Final = 40
 _MOST_DIGITS: Final = 400
-"""Digits of rounding, either way: no number of 64 bits, and no float, has any beyond that."""
+"""Most digits for rounding, before or after the decimal point: no 64-bit number and no float has more."""
 WHOLE_BITS: Final = 64
-"""Bits of a whole number that goes into an expression or comes out whole."""
+"""Most bits of a whole number that enters an expression, or is its whole result."""
 TIME: Final = "t"
 _POINT: Final = "point"
 _CONSTANTS: Final = {"pi": math.pi}
@@ -76,17 +76,17 @@ _FUNCTIONS: Final[dict[str, tuple[Callable[..., Any], int, int]]] = {
     "exp": (math.exp, 1, 1),
     "log": (math.log, 1, 2),
 }
-"""Functions by name: what computes it, and the least and the largest number of arguments."""
+"""Functions of formulas by name: the Python function, and the least and the largest number of arguments."""
 FUNCTION_NAMES: Final = tuple(_FUNCTIONS)
 
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """A parsed formula over points and time.
+    """A parsed formula over points and time, from `parse_expression`.
 
     Attributes:
-        text: as it was written.
-        names: the points that it needs, each once.
+        text: the formula as it was written.
+        names: names of the points that it needs, each once.
     """
 
     text: str
@@ -95,16 +95,16 @@ class Expression:
 
     @property
     def words(self) -> frozenset[str]:
-        """The names in the formula that are never points: ``t``, ``pi``."""
+        """The words in the formula that are never names of points: ``t``, ``pi``."""
         return frozenset(
             each.id for each in ast.walk(self._tree) if isinstance(each, ast.Name) and each.id in (TIME, *_CONSTANTS)
         )
 
     def bind(self, source: Callable[[str], Callable[[], Number]]) -> Bound:
-        """Return a function of time that evaluates the formula, with point values from ``source``.
+        """Return a function of the time in seconds that evaluates the formula; its result is NaN if there is no value.
 
         Args:
-            source: gives for a name what reads its value.
+            source: called once for each name of a point; returns a function that reads the point's present value.
         """
         compute = _compiled(self._tree, source)
 
@@ -117,14 +117,22 @@ class Expression:
         return value
 
     def renamed(self, rename: Callable[[str], str]) -> str:
-        """Return the text of the same formula with each point's name replaced by ``rename``."""
+        """Return the text of the same formula with new names of points.
+
+        Args:
+            rename: returns the new name for the name of a point.
+        """
         return ast.unparse(_Renaming(rename).visit(ast.parse(self.text.strip(), mode="eval").body))
 
     def result(self, values: dict[str, Number]) -> Number:
-        """Return the value of the formula for given numbers by name; integers stay integers.
+        """Return the value of the formula for given numbers by name; a whole result stays an ``int``. ``t`` is 0.
+
+        Args:
+            values: the number of each of ``names``.
 
         Raises:
-            ConfigError: it has no value, or it or a number that goes in is whole and has more than `WHOLE_BITS` bits.
+            ConfigError: the formula has no value, or a number that goes in or comes out is whole and has more than
+                `WHOLE_BITS` bits.
         """
         for name in self.names:
             _check_whole(name, values[name])
@@ -161,7 +169,11 @@ def _check_whole(what: str, value: Number) -> None:
 
 
 def parse_expression(text: str) -> Expression:
-    """Parse the text of a formula. Raises `ConfigError` that says what is wrong with it."""
+    """Parse the text of a formula; names of points are not looked up.
+
+    Raises:
+        ConfigError: the text is no formula, or too long or too deep; the error says what is wrong.
+    """
     if len(text) > _LONGEST:
         raise ConfigError(f"an expression has at most {_LONGEST} characters, not {len(text)}")
     try:
@@ -180,7 +192,7 @@ def parse_expression(text: str) -> Expression:
 
 
 def _names(node: ast.expr, text: str, depth: int) -> Iterator[str]:
-    """Return the names of the points in a part of a formula; refuses syntax that is not allowed."""
+    """Yield the names of the points in a part of a formula. Raises `ConfigError` for syntax that is not allowed."""
     if depth > _DEEPEST:
         raise ConfigError(f"{shown(text)} is nested too deeply")
     name = _dotted(node)
@@ -225,8 +237,9 @@ def _arguments(name: str, given: list[ast.expr]) -> list[ast.expr]:
 
 
 def _dotted(node: ast.expr) -> str | None:
-    """Return the point that a part of a formula names, ``tank.level`` or ``point("tank level")``; None if it names
-    none.
+    """Return the point that a part of a formula names; None if the part is no name of a point.
+
+    ``tank.level`` names the point "tank.level", ``point("tank level")`` the point "tank level".
     """
     match node:
         case ast.Name():
@@ -240,7 +253,7 @@ def _dotted(node: ast.expr) -> str | None:
 
 
 def _compiled(node: ast.expr, source: Callable[[str], Callable[[], Number]]) -> Compute:
-    """Return a function that evaluates a part of a formula whose syntax was checked."""
+    """Return a function of the time that evaluates a part of a formula whose syntax was checked."""
     name = _dotted(node)
     if name is not None:
         return _of_name(node, name, source)

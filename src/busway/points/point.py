@@ -1,7 +1,7 @@
 """A point: one named value of a device, which others call a tag.
 
-Knows where it stands, its type, how its raw number becomes a value, and what is to be done with it; knows no device,
-no request and no file. `decoder` decodes points.
+Knows its address and type, how its raw number becomes a value, and the rules for it; knows no device, no request and no
+file. `decoder` decodes points.
 """
 
 from collections.abc import Mapping
@@ -28,24 +28,24 @@ class Point:
 
     Attributes:
         name: its name, unique in the device.
-        table: its table; for a computed point, which is in none, holding registers.
+        table: its table; holding registers for a computed point, which is in no table.
         start: its first register or bit, 0-based.
-        form: the type of its registers, also of one bit of one (``bit:3``); None for a coil or discrete input.
+        form: the value type of its registers, also for one bit of a register (``bit:3``); None for a coil or discrete
+            input.
         conversion: how raw numbers become values.
-        unit_of_measure: ``V``, ``°C``.
-        group: the name of the atomic group that it belongs to; all of it is read in one request. None for none.
-        exists: for each group around it whose size the device says: the name of the point that holds how many there
-            are, and its own place among them, from 1 on.
-        is_exponent: whether another point names it in ``scale_from``; then decoders remember its value.
-        formula: the expression of a computed point; empty for one that is read.
-        rollover: the number of an accumulator at which it begins again from 0, in the unit of measure; None if it is
-            none.
-        poll_class: its poll class, which says how often it is read; empty for that of its device.
-        writing: which values may be written, and how; None for none.
-        reporting: which of its samples are sent to sinks without a rule of their own.
-        storing: which of its samples a store keeps; None where the device, its class or the collector say that.
+        unit_of_measure: ``V``, ``°C``; empty for none.
+        group: name of its atomic group, which is read in one request; None for none.
+        exists: for each repeated group around the point whose size the device reports: the name of the point that holds
+            the size, and the place of this point's member in the group, from 1 on.
+        is_exponent: whether another point names this one in ``scale_from``; decoders then remember its value.
+        formula: the expression of a computed point; empty for a point that is read.
+        rollover: the value at which an accumulator restarts at 0, in the unit of measure; None for other points.
+        poll_class: name of the poll class with which it is read; empty for that of its device.
+        writing: which values may be written, and how; None if it may not be written.
+        reporting: which of its samples go to sinks that have no rule of their own.
+        storing: which of its samples a store keeps; None if the device, its class or the collector says that.
         alarms: its alarm limits.
-        was: the name that it had before; its history goes on.
+        was: its former name, whose history goes on; empty for none.
         description: what it is, for people.
         meta: further facts from its file.
     """
@@ -106,22 +106,22 @@ class Point:
 
     @property
     def is_number(self) -> bool:
-        """Whether the point is a number, not a bit, text or several values."""
+        """Whether values of the point are numbers, not bits, texts or tuples."""
         return bool(self.formula) or self.is_whole or (self.form is not None and self.form.name.startswith("float"))
 
     def encode(self, value: Any, held: Wire = b"", exponent: int = 0) -> bytes:
         """Return the registers or bits that hold a value of the point, for a write.
 
         Args:
-            value: in the unit of measure, or a name of a number, or for flags the names of the bits that are set.
-            held: what the registers hold now, for a point that is only a part of its register.
-            exponent: what the point of ``scale_from`` holds.
+            value: the value in the unit of measure; a name of a number; or the names of the flags that are set.
+            held: the present bytes of its registers, for a point that is only a part of a register; empty for zeros.
+            exponent: the exponent that the point of ``scale_from`` holds.
 
         Returns:
             Registers in wire order; for a coil one byte, 0 or 1.
 
         Raises:
-            InvalidRequest: it does not fit the type, the scale, or the names.
+            InvalidRequest: the value does not fit the type, the scale or the names, or the point is computed.
         """
         raw = self.raw(value, exponent)
         if self.form is None:
@@ -129,7 +129,15 @@ class Point:
         return self.form.merge(raw, held or bytes(2 * self.form.registers))
 
     def raw(self, value: Any, exponent: int = 0) -> Any:
-        """Return the raw number to write for a value in the unit of measure. Raises `InvalidRequest`."""
+        """Return the raw number to write for a value in the unit of measure; texts and tuples are returned unchanged.
+
+        Args:
+            value: the value, a name of a number, or the names of flags; a bool for a switch.
+            exponent: the exponent that the point of ``scale_from`` holds.
+
+        Raises:
+            InvalidRequest: the value does not fit the scale or the names, or the point is computed.
+        """
         if self.formula:
             raise InvalidRequest(f"{self.name} is computed and holds nothing")
         if isinstance(value, bool) and self.writing is not None and self.writing.on is not None:
@@ -144,13 +152,13 @@ class Point:
         return self.conversion.raw(value, whole=self.is_whole, exponent=exponent)
 
     def value(self, raw: Any) -> Any:
-        """Return the value in the unit of measure for a raw number; texts and other values unchanged."""
+        """Return the value in the unit of measure for a raw number, without ``scale_from``; other values unchanged."""
         if not self.is_number or isinstance(raw, bool):
             return raw
         return value_of(self.conversion, raw, whole=self.is_whole)
 
     def _number_of(self, value: Any) -> Any:
-        """Return the number for the name of a value, or for the names of flags."""
+        """Return the number for the name of a value, or for the names of flags; other values unchanged."""
         conversion = self.conversion
         if conversion.names:
             if isinstance(value, str):
@@ -173,7 +181,7 @@ class Point:
         return value
 
     def choices(self) -> str:
-        """The names of the point's values with their numbers, as text: ``off (0), auto (1)``."""
+        """Return the names of the point's values with their numbers, as text: ``off (0), auto (1)``."""
         return ", ".join(f"{name} ({number})" for name, number in self.conversion.names.items())
 
     def label(self, value: Any) -> str:

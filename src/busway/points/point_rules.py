@@ -16,7 +16,7 @@ from ..values import Address
 from ..values.refusal import shown
 
 _ROUNDING: Final = 2.0**-49
-"""Share of a float that computing it in a few steps may be wrong by: eight times its last bit."""
+"""Largest relative error of a float that was computed in a few steps: eight times its last bit."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -44,16 +44,16 @@ class ReadRules:
     """Limits for reading a device: largest requests, readable and forbidden ranges.
 
     Attributes:
-        max_registers: widest read of registers, 1…125.
-        max_bits: widest read of bits, 1…2000.
-        readable: by table, the ranges that exist: a read stays in one of them, and may read any hole in it. Without
-            any, the whole table exists, and nothing is known of its holes.
+        max_registers: most registers in one read, 1…125.
+        max_bits: most bits in one read, 1…2000.
+        readable: by table, the ranges that exist: a read stays within one of them, and may include addresses between
+            points. Without ranges the whole table can be read, but addresses between points may not exist.
         forbidden: by table, ranges that no read may touch.
         exact: by table, blocks that are read as a whole or not at all.
         borders: by table, offsets that a read may end before or begin at, but not cross.
-        bridge: whether holes outside readable ranges may be read too.
+        bridge: whether a read may include addresses between points outside readable ranges too.
         one_point: whether each item takes a request of its own.
-        pause: seconds from the end of a reply to the next request to the device, at least.
+        pause: least time in seconds from the end of a reply to the next request to the device.
     """
 
     max_registers: int = MAX_READ_REGISTERS
@@ -73,14 +73,15 @@ class ReadRules:
 
 @dataclass(frozen=True, slots=True)
 class WriteRule:
-    """Whether and how a point may be written, and with which values.
+    """How a point may be written, and with which values.
 
     Attributes:
         function: 5, 6, 15, 16 or 22; None for the one that fits.
-        verify: ``none``, ``read-back``, or the address where the device shows the value.
-        minimum, maximum: the ends of what may be written, in the unit of measure.
-        step: values are minimum (or 0) and whole numbers of steps above it.
-        on, off: the raw numbers of a switch.
+        verify: ``none``; ``read-back`` to read the point after a write; or the address where the device shows the
+            value.
+        minimum, maximum: smallest and largest value that may be written, in the unit of measure; None for no limit.
+        step: values differ from ``minimum`` (or 0) by a whole number of steps; None for any value.
+        on, off: the raw numbers of a switch; None for a point that is no switch.
     """
 
     function: int | None = None
@@ -106,16 +107,18 @@ class WriteRule:
 
 @dataclass(frozen=True, slots=True)
 class ReportRule:
-    """When a sample of a point is passed on: by change, by time; a change of quality always is.
+    """When a sample of a point is passed on: by change or by time; a change of quality always is.
 
     A store has one, and each sink may have its own: a sink gets only what the store has kept.
 
     Attributes:
-        when: at every read, at a change, or at a change and after ``period`` at the latest.
+        when: ``every``: each read; ``change``: a change; ``change_or_period``: a change, and after ``period`` at the
+            latest.
         period: seconds, for ``change_or_period``.
-        deadband: a change is more than this; in the unit of measure, or in percent of the value passed on before.
+        deadband: a value changes if it differs by more than this; in the unit of measure, or in percent of the value
+            passed on before.
         percent: whether the deadband is in percent.
-        max_silence: after this many seconds a sample is passed on in any case; None for never.
+        max_silence: seconds after which a sample is passed on even without a change; None for never.
     """
 
     when: Literal["every", "change", "change_or_period"] = "every"
@@ -137,7 +140,7 @@ class ReportRule:
     def is_change(self, before: object, now: object) -> bool:
         """Whether a value differs by more than the deadband from the last one that was passed on.
 
-        ``0.8 - 0.7`` is exactly a deadband of 0.1, although the difference of the floats is more.
+        Rounding of floats is allowed for: from 0.7 to 0.8 is no more than a deadband of 0.1.
         """
         if before == now:
             return False
@@ -156,8 +159,12 @@ class ReportRule:
         return abs(now - before) > limit + limit * _ROUNDING
 
     def is_due(self, before: object, now: object, silence: float) -> bool:
-        """Whether a value of the same quality is passed on, ``silence`` seconds after the last: for a change or for its
-        age.
+        """Whether a value of unchanged quality is passed on, for a change or for the time that has passed.
+
+        Args:
+            before: the value passed on before.
+            now: the value of this sample.
+            silence: seconds between the two.
         """
         if self.when == "every" or self.is_change(before, now):
             return True
@@ -178,12 +185,12 @@ class AlarmRule:
     Attributes:
         kind: ``HH``, ``H``, ``L`` or ``LL`` for a limit; ``state`` for states.
         limit: in the unit of measure; the alarm begins above it (H, HH) or below it (L, LL).
-        delay: seconds for which the value has to be beyond it, or in the state.
-        hysteresis: how far it has to come back for the alarm to end, in the unit of measure.
-        acknowledge: whether a person has to acknowledge it.
+        delay: seconds for which the value has to be beyond the limit, or in the state, before the alarm begins.
+        hysteresis: how far the value has to come back from the limit for the alarm to end, in the unit of measure.
+        acknowledge: whether a person has to acknowledge the alarm.
         states: names of the states, for people.
         numbers: the values that are these states.
-        bits: the bits of a value, any of which is such a state.
+        bits: bits of a value; each of them that is set is such a state.
     """
 
     kind: Literal["HH", "H", "L", "LL", "state"]
@@ -206,7 +213,7 @@ class AlarmRule:
         return value > end if is_high else value < end
 
     def text(self, unit_of_measure: str = "") -> str:
-        """The condition of the alarm in words: ``above 80 °C``, ``is fault``."""
+        """Return the condition of the alarm in words: ``above 80 °C``, ``is fault``."""
         if self.kind == "state":
             return f"is {' or '.join(self.states)}"
         side = "above" if self.kind in ("H", "HH") else "below"

@@ -13,7 +13,7 @@ from ..errors import InvalidRequest
 from ..values.refusal import shown
 
 _EXCEPTIONS: Final = 256
-"""A reason from here on is this plus the exception code that the device answered."""
+"""The reason for a device's exception code is this number plus the code."""
 
 
 class Quality(IntEnum):
@@ -23,7 +23,7 @@ class Quality(IntEnum):
     UNCERTAIN = 1
     """There is a value, but it may be wrong."""
     BAD = 2
-    """There is no value that may be relied on."""
+    """There is no value that can be relied on."""
 
     @property
     def label(self) -> str:
@@ -117,8 +117,8 @@ class Reading:
     """The value of one point from a read, and the reason if it is not good.
 
     Attributes:
-        value: in the unit of measure; None where there is none.
-        reason: why it is not good: a `Reason`, or that of an exception code; 0 for good.
+        value: the value in the unit of measure; None for no value.
+        reason: why the value is not good or missing: a `Reason`, or one from `exception_reason`; 0 for good.
     """
 
     value: Any  # what the point's type says

@@ -4,7 +4,7 @@
 `addresses`  Parses data addresses as people write them, such as `40001` or `4x1`, into table and offset
 `bits`       Conversion between registers and bits: a register as sixteen bits, and single bits or bit fields of it
 `constants`  Value types as constants: with them a type checker knows what a read returns
-`counts`     Says how many of something there are, as English does
+`counts`     Text of a number with its noun in singular or plural, such as `3 coils`
 `custom`     Conversion of registers by a `struct` format: `custom:>hHl` is three numbers in four registers
 `durations`  Durations as people write them: `500ms`, `10s`, `5m`, `1h`
 `names`      Names of value types, orders and tables for type checkers, which find a wrong name before the program runs

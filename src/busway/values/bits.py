@@ -21,7 +21,7 @@ def parse_bit(text: str) -> bool:
     """Return the bool for a text: ``on``, ``true``, ``1`` or ``off``, ``false``, ``0``; capitals do not matter.
 
     Raises:
-        InvalidRequest: it is none of these. Nothing was sent.
+        InvalidRequest: the text is none of these. Nothing was sent.
     """
     state = _STATES.get(text.strip().lower())
     if state is None:
@@ -43,7 +43,14 @@ class BitsCodec:
         return [_BITS[low] + _BITS[high] for high, low in zip(whole[::2], whole[1::2], strict=True)]
 
     def encode(self, values: list[object]) -> bytes:
-        """Encode tuples or lists of sixteen states (``bool``, or the integers 0 and 1) as registers."""
+        """Return the registers, in wire order, that hold sequences of sixteen states, least significant bit first.
+
+        Args:
+            values: a tuple or list of ``bool``, or of the integers 0 and 1, for each register.
+
+        Raises:
+            InvalidRequest: a value is no tuple or list of sixteen states. Nothing was sent.
+        """
         registers = bytearray()
         for index, value in enumerate(values):
             if not isinstance(value, tuple | list) or len(value) != 16:
@@ -54,7 +61,11 @@ class BitsCodec:
         return swapped(registers, self._swaps)
 
     def parse(self, text: str) -> tuple[bool, ...]:
-        """Return the sixteen bits for the text of a number: ``0b101``, ``0x5`` and ``5`` are bits 0 and 2."""
+        """Return the sixteen bits for the text of a number: ``0b101``, ``0x5`` and ``5`` are bits 0 and 2.
+
+        Raises:
+            ValueError: the text is no number 0…65535.
+        """
         number = whole_number(text)
         if not 0 <= number <= 0xFFFF:
             raise ValueError(text)
@@ -62,7 +73,7 @@ class BitsCodec:
 
 
 class BitCodec:
-    """Converts one bit of each register to ``bool``."""
+    """Converts one bit of each register, always the same one, to ``bool``."""
 
     def __init__(self, name: str, bit: int, order: ByteOrder) -> None:
         self._name = name
@@ -72,22 +83,22 @@ class BitCodec:
 
     @property
     def place(self) -> tuple[int, int]:
-        """The byte of the register as it is sent, 0 or 1, and the mask of the bit in it."""
+        """Position of the bit in its register as sent: the byte, 0 or 1, and the mask of the bit in that byte."""
         is_low = self._bit < 8
         return int(is_low is not bool(self._swaps)), 1 << (self._bit & 7)
 
     def decode(self, data: Wire) -> list[Any]:
-        """Return one bit, the same one, of each register as ``bool``."""
+        """Return the state of the codec's bit in each register as ``bool``."""
         whole = swapped(data, self._swaps)
         column = whole[1::2] if self._bit < 8 else whole[::2]
         position = self._bit & 7
         return [_BITS[byte][position] for byte in column]
 
     def encode(self, values: list[object]) -> bytes:
-        """Refuse to encode a bit alone: a register can only be written whole; see `merge`.
+        """Raise `InvalidRequest`: one bit cannot be written without the other bits of its register; use `merge`.
 
         Raises:
-            InvalidRequest: always; the sentence gives the masks that do it. Nothing was sent.
+            InvalidRequest: always; the message gives the masks of a mask write. Nothing was sent.
         """
         # The masks are for the register as the device sees it: with swapped bytes the bit lies in the other byte.
         wire_bit = self._bit ^ 8 if self._swaps else self._bit
@@ -98,13 +109,21 @@ class BitCodec:
         )
 
     def parse(self, text: str) -> bool:
-        """Return the bool for a text such as ``on`` or ``0``."""
+        """Return the bool for a text such as ``on`` or ``0``. Raises ``ValueError`` for other texts."""
         if text.lower() not in _STATES:
             raise ValueError(text)
         return _STATES[text.lower()]
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """Return the register with this bit set or cleared, and its other bits unchanged."""
+        """Return the register with the codec's bit set or cleared, and its other bits unchanged.
+
+        Args:
+            value: True, False, 1 or 0.
+            held: the two present bytes of the register, in wire order.
+
+        Raises:
+            InvalidRequest: ``value`` is no state. Nothing was sent.
+        """
         if value not in (True, False):
             raise unfit([value], 0, self._name, self.expects)
         number = int.from_bytes(swapped(held, self._swaps), "big")
@@ -113,7 +132,7 @@ class BitCodec:
 
 
 class FieldCodec:
-    """Converts adjacent bits of a register to a number: half a register, or a field of a status word."""
+    """Converts adjacent bits of each register to a number: half a register, or a field of a status word."""
 
     def __init__(self, name: str, low: int, high: int, order: ByteOrder, *, signed: bool) -> None:
         self._name = name
@@ -126,7 +145,7 @@ class FieldCodec:
         self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Return the number in these bits of each register."""
+        """Return the number that the codec's bits hold in each register."""
         whole = swapped(data, self._swaps)
         low, mask, sign = self._low, self._mask, self._sign
         return [
@@ -134,7 +153,7 @@ class FieldCodec:
         ]  # x ^ sign - sign extends the sign
 
     def encode(self, values: list[object]) -> bytes:
-        """Refuse to encode a bit field alone: a register can only be written whole; see `merge`.
+        """Raise `InvalidRequest`: a bit field cannot be written without the other bits of its register; use `merge`.
 
         Raises:
             InvalidRequest: always. Nothing was sent.
@@ -142,7 +161,15 @@ class FieldCodec:
         raise InvalidRequest(f"{self._name} cannot be written alone: the register's other bits would be overwritten")
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """Return the register with a number in these bits, and its other bits unchanged."""
+        """Return the register with a number in the codec's bits, and its other bits unchanged.
+
+        Args:
+            value: the number.
+            held: the two present bytes of the register, in wire order.
+
+        Raises:
+            InvalidRequest: the number does not fit into the bits. Nothing was sent.
+        """
         if isinstance(value, bool) or not isinstance(value, int) or not self._minimum <= value <= self._maximum:
             raise unfit([value], 0, self._name, self.expects)
         number = int.from_bytes(swapped(held, self._swaps), "big")
@@ -150,7 +177,7 @@ class FieldCodec:
         return swapped(number.to_bytes(2, "big"), self._swaps)
 
     def parse(self, text: str) -> int:
-        """Return the number for a text in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        """Return the number for a text in decimal, ``0x…`` or ``0b…``. Raises ``ValueError`` if it does not fit."""
         number = whole_number(text)
         if not self._minimum <= number <= self._maximum:
             raise ValueError(text)

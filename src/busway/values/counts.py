@@ -1,4 +1,4 @@
-"""Says how many of something there are, as English does.
+"""Text of a number with its noun in singular or plural, such as ``3 coils``.
 
 Knows regular nouns only.
 """

@@ -1,6 +1,6 @@
 """Conversion of registers by a ``struct`` format: ``custom:>hHl`` is three numbers in four registers.
 
-Knows the letters that are taken; the bytes are those of the registers as they travel.
+Knows which letters of ``struct`` are allowed; the bytes are those of the registers in wire order.
 """
 
 import re
@@ -16,8 +16,14 @@ _MOST_BYTES: Final = 250
 
 
 def custom_layout(name: str, written: str) -> struct.Struct:
-    """Return the ``struct`` layout of a value type ``custom:FORMAT``. Raises `InvalidRequest` for an
-    unsupported one.
+    """Return the ``struct`` layout of the value type ``custom:FORMAT``.
+
+    Args:
+        name: the type as it was written, for errors.
+        written: its FORMAT: a byte order and letters, such as ``>hHl``.
+
+    Raises:
+        InvalidRequest: the format is not supported, or its size is odd, zero or above 250 bytes. Nothing was sent.
     """
     match = _FORMAT.fullmatch(written)
     if match is None:
@@ -39,7 +45,7 @@ def custom_layout(name: str, written: str) -> struct.Struct:
 
 
 class CustomCodec:
-    """Converts registers to tuples of numbers by ``custom:<struct format>``, and back."""
+    """Converts registers to tuples of numbers by a ``struct`` format, and back."""
 
     def __init__(self, name: str, layout: struct.Struct, order: ByteOrder) -> None:
         self._name = name
@@ -49,11 +55,15 @@ class CustomCodec:
         self.expects: str = f"{self._length} numbers that fit {layout.format}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Return registers as tuples of numbers."""
+        """Return the tuples of numbers that registers in wire order hold."""
         return list(self._layout.iter_unpack(swapped(data, self._swaps)))
 
     def encode(self, values: list[object]) -> bytes:
-        """Encode tuples or lists of numbers as registers."""
+        """Return the registers, in wire order, that hold tuples or lists of numbers.
+
+        Raises:
+            InvalidRequest: a value does not fit the format. Nothing was sent.
+        """
         parts = []
         for index, value in enumerate(values):
             if not isinstance(value, tuple | list):
@@ -65,7 +75,12 @@ class CustomCodec:
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> tuple[Any, ...]:
-        """Return the tuple for a text of numbers separated by commas: ``1, -2, 3.5``."""
+        """Return the tuple for a text of numbers separated by commas: ``1, -2, 3.5``.
+
+        Raises:
+            InvalidRequest: the numbers do not fit the format.
+            ValueError: a part of the text is no number.
+        """
         numbers: list[int | float] = []
         for part in text.split(","):
             try:

@@ -8,7 +8,12 @@ _SECONDS: Final = {"ms": 0.001, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0, "
 
 
 def duration(text: str, *, bare: bool = False) -> float | None:
-    """Return the seconds that a text such as ``10s`` means; None if it is none. ``bare``: a number alone is seconds."""
+    """Return the seconds that a text such as ``10s`` or ``500ms`` means; None if the text is no duration.
+
+    Args:
+        text: a number with a unit: ms, s, m or min, h, d (days), w (weeks).
+        bare: whether a number without a unit is taken as seconds.
+    """
     match = _DURATION.fullmatch(text.strip())
     if match is None or (match[2] is None and not bare):
         return None

@@ -9,10 +9,10 @@ IntegerName: TypeAlias = Literal[
     "int16", "uint16", "int32", "uint32", "int48", "uint48", "int64", "uint64", "bcd16", "bcd32", "bcd64",
     "i16", "u16", "i32", "u32", "i64", "u64",
 ]  # fmt: skip
-"""Types whose values are of ``int``."""
+"""Names of the types whose values are ``int``."""
 
 FloatName: TypeAlias = Literal["float16", "float32", "float64", "f16", "f32", "f64"]
-"""Types whose values are of ``float``."""
+"""Names of the types whose values are ``float``."""
 
 Order: TypeAlias = Literal[
     "AB", "BA",
@@ -21,10 +21,10 @@ Order: TypeAlias = Literal[
     "ABCDEFGH", "BADCFEHG", "CDABGHEF", "DCBAHGFE", "EFGHABCD", "FEHGBADC", "GHEFCDAB", "HGFEDCBA",
     "big", "little", "word-swapped", "byte-swapped",
 ]  # fmt: skip
-"""Orders of bytes and registers (`busway.values.orders`)."""
+"""Names of the orders of bytes and registers (`busway.values.orders`)."""
 
 Level: TypeAlias = Literal["basic", "regular", "extended"]
-"""Levels of device identification."""
+"""Names of the levels of device identification."""
 
 TableName: TypeAlias = Literal["coils", "discrete_inputs", "input_registers", "holding_registers"]
 """Names of the four tables (`busway.codes.Table`)."""

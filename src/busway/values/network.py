@@ -1,6 +1,6 @@
 """Conversion between registers and network addresses: IPv4, IPv6, EUI-48 (MAC) and EUI-64.
 
-Knows how each is written; the most significant byte travels first unless the order says otherwise.
+Knows how each is written; the most significant byte is sent first unless the order says otherwise.
 """
 
 import ipaddress
@@ -23,12 +23,12 @@ NETWORK_TYPES: Final = tuple(_SIZES)
 
 
 def network_size(name: str) -> int:
-    """Return the number of bytes of a kind of network address."""
+    """Return the number of bytes of a kind of network address: ``ipv4``, ``ipv6``, ``eui48`` or ``eui64``."""
     return _SIZES[name]
 
 
 class NetworkCodec:
-    """Converts registers to network addresses as texts (IPv4, IPv6, EUI) and back."""
+    """Converts registers to network addresses as texts (IPv4, IPv6, EUI-48, EUI-64), and back."""
 
     def __init__(self, name: str, order: ByteOrder) -> None:
         self._name = name
@@ -37,12 +37,16 @@ class NetworkCodec:
         self.expects: str = _EXPECTS[name]
 
     def decode(self, data: Wire) -> list[Any]:
-        """Return registers as network addresses in text form."""
+        """Return the network addresses that registers in wire order hold, as texts."""
         whole = swapped(data, self._swaps)
         return [self._written(whole[at : at + self._size]) for at in range(0, len(whole), self._size)]
 
     def encode(self, values: list[object]) -> bytes:
-        """Encode network addresses as registers."""
+        """Return the registers, in wire order, that hold network addresses given as texts.
+
+        Raises:
+            InvalidRequest: a value is no such address. Nothing was sent.
+        """
         parts = []
         for index, value in enumerate(values):
             try:
@@ -52,7 +56,7 @@ class NetworkCodec:
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> str:
-        """Return a network address, given as text, in its standard form."""
+        """Return a network address, given as text, in its standard form. Raises ``ValueError`` if it is none."""
         return self._written(self._packed(text))
 
     def _written(self, part: bytes) -> str:

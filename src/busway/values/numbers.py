@@ -33,7 +33,7 @@ def whole_number(text: str) -> int:
     """Return the integer for a text in decimal, ``0x…`` or ``0b…``, with an optional sign.
 
     Raises:
-        ValueError: it is none, or has more digits than any type here holds.
+        ValueError: the text is no integer, or has more digits than any type here holds.
     """
     match = _WHOLE.fullmatch(text)
     if match is None:
@@ -54,14 +54,14 @@ class _StructLayout:
         self.swaps = order.swaps[1:] if order.is_reversed else order.swaps
 
     def unpack(self, data: Wire) -> list[Any]:  # ints or floats, as the letter says
-        """Return the numbers that the bytes of registers hold."""
+        """Return the numbers that registers in wire order hold."""
         count = len(data) // self.size
         if self.swaps:
             data = swapped(data, self.swaps)
         return list(struct.unpack(f"{self.prefix}{count}{self.letter}", data))
 
     def pack(self, values: list[object]) -> bytes:
-        """Return the bytes of registers for numbers; raises ``struct.error`` if one does not fit."""
+        """Return the registers, in wire order, that hold these numbers. Raises ``struct.error`` if one does not fit."""
         packed = struct.pack(f"{self.prefix}{len(values)}{self.letter}", *values)
         return swapped(packed, self.swaps) if self.swaps else packed
 
@@ -78,11 +78,15 @@ class IntegerCodec:
         self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Decode registers into integers."""
+        """Return the integers that registers in wire order hold."""
         return self._layout.unpack(data)
 
     def encode(self, values: list[object]) -> bytes:
-        """Encode integers as registers."""
+        """Return the registers, in wire order, that hold these integers.
+
+        Raises:
+            InvalidRequest: a value is no integer, or out of range. Nothing was sent.
+        """
         if set(map(type, values)) - {int}:
             self._refuse_strangers(values)
         try:
@@ -91,7 +95,7 @@ class IntegerCodec:
             raise self._misfit(values) from error
 
     def parse(self, text: str) -> int:
-        """Return the integer for a text in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        """Return the integer for a text in decimal, ``0x…`` or ``0b…``. Raises ``ValueError`` if it does not fit."""
         number = whole_number(text)
         if not self._minimum <= number <= self._maximum:
             raise ValueError(text)
@@ -121,11 +125,15 @@ class FloatCodec:
         self.expects: str = f"a number -{largest}…{largest}, inf or nan"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Decode registers into floats."""
+        """Return the floats that registers in wire order hold."""
         return self._layout.unpack(data)
 
     def encode(self, values: list[object]) -> bytes:
-        """Encode floats as registers, each rounded to the nearest representable number."""
+        """Return the registers, in wire order, that hold these numbers, each rounded to the nearest representable one.
+
+        Raises:
+            InvalidRequest: a value is no number, or too large. Nothing was sent.
+        """
         if set(map(type, values)) - {float, int}:
             self._refuse_strangers(values)
         try:
@@ -134,7 +142,11 @@ class FloatCodec:
             raise self._misfit(values) from error
 
     def parse(self, text: str) -> float:
-        """Return the float for a text as Python writes it, ``inf`` and ``nan`` included."""
+        """Return the float for a text as Python writes it, ``inf`` and ``nan`` included.
+
+        Raises:
+            ValueError: the text is no number, or too large for the type.
+        """
         if not text.isascii() or "_" in text:
             raise ValueError(text)
         number = float(text)
@@ -173,12 +185,16 @@ class ThreeRegisterCodec:
         self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Decode registers into integers."""
+        """Return the integers that registers in wire order hold."""
         whole = swapped(data, self._swaps)
         return [int.from_bytes(whole[at : at + 6], "big", signed=self._signed) for at in range(0, len(whole), 6)]
 
     def encode(self, values: list[object]) -> bytes:
-        """Encode integers as registers."""
+        """Return the registers, in wire order, that hold these integers.
+
+        Raises:
+            InvalidRequest: a value is no integer, or out of range. Nothing was sent.
+        """
         parts = []
         for index, value in enumerate(values):
             if isinstance(value, bool) or not isinstance(value, SupportsIndex):
@@ -190,7 +206,7 @@ class ThreeRegisterCodec:
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> int:
-        """Return the integer for a text in decimal, hexadecimal (``0x…``) or binary (``0b…``)."""
+        """Return the integer for a text in decimal, ``0x…`` or ``0b…``. Raises ``ValueError`` if it does not fit."""
         number = whole_number(text)
         if not self._minimum <= number <= self._maximum:
             raise ValueError(text)
@@ -208,10 +224,10 @@ class BcdCodec:
         self.expects: str = f"a whole number 0…{self._maximum}, in decimal"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Decode registers of binary-coded decimals into numbers.
+        """Return the numbers that registers of binary-coded decimals hold.
 
         Raises:
-            BadReply: a digit is above 9; ``raw`` holds the block.
+            BadReply: a digit is above 9; ``raw`` holds the bytes of all values.
         """
         digits = self._digits
         text = swapped(data, self._swaps).hex()
@@ -226,7 +242,11 @@ class BcdCodec:
         return [int(text[start : start + digits]) for start in range(0, len(text), digits)]
 
     def encode(self, values: list[object]) -> bytes:
-        """Encode numbers as registers of binary-coded decimals."""
+        """Return the registers, in wire order, that hold these numbers as binary-coded decimals.
+
+        Raises:
+            InvalidRequest: a value is no integer, negative, or has too many digits. Nothing was sent.
+        """
         parts = []
         for index, value in enumerate(values):
             if isinstance(value, bool) or not isinstance(value, SupportsIndex):
@@ -238,7 +258,12 @@ class BcdCodec:
         return swapped(bytes.fromhex("".join(parts)), self._swaps)
 
     def parse(self, text: str) -> int:
-        """Return the number for a decimal text; hexadecimal is refused, since it could mean the digits or the value."""
+        """Return the number for a decimal text.
+
+        Raises:
+            ValueError: the text is no decimal number, or has too many digits. Hexadecimal is refused, because it could
+                mean the digits or the value.
+        """
         number = whole_number(text)
         if not text.lstrip("+").isdecimal() or number > self._maximum:
             raise ValueError(text)

@@ -3,7 +3,7 @@
 The specification fixes the two bytes of a register (big-endian, Application Protocol V1.1b3 §4.2) and nothing more:
 how a larger number lies in several registers is each maker's choice, and some swap the bytes of a register as well.
 
-An order is written as letters, ``A`` the most significant byte, in the sequence in which the bytes travel. This file
+An order is written as letters, ``A`` the most significant byte, in the sequence in which the bytes are sent. This file
 knows those names and how to bring a block of bytes into the order ``ABCD…``. It knows nothing about what the bytes
 mean.
 
@@ -15,7 +15,7 @@ Rules:
 2. The order of a device may be given to every type of that device. A longer order says how its own smaller
    parts lie: for 16 bits ``CDAB`` is ``AB`` and ``DCBA`` is ``BA``. A shorter one is continued in the same sense:
    ``ABCD`` → ``ABCDEFGH``, ``CDAB`` → ``GHEFCDAB`` (all registers reversed), ``BADC`` → ``BADCFEHG``,
-   ``DCBA`` → ``HGFEDCBA``; ``AB`` → ``ABCD``, ``BA`` → ``BADC``. Who needs ``CDABGHEF`` writes it in full.
+   ``DCBA`` → ``HGFEDCBA``; ``AB`` → ``ABCD``, ``BA`` → ``BADC``. ``CDABGHEF`` must be written in full.
 3. Nothing is permuted value by value: a block is turned by whole-array byte swaps, and by exchanges of registers where
    a value has three of them.
 4. A value of 48 bits has three registers. Two of them may be exchanged (``ABEFCD``, ``CDABEF``, and ``EFCDAB``, all
@@ -29,7 +29,7 @@ from typing import Final, TypeAlias
 from ..errors import InvalidRequest
 
 Wire: TypeAlias = bytes | bytearray | memoryview
-"""Bytes in wire order, in whatever holds them."""
+"""Bytes in wire order: ``bytes``, ``bytearray`` or ``memoryview``."""
 
 _LETTERS: Final = "ABCDEFGH"
 _REGISTERS_REVERSED: Final = 2 | 4
@@ -96,8 +96,10 @@ class ByteOrder:
 
     @property
     def swaps(self) -> tuple[str, ...]:
-        """The byte swaps from wire to big-endian, in sequence: type codes of `array`, or ``02`` to swap registers 1 and
-        3 of 3.
+        """The swaps, in sequence, that turn values from wire order into big-endian order; for `swapped`.
+
+        Each is the type code of an `array` whose items are byte-swapped, or two digits: positions of registers to
+        exchange among three, ``02`` for the first and the last.
         """
         if self.size == 6:
             return tuple(each for each in ("H" if self.mask & 1 else "", _EXCHANGES[self.mask & 6]) if each)
@@ -127,9 +129,9 @@ def byte_order(text: str, size: int) -> ByteOrder:
     """Return the byte order with a name such as ``big`` or ``CDAB``, for values of a given size.
 
     Args:
-        text: letters (``AB``, ``CDAB``, ``GHEFCDAB``, …) or ``big``, ``little``, ``word-swapped`` (registers
-            reversed, bytes in each as usual), ``byte-swapped`` (registers as usual, bytes in each swapped).
-            Capitals do not matter. Letters for another size are taken as rule 2 of this file says.
+        text: letters (``AB``, ``CDAB``, ``GHEFCDAB``, …) or ``big``, ``little``, ``word-swapped`` (registers reversed,
+            bytes in each as usual), ``byte-swapped`` (registers as usual, bytes in each swapped). Capitals do not
+            matter. Letters for another size are adapted by rule 2 of this file.
         size: bytes of a value: 2, 4, 6 or 8.
 
     Raises:
@@ -156,7 +158,17 @@ def byte_order(text: str, size: int) -> ByteOrder:
 
 
 def _between_three_and_others(text: str, size: int, given_size: int, mask: int) -> int:
-    """Convert the bit mask of a byte order for values of three registers to one for other sizes, or back."""
+    """Return the mask of an order for values of ``size`` bytes, given a mask for another size; one size is 6.
+
+    Args:
+        text: the order as written, for errors.
+        size: size that is wanted, in bytes.
+        given_size: size that the order is written for, in bytes.
+        mask: its mask.
+
+    Raises:
+        InvalidRequest: the order cannot be applied to the other size.
+    """
     halves_agree = given_size != 8 or bool(mask & 2) == bool(mask & 4)
     if (given_size == 6 and mask & 4) or not halves_agree:
         raise InvalidRequest(f"order {text} is for {given_size * 8} bits and says nothing of {size * 8}")
@@ -164,7 +176,12 @@ def _between_three_and_others(text: str, size: int, given_size: int, mask: int) 
 
 
 def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
-    """Return ``data`` with the given byte swaps done over the whole block, a multiple of the value's size."""
+    """Return ``data`` with the byte swaps of a `ByteOrder` applied to all its values.
+
+    Args:
+        data: bytes, a whole number of values.
+        swaps: the swaps, in sequence, as `ByteOrder.swaps` gives them.
+    """
     for swap in swaps:
         if len(swap) == 2:
             data = _exchanged(data, int(swap[0]), int(swap[1]))
@@ -177,7 +194,7 @@ def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
 
 
 def _exchanged(data: Wire, first: int, other: int) -> bytes:
-    """Return registers in groups of three, in each of which the registers at two given positions are exchanged."""
+    """Return registers with those at two positions, 0…2, exchanged in each group of three."""
     items = array("H")
     items.frombytes(data)
     items[first::3], items[other::3] = items[other::3], items[first::3]

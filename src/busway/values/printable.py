@@ -7,11 +7,11 @@ rest of the line around.
 
 
 def printable(text: str) -> str:
-    """A text on one line, with ``\n``, ``\x1b``, ``\u202e`` and so on in place of invisible characters.
+    """Return a text on one line, with escapes such as ``\\n`` and ``\\u202e`` in place of invisible characters.
 
     Escaped are all control and format characters, bidirectional ones among them, line and paragraph separators, every
-    space but the plain one, private and unassigned characters, and lone surrogates. All else stays as it is, a
-    backslash too.
+    space but the plain one, private and unassigned characters, and lone surrogates. Other characters stay as they are,
+    backslashes too.
     """
     if text.isprintable():
         return text

@@ -11,7 +11,7 @@ _SHOWN_CHARACTERS: Final = 60
 
 
 def shown(value: object) -> str:
-    """Return ``repr`` of a value, shortened to fit an error message; never fails."""
+    """Return the ``repr`` of a value, cut after 60 characters to fit an error message; never raises ``ValueError``."""
     try:
         text = repr(value)
     except ValueError:  # Python refuses to print integers of some thousand digits
@@ -20,6 +20,14 @@ def shown(value: object) -> str:
 
 
 def unfit(values: list[object], index: int, name: str, expects: str, hint: str = "") -> InvalidRequest:
-    """Return the error for ``values[index]``, which the value type ``name`` cannot hold."""
+    """Return the error that ``values[index]`` does not fit a value type.
+
+    Args:
+        values: the values that were to be encoded.
+        index: position of the one that does not fit.
+        name: name of the value type.
+        expects: what the type takes, in words.
+        hint: more text for the end of the message.
+    """
     place = f"values[{index}] = " if len(values) > 1 else ""
     return InvalidRequest(f"{place}{shown(values[index])} does not fit {name}, which takes {expects}{hint}")

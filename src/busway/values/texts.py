@@ -6,8 +6,8 @@ the high byte unless the order is ``BA``; or one in each, in its low or its high
 Rules:
 
 1. A text is never cut: one that is too long is refused. The length is counted in bytes of its encoding.
-2. What is read ends at the first NUL; what a device left behind it is not text. With space padding, trailing spaces
-   are padding too, so a text that ends in spaces comes back without them.
+2. A text that is read ends at the first NUL; bytes after it are ignored. With space padding, trailing spaces are
+   padding too, so a text that ends in spaces comes back without them.
 3. The last byte of an odd length only fills the register: written as padding, not looked at when read.
 """
 
@@ -43,10 +43,10 @@ class StringCodec:
         self.expects: str = f"text of at most {length} {'byte' if length == 1 else 'bytes'} in {encoding}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Convert registers into texts.
+        """Return the texts that registers in wire order hold.
 
         Raises:
-            BadReply: the bytes are not text in this encoding; ``raw`` holds the block.
+            BadReply: the bytes are not text in this encoding; ``raw`` holds the bytes of all values.
         """
         whole = swapped(data, self._swaps)
         if self._half:
@@ -54,14 +54,18 @@ class StringCodec:
         return [self._text(whole[start : start + self._length], data) for start in range(0, len(whole), self._size)]
 
     def encode(self, values: list[object]) -> bytes:
-        """Encode texts as registers, each padded to the length of its field."""
+        """Return the registers, in wire order, that hold these texts, each padded to the length of its field.
+
+        Raises:
+            InvalidRequest: a text is too long, does not fit the encoding, or contains a NUL. Nothing was sent.
+        """
         block = b"".join(self._field(values, index) for index in range(len(values)))
         if self._half:
             block = b"".join(b"\0%c" % each if self._half == "low" else b"%c\0" % each for each in block)
         return swapped(block, self._swaps)
 
     def parse(self, text: str) -> str:
-        """Check that a text fits into its registers, and return it unchanged."""
+        """Return a text unchanged if it fits into its registers. Raises `InvalidRequest` if it does not."""
         self.encode([text])
         return text
 

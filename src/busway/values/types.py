@@ -56,19 +56,23 @@ _PADDINGS: Final = ("nul", "space")
 
 
 class Codec(Protocol):
-    """Interface of the converter of a value type between registers and values; its caller checks lengths."""
+    """Interface of the converter of a value type between registers and values; its caller checks lengths.
+
+    Attributes:
+        expects: what values the type can hold, in words: ``a whole number 0…65535``.
+    """
 
     expects: str
 
     # Any: which Python type comes follows from a name at run time, and a union would make every caller cast.
     def decode(self, data: Wire) -> list[Any]:
-        """Convert registers into values of the codec's type."""
+        """Return the values that registers in wire order hold. Raises `BadReply` if the bytes mean nothing."""
 
     def encode(self, values: list[object]) -> bytes:
-        """Convert values of the codec's type into registers."""
+        """Return the registers, in wire order, that hold these values. Raises `InvalidRequest` if one does not fit."""
 
     def parse(self, text: str) -> Any:
-        """Return the value for a text; ``ValueError`` if the text is none."""
+        """Return the value for a text. Raises ``ValueError`` or `InvalidRequest` if there is none."""
 
 
 Value = TypeVar("Value")
@@ -127,7 +131,7 @@ class ValueType(Generic[Value]):
         return self._codec.decode(data)
 
     def encode(self, values: Iterable[object]) -> bytes:
-        """Convert values of this type into registers, in wire order.
+        """Return the registers, in wire order, that hold values of this type.
 
         Args:
             values: values as `decode` gives them; one value goes in as ``[value]``. Number types take every integer
@@ -149,7 +153,7 @@ class ValueType(Generic[Value]):
 
     @property
     def bit_place(self) -> tuple[int, int] | None:
-        """The byte of its register as it is sent, 0 or 1, and the mask of the bit in it; None if it is not one bit."""
+        """Position of a ``bit:N`` in its register as sent: byte 0 or 1 and the mask in it; None for other types."""
         return self._codec.place if isinstance(self._codec, BitCodec) else None
 
     def merge(self, value: object, held: Wire) -> bytes:
@@ -205,10 +209,10 @@ def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any
     """Return the value type with a given name and byte order, compiled once.
 
     Args:
-        name: a name of the table in this file, capitals do not matter; a `ValueType` keeps its own order where
-            none is named beside it.
-        order: byte and register order, ``ABCD`` is the specification's; for what else there is, and for orders
-            of another length than the type's, see `busway.values.orders`.
+        name: a name of the table in this file, such as ``float32``; capitals do not matter. A `ValueType` keeps its own
+            order unless ``order`` is given.
+        order: byte and register order; ``ABCD`` is the specification's. `busway.values.orders` has the others, and says
+            how an order of another length than the type's is applied.
 
     Raises:
         InvalidRequest: there is no such type or order. Nothing was sent.
@@ -221,11 +225,11 @@ def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any
 
 
 def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: int | None = None) -> list[Any]:
-    """Convert registers into values of a type; as `ValueType.decode`.
+    """Convert registers into values of a type, one for each group of registers; as `ValueType.decode`.
 
     Args:
         data: bytes in wire order, two for each register.
-        type: a name such as ``float32``, or a `ValueType`, whose own order holds where none is named.
+        type: a name such as ``float32``, or a `ValueType`, which keeps its own order unless ``order`` is given.
         order: byte and register order.
         count: number of values that the bytes have to hold; None for as many as there are.
 
@@ -246,7 +250,7 @@ def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "A
 
     Args:
         values: values of the type, in a sequence.
-        type: a name such as ``float32``, or a `ValueType`, whose own order holds where none is named.
+        type: a name such as ``float32``, or a `ValueType`, which keeps its own order unless ``order`` is given.
         order: byte and register order.
 
     Raises:
@@ -259,7 +263,7 @@ def parse_value(text: str, type: str | ValueType[Any]) -> Any:
     """Return the value of a type for a text from a command line or a file; as `ValueType.parse`.
 
     Raises:
-        InvalidRequest: no such type, or the text is no value of it. Nothing was sent.
+        InvalidRequest: no such type, or the text is no value of the type. Nothing was sent.
     """
     return value_type(type).parse(text)
 
@@ -284,7 +288,7 @@ TYPE_NAMES: Final = (
     *NETWORK_TYPES,
     "custom:FORMAT",
 )
-"""The types that exist, as they are written."""
+"""Names of all value types as they are written; capital letters stand for numbers or a format."""
 
 _SHORT: Final = {
     "i16": "int16",
