@@ -18,11 +18,15 @@ from .events import AlarmEvent, AlarmEventKind, AlarmKey, RaisedAlarm, renamed_k
 from .machine import AlarmMachine
 
 _Places = tuple[tuple[int, tuple[AlarmMachine, ...]], ...]
-"""Places of points with alarms in a group, and their machines."""
+"""The position in a group of each point with alarms, and the state machines of these alarms."""
 
 
 class AlarmBook:
-    """The states of all alarms of a collector, by device, point and limit."""
+    """The states of all alarms of a collector; passes samples to the alarms of their points.
+
+    Attributes:
+        machines: the state machine of each alarm, by device, point and limit.
+    """
 
     def __init__(self) -> None:
         self.machines: dict[AlarmKey, AlarmMachine] = {}
@@ -36,16 +40,16 @@ class AlarmBook:
         raised: Mapping[AlarmKey, RaisedAlarm] | None = None,
         moved: Mapping[PointKey, str] | None = None,
     ) -> list[AlarmEvent]:
-        """Set up the alarms that the points declare, keeping the state of those that continue. Returns their events.
+        """Set up the alarms that the points declare; alarms that were there before keep their state.
 
         Args:
             devices: the points of each device.
             at: nanoseconds since 1970 UTC.
-            raised: at a start, what the journal says there was.
+            raised: at a start, the alarms that the journal leaves active or unacknowledged.
             moved: new names of points that were renamed, by device and name before.
 
         Returns:
-            Ends of alarms whose limits are gone.
+            An event `AlarmEventKind.REMOVED` for each active or unacknowledged alarm whose limit is gone.
         """
         before = {renamed_key(key, moved or {}): machine for key, machine in self.machines.items()}
         alarms = dict(raised or {})
@@ -66,8 +70,11 @@ class AlarmBook:
         return [AlarmEvent(*key, AlarmEventKind.REMOVED, at, text=alarm.text) for key, alarm in alarms.items()]
 
     def take(self, batch: SampleBatch, now: float) -> Sequence[AlarmEvent]:
-        """Return the alarm events (raised, cleared, …) that a read's samples cause; ``now``: monotonic seconds of the
-        read.
+        """Return the alarm events (raised, cleared, …) that the samples of a read cause.
+
+        Args:
+            batch: the samples.
+            now: when they were read, seconds of the monotonic clock.
         """
         group = batch.group
         if group.device not in self._devices:
@@ -93,6 +100,12 @@ class AlarmBook:
         return tuple((place, tuple(by_point[point])) for place, point in enumerate(group.points) if point in by_point)
 
     def acknowledge(self, key: AlarmKey, by: str, at: int) -> AlarmEvent | None:
-        """Acknowledge an alarm and return its event; None if it needs no acknowledgement."""
+        """Acknowledge an alarm and return its event; None if there is no such alarm or it needs no acknowledgement.
+
+        Args:
+            key: device, point and limit.
+            by: who acknowledges it.
+            at: nanoseconds since 1970 UTC.
+        """
         machine = self.machines.get(key)
         return None if machine is None else machine.acknowledge(by, at)

@@ -1,4 +1,4 @@
-"""The alarms of a running collector: what programs and the page can see of them and do with them.
+"""The alarms of a running collector: lists, acknowledges and follows them, for programs and the page.
 
 Knows the book, the committer and asyncio; for the thread of the event loop.
 
@@ -25,7 +25,7 @@ Named = TypeVar("Named", AlarmEvent, RaisedAlarm)
 
 
 class _Changed(Protocol):
-    """A function that returns an alarm or alarm event with its current name and corrected times."""
+    """Interface of a function that returns a copy of an alarm or alarm event with another name or other times."""
 
     def __call__(self, named: Named, /) -> Named: ...
 
@@ -42,7 +42,13 @@ ACKNOWLEDGE_WITHIN: Final = 5.0
 
 
 class _EventReader:
-    """One program that follows alarm events, with the queue of events that it has not read."""
+    """One program that follows alarm events, with the queue of events that it has not read.
+
+    Attributes:
+        waiting: the queue; beyond `MOST_WAITING` the oldest events are dropped.
+        arrived: set when events were added, or when no more will come.
+        lost: number of dropped events.
+    """
 
     def __init__(self) -> None:
         self.waiting: deque[AlarmEvent] = deque(maxlen=MOST_WAITING)
@@ -60,12 +66,12 @@ class CollectorAlarms:
     """The alarms of a running collector, as ``collector.alarms``: list, acknowledge, follow.
 
     Args:
-        keep: makes events part of the journal; returns at once.
-        now: seconds of the monotonic clock of the samples.
-        wall: nanoseconds since 1970 UTC.
+        keep: queues events for the alarm journal and returns at once; `committed` is called when they are in it.
+        now: returns seconds of the monotonic clock of the samples.
+        wall: returns nanoseconds since 1970 UTC.
 
     Attributes:
-        readers_lost: events that readers of `events` were too slow for.
+        readers_lost: number of events dropped because readers of `events` were too slow.
     """
 
     def __init__(
@@ -85,38 +91,48 @@ class CollectorAlarms:
     # What programs use.
 
     def active(self) -> list[RaisedAlarm]:
-        """The alarms that are active or not acknowledged yet, in the order in which they were raised."""
+        """Return the alarms that are active or not acknowledged yet, in the order in which they were raised."""
         return list(self._raised.values())
 
     def pending(self) -> list[AlarmKey]:
-        """Device, point and limit of each value that is beyond its limit while the delay is running."""
+        """Return device, point and limit of each alarm whose value is beyond the limit while its delay runs."""
         return [key for key, machine in self._book.machines.items() if machine.state is AlarmState.PENDING]
 
     def reason(self, key: AlarmKey) -> int:
-        """Return why the value of an alarm's point is not good: the reason code of its last sample; 0 for good."""
+        """Return the number of the reason why the last value of an alarm's point is not good; 0 for a good one.
+
+        0 also for a key without an alarm limit.
+        """
         machine = self._book.machines.get(key)
         return 0 if machine is None else machine.reason
 
     def journal(self, limit: int = 100) -> list[AlarmEvent]:
-        """The newest alarm events, newest first; `RECENT` at most. `busway.Store.alarms` has all."""
+        """Return the newest alarm events, newest first: ``limit`` at most, and `RECENT` at most.
+
+        `busway.Store.alarms` has all events.
+        """
         return list(self._journal)[: -limit - 1 : -1]
 
     def counts(self) -> tuple[int, int]:
-        """Return the number of active alarms, and of alarms that are not acknowledged."""
+        """Return two numbers: of active alarms, and of alarms that are not acknowledged."""
         states = [alarm.state for alarm in self._raised.values()]
         return sum(each.is_active for each in states), sum(each.is_unacknowledged for each in states)
 
     async def acknowledge(self, device: str, point: str, limit: str, by: str) -> AlarmEvent:
-        """Acknowledge an alarm; when this returns, the alarm journal has it.
+        """Acknowledge an alarm; when this returns, the alarm journal has the event.
 
         Args:
             device, point: names.
             limit: the kind of the limit: ``HH``, ``H``, ``L``, ``LL`` or ``state``.
-            by: who does it.
+            by: who acknowledges it.
+
+        Returns:
+            The event.
 
         Raises:
             InvalidRequest: there is no such alarm to acknowledge.
-            Overloaded: the store could not be written within `ACKNOWLEDGE_WITHIN` seconds; it follows when it can.
+            Overloaded: the store could not be written within `ACKNOWLEDGE_WITHIN` seconds. The alarm is acknowledged,
+                and the event is stored as soon as the store can be written.
         """
         event = self._book.acknowledge((device, point, limit), by, self._wall())
         if event is None:
@@ -153,33 +169,38 @@ class CollectorAlarms:
     # What the collector does.
 
     def begin(self, journal: Sequence[AlarmEvent], devices: Mapping[str, Sequence[Point]]) -> None:
-        """Take over, at the start, the alarms that a journal leaves active or unacknowledged."""
+        """Take over, at the start of the collector, the alarms that the journal leaves active or unacknowledged.
+
+        Args:
+            journal: the stored alarm events, in their order.
+            devices: the points of each device.
+        """
         self._raised = alarms_after(journal)
         self._journal.extend(journal)
         self._earlier = frozenset(event.at for event in journal if event.at < EARLIEST)
         self._tell(self._book.configure(devices, self._wall(), self._raised))
 
     def configure(self, devices: Mapping[str, Sequence[Point]], moved: Mapping[PointKey, str] | None = None) -> None:
-        """Continue with the alarm limits of a file that was read again.
+        """Continue with the alarm limits of a configuration that was read again.
 
         Args:
             devices: the points of each device.
-            moved: new names of points that were renamed, by device and name before. What is kept from now on is named
-                by them.
+            moved: new names of points that were renamed, by device and name before. Alarms and events get the new
+                names.
         """
         moved = moved or {}
         self._show_anew(lambda named: _renamed(named, moved))
         self._tell(self._book.configure(devices, self._wall(), moved=moved))
 
     def take(self, batch: SampleBatch) -> Sequence[AlarmEvent]:
-        """Return the alarm events that a read's samples cause; the caller stores samples and events in one commit."""
+        """Return the alarm events that the samples of a read cause; the caller stores both in one commit."""
         events = self._book.take(batch, self._now() - batch.half_width / NANOSECONDS)
         if events:
             self._note(events)
         return events
 
     def committed(self, events: Sequence[AlarmEvent]) -> None:
-        """Hand alarm events to those that follow them; called once the events are in the alarm journal."""
+        """Show alarm events, and hand them to programs that follow them; called once the journal has the events."""
         shown = [self._told.pop(id(event), (event, event))[1] for event in events]
         for event, as_shown in zip(events, shown, strict=True):
             fold_event(self._raised, as_shown)
@@ -191,11 +212,14 @@ class CollectorAlarms:
             reader.take(shown)
 
     def mend(self, shift: int) -> None:
-        """Correct the times of alarms that were taken before the computer's wall clock was set."""
+        """Add ``shift`` nanoseconds to those times of alarms and events that were taken before the wall clock was set.
+
+        Times from earlier processes stay.
+        """
         self._show_anew(lambda named: _moved(named, shift, self._earlier))
 
     def end(self) -> None:
-        """End the iteration of all programs that follow alarm events."""
+        """End `events` for all programs that follow alarm events, after the events that they have not read."""
         self._ended = True
         for reader in self._readers:
             reader.arrived.set()
@@ -206,28 +230,31 @@ class CollectorAlarms:
             self._keep(events)
 
     def _note(self, events: Iterable[AlarmEvent]) -> None:
-        """Remember events not yet in the journal, because their names and times may change before they are."""
+        """Remember events that are not in the journal yet, because their names or times may still change."""
         self._told.update((id(event), (event, event)) for event in events)
         while len(self._told) > MOST_UNCOMMITTED:
             self._told.pop(next(iter(self._told)))
 
     def _show_anew(self, changed: _Changed) -> None:
-        """Replace all alarms and remembered events by copies with their new names or corrected times."""
+        """Replace all alarms and remembered events by copies, made by ``changed``, with new names or other times."""
         self._raised = {each.key: each for each in map(changed, self._raised.values())}
         self._journal = deque(map(changed, self._journal), maxlen=RECENT)
         self._told = {key: (event, changed(shown)) for key, (event, shown) in self._told.items()}
 
 
 def _renamed(named: Named, moved: Mapping[PointKey, str]) -> Named:
-    """Return an alarm or event with the name that its point has now."""
+    """Return an alarm or event with the present name of its point, which ``moved`` has if the point was renamed."""
     name = moved.get((named.device, named.point))
     return named if name is None else replace(named, point=name)
 
 
 def _moved(named: Named, shift: int, earlier: Container[int]) -> Named:
-    """Return an alarm or event whose times are corrected, if they are from before the wall clock was set.
+    """Return an alarm or event with ``shift`` nanoseconds added to its times from before the wall clock was set.
 
-    ``earlier`` are times that an earlier process gave: they stay as they are.
+    Args:
+        named: the alarm or event.
+        shift: nanoseconds.
+        earlier: times that an earlier process gave; these are not changed.
     """
     names = ("at",) if isinstance(named, AlarmEvent) else ("since", "acknowledged_at", "cleared_at")
     found = {name: getattr(named, name) for name in names}

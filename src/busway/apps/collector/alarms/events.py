@@ -64,7 +64,12 @@ AlarmKey = tuple[str, str, str]
 
 
 def renamed_key(key: AlarmKey, moved: Mapping[PointKey, str]) -> AlarmKey:
-    """Return the key of an alarm whose point may have got another name."""
+    """Return the key of an alarm after points were renamed; the same key if its point was not.
+
+    Args:
+        key: device, point and limit.
+        moved: new names of renamed points, by device and name before.
+    """
     device, point, limit = key
     return device, moved.get((device, point), point), limit
 
@@ -77,9 +82,9 @@ class AlarmEvent:
         device, point: names.
         limit: the kind of the limit: ``HH``, ``H``, ``L``, ``LL``, or ``state``.
         kind: the kind of event.
-        at: nanoseconds since 1970 UTC; the time of the sample, where one was the cause.
+        at: nanoseconds since 1970 UTC; the time of the sample if a sample caused the event.
         value: the point's value; None if no sample caused the event.
-        by: who did it; empty where a sample was the cause.
+        by: who acknowledged the alarm; empty for other events.
         needs_acknowledgement: whether a person has to acknowledge the alarm that was raised.
         text: the condition in words: ``above 80 °C``.
     """
@@ -108,9 +113,9 @@ class RaisedAlarm:
         device, point, limit, text: as in the event that raised it.
         state: its state, neither normal nor pending.
         since: nanoseconds since 1970 UTC at which it was raised.
-        value: the point's value then.
-        acknowledged_by, acknowledged_at: who acknowledged it, and when; None for not yet.
-        cleared_at: when the value came back; None while it has not.
+        value: the value with which it was raised.
+        acknowledged_by, acknowledged_at: who acknowledged it, and when in nanoseconds; None if it is not acknowledged.
+        cleared_at: when the value came back, nanoseconds since 1970 UTC; None while it has not.
     """
 
     device: str
@@ -131,7 +136,12 @@ class RaisedAlarm:
 
 
 def alarm_after(alarm: RaisedAlarm | None, event: AlarmEvent) -> RaisedAlarm | None:
-    """Return an alarm as it is after an event; None if it is back to normal."""
+    """Return the alarm as it is after an event; None if it is back to normal.
+
+    Args:
+        alarm: the alarm before; None if it was normal.
+        event: an event of this alarm.
+    """
     before = AlarmState.NORMAL if alarm is None else alarm.state
     state = NEXT_STATE.get((before, event.kind))
     if state is None:
@@ -148,7 +158,10 @@ def alarm_after(alarm: RaisedAlarm | None, event: AlarmEvent) -> RaisedAlarm | N
 
 
 def alarms_after(journal: Iterable[AlarmEvent]) -> dict[AlarmKey, RaisedAlarm]:
-    """Return the alarms that remain after all events of a journal, in the order in which they were raised."""
+    """Return the alarms that are active or unacknowledged after all events of a journal, by key.
+
+    They are in the order in which they were raised.
+    """
     alarms: dict[AlarmKey, RaisedAlarm] = {}
     for event in journal:
         fold_event(alarms, event)
@@ -156,7 +169,12 @@ def alarms_after(journal: Iterable[AlarmEvent]) -> dict[AlarmKey, RaisedAlarm]:
 
 
 def fold_event(alarms: dict[AlarmKey, RaisedAlarm], event: AlarmEvent) -> None:
-    """Change a dict of current alarms, by key, according to one alarm event."""
+    """Apply an alarm event to a dict of the alarms that are active or unacknowledged: add, replace or remove one.
+
+    Args:
+        alarms: these alarms by key, in the order in which they were raised; changed in place.
+        event: the event.
+    """
     before = alarms.get(event.key)
     after = alarm_after(before, event)
     if after is before:

@@ -25,11 +25,11 @@ class AlarmMachine:
         device, point: names.
         rule: the limit.
         unit_of_measure: the point's unit of measure, for texts.
-        alarm: the alarm before a restart.
+        alarm: the alarm as it was before a restart; None if it was normal.
 
     Attributes:
-        alarm: the present alarm; None while there is none.
-        reason: that of the last sample, 0 for good.
+        alarm: the alarm while it is active or unacknowledged, else None.
+        reason: number of the reason of the last sample, 0 for good.
     """
 
     __slots__ = ("_beyond_since", "alarm", "device", "point", "reason", "rule", "unit_of_measure")
@@ -47,28 +47,31 @@ class AlarmMachine:
 
     @property
     def state(self) -> AlarmState:
-        """The state of the alarm now: normal, active or not acknowledged."""
+        """The state of the alarm now; `AlarmState.PENDING` while the value is beyond the limit and the delay runs."""
         if self.alarm is not None:
             return self.alarm.state
         return AlarmState.NORMAL if self._beyond_since is None else AlarmState.PENDING
 
     def continue_as(self, point: str, rule: AlarmRule, unit_of_measure: str) -> None:
-        """Change the name and the limit of an alarm that keeps its state; the limit holds from the next sample on."""
+        """Change the point's name, the limit and the unit of measure of an alarm, and keep its state.
+
+        The new limit holds from the next sample on.
+        """
         self.point, self.rule, self.unit_of_measure = point, rule, unit_of_measure
         if self.alarm is not None:
             self.alarm = replace(self.alarm, point=point)
 
     def take(self, value: Value | None, reason: int, at: int, now: float) -> AlarmEvent | None:
-        """Change the alarm by a sample of its point. Returns the alarm event that follows, or None.
+        """Change the alarm by a sample of its point.
 
         Args:
             value: the point's value; None if there is none.
-            reason: why it is not good; 0 for good.
+            reason: number of the reason why it is not good; 0 for good.
             at: nanoseconds since 1970 UTC of the sample.
             now: seconds of a monotonic clock, of the same moment.
 
         Returns:
-            The event to write into the journal; None where the state of the alarm stays.
+            The event to write into the journal; None if the alarm is neither raised nor cleared.
         """
         self.reason = reason
         if not isinstance(value, int | float) or math.isnan(value) or quality_of(reason) is Quality.BAD:
@@ -88,7 +91,12 @@ class AlarmMachine:
         return self._tell(AlarmEventKind.RAISED, at, value)
 
     def acknowledge(self, by: str, at: int) -> AlarmEvent | None:
-        """Acknowledge the alarm and return its event; None if it needs no acknowledgement."""
+        """Acknowledge the alarm and return its event; None if it needs no acknowledgement.
+
+        Args:
+            by: who acknowledges it.
+            at: nanoseconds since 1970 UTC.
+        """
         return self._tell(AlarmEventKind.ACKNOWLEDGED, at, by=by) if self.state.is_unacknowledged else None
 
     def _tell(self, kind: AlarmEventKind, at: int, value: Value | None = None, by: str = "") -> AlarmEvent:

@@ -1,21 +1,21 @@
 """Commands: values that people and programs write to points of a running collector, each at most once.
 
 ===============  =======================================================================================================
-`command`        Commands: a value to be written to a point, who asked for it and until when, and its result
-`point_write`    The request that writes a value to a point, and the check whether the device shows the value afterwards
-`point_read`     The request that reads one point alone, before or after a command, within what its device allows
-`journal`        The record of each command and its result, written before the command is sent
-`claims`         The interface through which a collector of a fleet takes keys of commands for all collectors
-`other_owners`   The interface through which a collector of a fleet deals with commands for links of other collectors
-`runner`         Executes commands that write points of a running collector: checks, records, sends, reads back, reports
-`audit`          Audit lines, as JSON, for commands that write points and for changes of the configuration
-`targets`        Finds points of a running collector as targets of commands, and their last values
-`inputs`         Commands that arrive as messages: which points they may write, how they are answered
-`input_options`  Reads the key `commands` of a sink's table: makes what receives commands from the sink's server
-`message_tasks`  The tasks that handle messages of one broker connection; all of them end before the connection is left
-`mqtt`           Receives commands to write points from an MQTT 5 broker
-`nats`           Receives commands to write points by NATS request and reply
-`sparkplug`      Receives commands from host applications of Sparkplug B, over the connection of the sink
+`command`        a command and its result: a value to be written to a point, by whom, until when
+`point_write`    the request that writes a value to a point, and the check whether the device shows the value afterwards
+`point_read`     the request that reads one point alone, before or after a command, within what its device allows
+`journal`        the record of each command and its result, written before the command is sent
+`claims`         the interface through which a collector of a fleet takes keys of commands for all collectors
+`other_owners`   the interface through which a collector of a fleet deals with commands for links of other collectors
+`runner`         executes commands that write points of a running collector: checks, records, sends, reads back, reports
+`audit`          audit lines, as JSON, for commands that write points and for changes of the configuration
+`targets`        finds points of a running collector for commands to write, and their last values
+`inputs`         commands that arrive as messages: which points they may write, how they are answered
+`input_options`  makes the receiver of commands that the key `commands` of a sink's table asks for
+`message_tasks`  the tasks that handle messages of one broker connection; all of them end before the connection is left
+`mqtt`           receives commands to write points from an MQTT 5 broker
+`nats`           receives commands to write points by NATS request and reply
+`sparkplug`      receives commands from host applications of Sparkplug B, over the connection of the sink
 ===============  =======================================================================================================
 
 Where it is decided: which points the commands of one server may write, and whether a message came too late: `inputs`.

@@ -44,7 +44,13 @@ _LONGEST_LINE: Final = 300
 
 
 def command_line(result: CommandResult, time: str, repeated: int = 0) -> str:
-    """Return the audit line of a finished or refused command; ``repeated``: how many equal ones it counts, else 0."""
+    """Return the line of the audit log for a finished or refused command.
+
+    Args:
+        result: the result of the command.
+        time: when it ended, UTC.
+        repeated: how many further refusals of the same origin this line counts; 0 for none.
+    """
     command = result.command
     more = {"repeated": repeated} if repeated else {}
     return _line(
@@ -69,7 +75,15 @@ def command_line(result: CommandResult, time: str, repeated: int = 0) -> str:
 def configuration_line(
     old: str, new: str, done: Sequence[str], *, is_applied: bool, by: str, origin: str, time: str
 ) -> str:
-    """Return the audit line of a changed configuration; ``old`` and ``new`` are the texts of its file."""
+    """Return the line of the audit log for a change of the configuration.
+
+    Args:
+        old, new: the text of the configuration file before and after.
+        done: what changed, or all that is wrong, as sentences.
+        is_applied: whether the new text was applied; else it was refused.
+        by, origin: who changed it, and how: ``api``, ``signal`` or ``program``.
+        time: when, UTC.
+    """
     lines = [
         each.rstrip("\n")[:_LONGEST_LINE]
         for each in difflib.unified_diff(old.splitlines(), new.splitlines(), "before", "after", n=0, lineterm="")

@@ -1,6 +1,7 @@
-"""The interface through which a collector of a fleet takes the key of a command for all collectors, before the wire.
+"""The interface through which collectors of a fleet share the keys of commands, so that each command is sent once.
 
-Knows commands and results; knows no fleet. A collector that works alone has none: its journal is enough.
+A collector takes the key of a command for all collectors before it sends the command. Knows commands and results; knows
+no fleet. A collector that works alone has none: its journal is enough.
 """
 
 from typing import Protocol
@@ -14,17 +15,17 @@ class KeysUnavailable(ModbusError):
 
 
 class KeyClaims(Protocol):
-    """Interface of the keys of commands that several collectors share, so that each key is sent at most once."""
+    """Interface of the keys of commands that the collectors of a fleet share, so that each key is sent at most once."""
 
     async def claim(self, result: CommandResult) -> CommandResult | None:
-        """Take the key of a command, durably and for all collectors; `finish` tells the end of it.
+        """Take the key of a command, durably and for all collectors. Call `finish` when the command has ended.
 
         Args:
             result: open for a command that will be sent, or finished for one that will not.
 
         Returns:
-            None if the key was new and is taken now. Else the result of the first command with this key, for one that
-            is not finished as unknown; for one whose result is no longer kept, a refusal.
+            None if the key was new and is taken now. Else the result of the first command with this key: ``unknown`` if
+                it is not finished, a refusal if its result is no longer kept.
 
         Raises:
             KeysUnavailable: it is not known whether the key is new. The command must not be sent.
@@ -32,7 +33,10 @@ class KeyClaims(Protocol):
         """
 
     def known(self, result: CommandResult) -> CommandResult | None:
-        """Return what `claim` would return for a key that is known to be taken; None if it is not, and take nothing."""
+        """Return what `claim` would return for a key that this collector knows to be taken; else None. Takes no key."""
 
     async def finish(self, result: CommandResult) -> None:
-        """Record the result of a command whose key was taken. Where that fails, its key is unknown to others."""
+        """Record the result of a command whose key was taken.
+
+        If that fails, the other collectors take the command as unknown.
+        """

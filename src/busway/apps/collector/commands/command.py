@@ -38,7 +38,7 @@ _HALF_PAIR: Final = re.compile(r"[\ud800-\udfff]")
 
 
 class CommandState(StrEnum):
-    """States of a command: open, done, failed, unknown, expired or refused."""
+    """States of a command while it is open, and the states with which it can end."""
 
     OPEN = "open"  # recorded, and not finished
     DONE = "done"  # the device has answered, and shows the value where the rule asks for that
@@ -55,7 +55,7 @@ class OldValue:
     Attributes:
         value: the value; None where it is not known.
         quality: ``good``, ``uncertain`` or ``bad``.
-        time: when it was read.
+        time: when it was read, seconds since 1970 UTC.
     """
 
     value: CommandValue | None
@@ -70,13 +70,13 @@ class PointCommand:
     Attributes:
         key: names the command; it is sent at most once.
         device, point: the point to write.
-        value: in the unit of measure, or a name of a number.
-        by: who gives it.
-        origin: on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``.
-        expires: until when it may be sent.
+        value: a number in the unit of measure, a state, a text, or a name of a number; a list of flags.
+        by: name of the person or program that gives it.
+        origin: on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``, ``sparkplug``.
+        expires: until when it may be sent, seconds since 1970 UTC.
 
     Raises:
-        InvalidRequest: one of these cannot be.
+        InvalidRequest: one of these is out of its limits.
     """
 
     key: str
@@ -124,14 +124,20 @@ def _check_value(value: object) -> None:
 
 
 def same_value(one: CommandValue, other: CommandValue) -> bool:
-    """Whether two values of a point are equal; true and 1 are not, 1 and 1.0 are."""
+    """Whether two values of a point are equal. A state and a number never are; an integer and a float may be."""
     if isinstance(one, list) and isinstance(other, list):
         return len(one) == len(other) and all(same_value(*pair) for pair in zip(one, other, strict=True))
     return isinstance(one, bool) is isinstance(other, bool) and one == other
 
 
 def new_key(now: float) -> str:
-    """Return a unique key for a command: the time, so that keys sort by it, and 96 random bits."""
+    """Return a new, unique key for a command.
+
+    It has the time, so that keys sort by it, and 96 random bits.
+
+    Args:
+        now: seconds since 1970 UTC.
+    """
     return f"{MADE}{int(now * 1000):013d}-{secrets.token_hex(12)}"
 
 
@@ -141,11 +147,11 @@ class CommandResult:
 
     Attributes:
         command: the command.
-        state: what became of it; `CommandState.OPEN` only in a journal, while it is sent.
-        at: when it was accepted.
+        state: what became of it; `CommandState.OPEN` while it is not finished.
+        at: when it was accepted, seconds since 1970 UTC.
         old: the last known value before; None if none was known.
         read_back: the value read back afterwards, if the point's rule asks for that; else None.
-        reason: why it is not done, as a sentence; empty where it is.
+        reason: why it is not done, as a sentence; empty if it is done without a remark.
     """
 
     command: PointCommand
@@ -168,7 +174,14 @@ class CommandResult:
         read_back: CommandValue | None = None,
         old: OldValue | None = None,
     ) -> "CommandResult":
-        """Return a copy of the command's result with its final state."""
+        """Return a copy of the result with its final state.
+
+        Args:
+            state: the final state.
+            reason: why the command is not done, as a sentence.
+            read_back: the value that was read back afterwards.
+            old: the value before; None to keep the present one.
+        """
         return replace(self, state=state, reason=reason, read_back=read_back, old=old or self.old)
 
     def content(self) -> dict[str, Any]:  # JSON

@@ -1,4 +1,4 @@
-"""Reads the key ``commands`` of a sink's table: makes what receives commands from the sink's server.
+"""Makes the receiver of commands that the key ``commands`` of a sink's table asks for.
 
 Knows sections; connects to nothing.
 
@@ -20,15 +20,18 @@ from .inputs import CommandInput, InputRights, overlap
 
 
 def make_input(section: SinkSection, sink: object = None) -> CommandInput | None:
-    """Create the receiver of write commands that a sink's table in the collector file asks for.
+    """Create the receiver of commands that a sink's table in the collector file asks for; nothing is connected.
 
     Args:
-        section: the section of the sink.
+        section: the table of the sink.
         sink: the sink itself; commands by Sparkplug come over its connection.
 
+    Returns:
+        The receiver; None if the table has no key ``commands``.
+
     Raises:
-        ConfigError: values that do not go together; names the key.
-        MissingExtra: a package that it needs is not installed.
+        ConfigError: a topic or subject of commands cannot be used, or other values exclude each other; names the key.
+        MissingExtra: a package that the receiver needs is not installed.
     """
     if isinstance(section, MqttSinkSection) and section.commands is not None:
         return _mqtt(section, _rights(section, section.commands.topic, "/", _samples_topic(section)))

@@ -47,12 +47,12 @@ _log = logging.getLogger("busway.collector.commands")
 
 @dataclass(frozen=True, slots=True)
 class InputRights:
-    """The points that commands from one server may write.
+    """The points that commands from one server may write, and the topics on which these commands come.
 
     Attributes:
-        where: topic or subject, with ``{device}`` and ``{point}`` as levels of their own.
+        where: topic or subject of commands, with ``{device}`` and ``{point}`` as levels of their own.
         points: patterns ``device/point`` of what may be written.
-        seconds: how long a command without an expiry may wait.
+        seconds: seconds within which a command without an expiry may be sent.
     """
 
     where: str
@@ -60,7 +60,7 @@ class InputRights:
     seconds: float = 10.0
 
     def permits(self, device: str, point: str) -> bool:
-        """Whether a command may write a point, by patterns such as ``device/*``; ``*`` never matches a slash."""
+        """Whether commands may write a point, by the patterns; device and point are matched apart from each other."""
         for pattern in self.points:
             devices, _, points = pattern.partition("/")
             if fnmatchcase(device, devices) and fnmatchcase(point, points):
@@ -75,8 +75,8 @@ class InputMessage:
     Attributes:
         where: its topic or subject.
         payload: its content.
-        by: who has sent it, as it says itself; empty where it does not.
-        seconds_left: until it expires; None where it does not.
+        by: name of the sender, as the message says itself; empty if it does not say.
+        seconds_left: seconds until it expires; None if it does not expire.
         is_retained: whether a broker keeps it for later subscribers.
         arrived: when it came, seconds of the monotonic clock; None for now.
     """
@@ -95,9 +95,9 @@ class InputStatus:
 
     Attributes:
         name: the name of the sink that it belongs to.
-        taken: number of messages received.
+        taken: number of messages received since the start.
         refused: number of them that were no permitted command.
-        error: why it is not connected; None where it is.
+        error: why it is not connected; None while it is connected.
     """
 
     name: str
@@ -127,24 +127,30 @@ class DescribedPlant(Protocol):
 
 
 class CommandInput(Protocol):
-    """Interface of a receiver that gets commands as messages from one server, such as an MQTT broker."""
+    """Interface of a receiver that gets commands as messages from one server, such as an MQTT broker.
+
+    Attributes:
+        kind: the protocol, as the origin of its commands: ``mqtt``, ``nats`` or ``sparkplug``.
+        rights: the points that its commands may write.
+        separator: separates the levels of topics or subjects.
+    """
 
     kind: str
     rights: InputRights
     separator: str
 
     def level(self, name: str) -> str:
-        """Return a device or point name with the characters that one level of a topic or subject may have."""
+        """Return a device or point name as one level of a topic or subject, with other characters replaced."""
 
     def join(self, group: str, member: str) -> bool:
-        """Receive as one of several collectors; called before `run`.
+        """Receive as one of the collectors of a fleet; called before `run`.
 
         Args:
-            group: the name under which they share messages; empty where each gets all of them.
-            member: the name of this one.
+            group: the name under which the collectors share messages; empty if each collector gets all of them.
+            member: the name of this collector.
 
         Returns:
-            Whether each message goes to one of them only.
+            Whether each message goes to one collector only.
         """
 
     async def run(self, receiver: "CommandReceiver") -> None:
@@ -152,18 +158,18 @@ class CommandInput(Protocol):
 
 
 class CommandReceiver:
-    """Turns the messages from one server into commands and answers them.
+    """Turns the messages from one server into commands, has them executed, and returns the answers.
 
     Args:
-        name: the name of the sink that it belongs to.
-        made: the input.
-        runner: takes the commands.
-        configuration: gives what the file says now.
-        plant: gives the configuration of a whole fleet, of which ``configuration`` is the part that this collector
+        name: the name of the sink that the server belongs to.
+        made: receives the messages.
+        runner: executes the commands.
+        configuration: returns the present configuration.
+        plant: returns the configuration of a whole fleet, of which ``configuration`` is the part that this collector
             polls now; None for a collector that works alone.
         others: the other collectors of the fleet (rule 5); None for a collector that works alone.
-        now: seconds since 1970 UTC.
-        moment: seconds of the monotonic clock.
+        now: returns seconds since 1970 UTC.
+        moment: returns seconds of the monotonic clock.
     """
 
     def __init__(
@@ -193,33 +199,44 @@ class CommandReceiver:
         return InputStatus(self._name, self._taken, self._refused, self._error)
 
     async def run(self) -> None:
-        """Receive and execute commands of one server until cancelled."""
+        """Receive and execute commands of one server until cancelled; connect again after pauses."""
         await self._input.run(self)
 
     def connected(self) -> None:
-        """Show in the status that the connection to the server of commands is open."""
+        """Show in the status that the connection to the server is open; called by the receiver of messages."""
         self._error = None
 
     def down(self, error: str) -> None:
-        """Show in the status why there is no connection to the server of commands."""
+        """Show in the status why there is no connection to the server; a new reason is logged.
+
+        Called by the receiver of messages.
+        """
         if self._error != error:
             _log.warning("commands of %s: %s", self._name, error)
         self._error = error
 
     def is_for_commands(self, where: str) -> bool:
-        """Whether commands arrive on a topic, which therefore must not be used for replies."""
+        """Whether commands arrive on a topic or subject, so that it must not be used for answers."""
         return overlap(self._input.rights.where, where, self._input.separator)
 
     def drop(self, where: str) -> None:
-        """Count a message with a command that was discarded unread, because too many wait."""
+        """Count a message that was not read because too many wait, as received and refused.
+
+        Args:
+            where: its topic or subject.
+        """
         self._taken += 1
         self._refuse(where, "too many messages wait")
 
     async def take(self, message: InputMessage) -> bytes | None:
-        """Execute the command in a message.
+        """Execute the command in a message, and return the answer.
+
+        Args:
+            message: the message.
 
         Returns:
-            The reply as JSON; errors are told in the reply. None where another collector answers.
+            The answer as JSON: the result of the command, or why it is refused. None if this collector does not answer:
+                the device is not its own, or another collector of the fleet answers.
         """
         self._taken += 1
         device = None
@@ -286,7 +303,11 @@ class CommandReceiver:
         return PointCommand(key, device, point, given["value"], name, self._input.kind, expires)
 
     def _place(self, where: str) -> tuple[str, str]:
-        """Return the device and point that a topic names. Raises `InvalidRequest`."""
+        """Return the device and the point that a topic or subject stands for.
+
+        Raises:
+            InvalidRequest: it stands for no point that may be written from there, or for several.
+        """
         plant = self._plant()
         if self._places is None or self._places[0] is not plant:
             self._places = plant, self._places_of(plant)
@@ -317,7 +338,14 @@ class CommandReceiver:
 
 
 def parsed(payload: bytes) -> dict[str, Any]:
-    """Return the contents of a message with a command; it has at least ``value``. Raises `InvalidRequest`."""
+    """Parse a message with a command: JSON, or a plain text as the value.
+
+    Returns:
+        The keys of the command; ``value`` is always among them, ``key``, ``expires`` and ``by`` may be.
+
+    Raises:
+        InvalidRequest: the message is too long or cannot be parsed, or a key is unknown or missing.
+    """
     if len(payload) > LONGEST_REQUEST:
         raise InvalidRequest(f"a command has at most {LONGEST_REQUEST} bytes, not {len(payload)}")
     try:
@@ -341,7 +369,12 @@ def parsed(payload: bytes) -> dict[str, Any]:
 
 
 def overlap(one: str, other: str, separator: str) -> bool:
-    """Whether two topic patterns can match the same topic, where ``{…}`` stands for any level."""
+    """Whether two topic patterns can match the same topic.
+
+    Args:
+        one, other: topics or subjects, in which ``{…}`` stands for any one level.
+        separator: divides the levels.
+    """
     left, right = one.split(separator), other.split(separator)
     return len(left) == len(right) and all(
         a == b or a.startswith("{") or b.startswith("{") for a, b in zip(left, right, strict=True)

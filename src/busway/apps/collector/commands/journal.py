@@ -51,8 +51,8 @@ class CommandJournal:
 
     Args:
         folder: the folder of the store, whose lock this process holds.
-        most: results that are kept.
-        most_keys: keys of callers that are remembered beyond them.
+        most: number of results that are kept.
+        most_keys: number of keys given by callers that are remembered beyond these results.
         keep: seconds for which results are kept; None for ever.
 
     Raises:
@@ -80,12 +80,18 @@ class CommandJournal:
             raise ConfigError(f"the journal of commands cannot be used: {error}", file=str(self.path)) from error
 
     def close(self) -> None:
-        """Close the file with the record of commands."""
+        """Close the file of the journal."""
         with self._lock:
             self._database.close()
 
     def end_cut_off(self) -> list[CommandResult]:
-        """Mark commands that an earlier process left unfinished as unknown (rule 2); returns them. Call it once."""
+        """Record commands that an earlier process left open as unknown, and return their results; for the start.
+
+        A command that was being sent when the process ended may have been executed (rule 2). Call this once.
+
+        Raises:
+            OSError: the file cannot be read or written.
+        """
         with self._in_use("written"):
             found = [_result(row) for row in self._rows("WHERE state = ?", (CommandState.OPEN.value,))]
             ended = [each.finished(CommandState.UNKNOWN, CUT_OFF) for each in found]
@@ -95,14 +101,14 @@ class CommandJournal:
         return ended
 
     def take(self, result: CommandResult) -> CommandResult | None:
-        """Record a command under its key, durably; for a key used before, return the recorded result instead.
+        """Record a command under its key, durably. If the key was used before, record nothing.
 
         Args:
             result: open for a command that will be sent, or finished for one that will not.
 
         Returns:
-            None if it is recorded now. Else the result of the first command with this key; for one whose result is no
-            longer kept, a refusal.
+            None if the command is recorded now. Else the result of the first command with this key, or a refusal if
+            that is no longer kept.
 
         Raises:
             Overloaded: no further keys of callers can be remembered (rule 3); nothing is recorded.
@@ -126,7 +132,7 @@ class CommandJournal:
         return None
 
     def known(self, result: CommandResult) -> CommandResult | None:
-        """Return the recorded result if the command's key was used before, as `take` does; but record nothing.
+        """Return what `take` would return for a command whose key was used before; None for a new key. Records nothing.
 
         Raises:
             OSError: the file cannot be read.
@@ -135,23 +141,23 @@ class CommandJournal:
             return self._known(result)
 
     def finish(self, result: CommandResult) -> None:
-        """Record the result of an accepted command, durably. Raises `OSError`."""
+        """Record the final result of a command that `take` recorded as open, durably. Raises `OSError`."""
         with self._in_use("written"), transaction(self._database):
             self._set(result)
 
     def find(self, key: str) -> CommandResult | None:
-        """Return the result of the command recorded under a key; None without one."""
+        """Return the result of the command recorded under a key; None without one. Raises `OSError`."""
         with self._in_use():
             return self._found(key)
 
     def newest(self, limit: int) -> list[CommandResult]:
-        """Return the results of the latest commands, the newest first."""
+        """Return the results of the latest commands, newest first, ``limit`` at most. Raises `OSError`."""
         with self._in_use():
             return [_result(row) for row in self._rows("ORDER BY number DESC LIMIT ?", (limit,))]
 
     @contextmanager
     def _in_use(self, what: str = "read") -> Iterator[None]:
-        """Context manager that holds the journal's lock and turns SQLite's errors into `OSError`."""
+        """Return a context manager that holds the journal's lock and turns errors of SQLite into `OSError`."""
         with self._lock:
             try:
                 yield
@@ -200,7 +206,11 @@ class CommandJournal:
         self._drop_old(result.at)
 
     def _drop_old(self, now: float) -> None:
-        """Delete records of commands that are too old, or the oldest tenth of too many; keys given by callers stay."""
+        """Delete results of commands that are too old, and the oldest tenth of too many; remember callers' keys.
+
+        Args:
+            now: seconds since 1970 UTC.
+        """
         surplus = self._kept - self._most + self._most // 10 if self._kept > self._most else 0
         oldest = now - self._keep if self._keep is not None else 0.0
         found = self._database.execute(

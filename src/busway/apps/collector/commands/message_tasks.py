@@ -23,7 +23,10 @@ _log = logging.getLogger("busway.collector.commands")
 
 
 class MessageTasks:
-    """The tasks that handle messages of one broker connection, while the ``async with`` block lasts."""
+    """The tasks that handle messages of one broker connection, while the ``async with`` block lasts.
+
+    At most `MOST_AT_ONCE` run at once, and `MOST_WAITING` wait, in the order in which they were begun.
+    """
 
     def __init__(self) -> None:
         self._places = asyncio.Semaphore(MOST_AT_ONCE)
@@ -31,7 +34,16 @@ class MessageTasks:
         self._has_ended = False
 
     def begin(self, handle: Callable[[], Awaitable[None]]) -> bool:
-        """Start a task that handles a message, after waiting for room; False if too many wait, and it is discarded."""
+        """Start a task that handles a message; it waits while too many others run.
+
+        After the block has ended no task is started.
+
+        Args:
+            handle: handles the message; its errors are logged.
+
+        Returns:
+            False if too many tasks wait: then no task is started, and the message is lost.
+        """
         if len(self._tasks) >= MOST_AT_ONCE + MOST_WAITING:
             return False
         if not self._has_ended:
@@ -56,7 +68,10 @@ class MessageTasks:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Cancel the tasks that handle messages, and wait for their end; a new task runs its first step before."""
+        """Cancel all tasks and wait for their end.
+
+        A task that did not have to wait runs its first step before, so that its command is taken (rule 2).
+        """
         self._has_ended = True
         await asyncio.sleep(0)
         if self._tasks:

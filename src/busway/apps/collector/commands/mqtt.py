@@ -31,11 +31,11 @@ _log = logging.getLogger("busway.collector.commands")
 
 
 class MqttCommands:
-    """Receives commands to write points from an MQTT broker.
+    """Receives commands to write points from an MQTT broker, and publishes the answers.
 
     Args:
         host, port: the broker.
-        rights: topic, and what may be written.
+        rights: the topic of commands, and the points that they may write.
         user, password: credentials for the broker.
         tls: the TLS context; None for no encryption.
         client_id: names this client to the broker; None for one that the library makes.
@@ -68,11 +68,19 @@ class MqttCommands:
         self._group = ""
 
     def level(self, name: str) -> str:
-        """Return a name as one level of an MQTT topic."""
+        """Return a name as one level of an MQTT topic: separators and wildcards become ``_``."""
         return topic_level(name)
 
     def join(self, group: str, member: str) -> bool:
-        """Share the subscription with the other collectors of a fleet. Returns whether it is shared: with a group."""
+        """Share the subscription with the other collectors of a fleet; called before `run`.
+
+        Args:
+            group: the name under which the collectors share messages; empty if each collector gets all of them.
+            member: the name of this collector, which is added to the client identifier.
+
+        Returns:
+            Whether the subscription is shared, so that each message goes to one collector only.
+        """
         self._group = group
         if self._address["identifier"] is not None:  # a broker ends a connection when another one has its name
             self._address["identifier"] += f"-{member}"
@@ -162,7 +170,7 @@ class MqttCommands:
 
 @contextlib.asynccontextmanager
 async def _connected(client: Any) -> AsyncIterator[Any]:  # the library's own
-    """Context manager that connects an MQTT client by `connect`, and disconnects it at the end."""
+    """Return a context manager that connects an MQTT client with `connect`, and disconnects it at the end."""
     await connect(client)
     try:
         yield client

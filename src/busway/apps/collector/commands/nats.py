@@ -26,11 +26,11 @@ _log = logging.getLogger("busway.collector.commands")
 
 
 class NatsCommands:
-    """Receives commands to write points from a NATS server.
+    """Receives commands to write points from a NATS server, and sends the answers.
 
     Args:
         url: ``nats://host:4222``.
-        rights: subject, and what may be written.
+        rights: the subject of commands, and the points that they may write.
         user, password, token: credentials for the server.
         tls: the TLS context; None for no encryption.
         timeout: seconds for connecting.
@@ -63,11 +63,19 @@ class NatsCommands:
         self._group = ""
 
     def level(self, name: str) -> str:
-        """Return a name as one token of a NATS subject."""
+        """Return a name as one token of a NATS subject: separators and wildcards become ``_``."""
         return subject_token(name)
 
     def join(self, group: str, member: str) -> bool:
-        """Join the queue group of a fleet's collectors. Returns whether there is one."""
+        """Join the queue group of a fleet's collectors; called before `run`.
+
+        Args:
+            group: the name of the queue group; empty if each collector gets all messages.
+            member: the name of this collector.
+
+        Returns:
+            Whether there is a group, so that each message goes to one collector only.
+        """
         self._group = group
         return bool(group)
 
@@ -106,7 +114,10 @@ class NatsCommands:
             wait = min(2 * wait, PAUSE_LIMIT)
 
     async def _note(self, error: Exception) -> None:
-        """Remember why a connection to NATS failed, because the error that `connect` raises does not tell it."""
+        """Keep the text of a connection error that the NATS library reports beside the error that `connect` raises.
+
+        It is the cause, which the raised error does not tell.
+        """
         self._cause = self._words(error)
 
     def _words(self, error: Exception) -> str:

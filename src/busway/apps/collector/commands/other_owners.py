@@ -9,7 +9,7 @@ from .command import PointCommand
 
 
 class OtherOwners(Protocol):
-    """Interface of a fleet as the messages with commands see it: who owns a device's link, and who answers."""
+    """Interface of a fleet as the receiver of commands sees it: who owns the link of a device, and who answers."""
 
     member: str
     """The name of this collector."""
@@ -24,9 +24,17 @@ class OtherOwners(Protocol):
         """
 
     async def answers(self, device: str | None) -> bool:
-        """Return whether this collector answers for a device where messages go to all: its owner, or one of them if it
-        has none, or if the device is None for a message that names none. What looks like none is looked at twice.
+        """Return whether this collector answers a message for a device, where each message goes to all collectors.
+
+        The owner of the device's link answers; for a link without an owner, or a message without a device, one of the
+        others. If a link seems to have no owner, ownership is looked up again after a pause.
+
+        Args:
+            device: name of the device; None for a message that names none.
         """
 
     async def pass_on(self, command: PointCommand) -> dict[str, Any]:
-        """Have the owner of a link execute a command, and return its answer; errors are told in the answer."""
+        """Have the owner of the device's link execute a command, and return its answer, as JSON data.
+
+        Nothing is raised: an error is told in the answer.
+        """

@@ -31,7 +31,7 @@ class PointRead:
 
     Attributes:
         point: the point.
-        span: the items that are read.
+        span: the items (registers or bits) that are read; more than those of the point if a block is read whole.
     """
 
     point: Point
@@ -39,12 +39,14 @@ class PointRead:
 
     @property
     def request(self) -> Request:
-        """Return the request that reads the point."""
+        """The request that reads the point."""
         return _READS[self.point.table](self.span.start, self.span.width)
 
     def own(self, data: bytes) -> bytes:
-        """Return the bytes of the point's registers or bits in a reply. Raises `InvalidRequest` if their number is
-        wrong.
+        """Return the point's own part of the data of a reply: its registers, or for a bit one byte, 0 or 1.
+
+        Raises:
+            InvalidRequest: the reply has another number of bytes than was asked for.
         """
         first, bits = self.point.start - self.span.start, self.point.table.holds_bits
         size = (self.span.width + 7) // 8 if bits else 2 * self.span.width
@@ -56,14 +58,14 @@ class PointRead:
 
 
 def point_read(point: Point, rules: ReadRules) -> PointRead:
-    """Return the read request for one point alone, and where the point is in its reply.
+    """Return the read of one point alone: its request, and where the point is in the reply.
 
     Args:
         point: the point.
         rules: the limits for reading its device.
 
     Raises:
-        InvalidRequest: no read may touch it.
+        InvalidRequest: no read may touch the point's items, or they do not exist; nothing was sent.
     """
     span = ItemRange(point.start, point.end)
     for block in rules.exact.get(point.table, ()):

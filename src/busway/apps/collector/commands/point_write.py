@@ -56,9 +56,10 @@ class PointWrite:
         point: the point.
         value: the value.
         exponents: the values of the points named in ``scale_from``, by name.
-        function: the function that writes it.
-        before: the read that comes first, because the point is a part of its register; None where none is needed.
-        shown: the read of the place where the device shows the value; None where the rule does not ask for it.
+        function: the function code that writes it.
+        before: the read that comes first, because the point is a part of its register; None if none is needed.
+        shown: the read of the place where the device shows the written value; None if the point's rule asks for no
+            check.
     """
 
     point: Point
@@ -69,7 +70,10 @@ class PointWrite:
     shown: PointRead | None = None
 
     def request(self, held: bytes = b"") -> Request:
-        """Return the request that writes the value; ``held``: what the register holds, if it had to be read before.
+        """Return the request that writes the value.
+
+        Args:
+            held: what the register holds, if ``before`` was read; else empty.
 
         Raises:
             InvalidRequest: the value does not fit.
@@ -93,13 +97,20 @@ class PointWrite:
         return self.point.encode(self.value, held, exponent)
 
     def held_value(self, held: bytes) -> CommandValue | None:
-        """Return the point's value, decoded from these bytes of its registers."""
+        """Return the point's value as ``held``, the bytes of its registers, have it; None for no value."""
         return plain(decode_point(self.point, held, self.exponents).value)
 
     # Confirming.
 
     def shows(self, data: bytes) -> tuple[bool, Reading]:
-        """Whether the registers read back hold the written value, and which value they hold."""
+        """Compare what was read back with the written value.
+
+        Args:
+            data: the bytes of the registers, or of the bit, of the place ``shown``.
+
+        Returns:
+            Whether they are the written value; and the value that they are, with its quality.
+        """
         assert self.shown is not None
         place = self.shown.point
         found = decode_point(place, data, self.exponents)
@@ -108,7 +119,7 @@ class PointWrite:
         return found.value is not None and expected == found.value, found
 
     def reading(self) -> Reading:
-        """Return the point's value after the write as a reading, an object with value and quality."""
+        """Return the value, with its quality, that the point will have after the write, as a read would decode it."""
         return decode_point(self.point, self._encoded(b""), self.exponents)
 
 
@@ -119,12 +130,12 @@ def point_write(
 
     Args:
         point: the point.
-        value: in the unit of measure, or a name of a number.
+        value: a number in the unit of measure, a state, a text, or a name of a number; a list of flags.
         exponents: the values of the points named in ``scale_from``, by name.
         rules: the limits for reading the device; None for no limits.
 
     Raises:
-        InvalidRequest: against the rule of the point, with a sentence; nothing was sent.
+        InvalidRequest: the value is against the rule of the point, or the point is only read. Nothing was sent.
     """
     rule = point.writing
     if rule is None or point.formula:
@@ -148,7 +159,7 @@ def point_write(
 
 
 def _check_number(made: PointWrite) -> None:
-    """Refuse a number outside the rule's limits, or one that means "no value"."""
+    """Raise `InvalidRequest` for a number outside the limits of the point's rule, or one that means "no value"."""
     point, conversion, rule = made.point, made.point.conversion, made.point.writing
     assert rule is not None
     if rule.on is not None or not point.is_number:
@@ -206,11 +217,16 @@ def _own_bits(over_zeros: bytes, over_ones: bytes) -> int:
 
 
 def judged(outcome: object) -> tuple[CommandState, str]:
-    """Return the state and a text for a command after its write: `CommandState.DONE` if the device answered; else why
-    not.
+    """Return the state and the reason of a command, from the answer to its write.
+
+    `CommandState.DONE` if the device has accepted the write, `CommandState.FAILED` if the write was refused or not
+    sent, `CommandState.UNKNOWN` if it may have been executed.
 
     Args:
-        outcome: a reply, or the error that came instead of one.
+        outcome: the reply, or the error that came instead of one.
+
+    Returns:
+        The state; and why the command is not done, or a remark; empty if there is nothing to say.
     """
     if not isinstance(outcome, ModbusError):
         return CommandState.DONE, ""
@@ -226,7 +242,7 @@ def judged(outcome: object) -> tuple[CommandState, str]:
 
 
 def was_not_sent(error: ModbusError) -> bool:
-    """Whether an error says that no byte of a write was sent."""
+    """Whether an error says that no byte of a write was sent, so that it was certainly not executed."""
     if isinstance(error, LinkDown):
         return not error.sent
     if isinstance(error, BadReply):

@@ -99,7 +99,12 @@ class CommandTargets(Protocol):
     """Interface through which commands find points of a collector."""
 
     def target(self, device: str, point: str) -> WriteTarget:
-        """Return a point and the poller of its link. Raises `NoSuchPoint`."""
+        """Return a point and the poller of its link.
+
+        Raises:
+            NoSuchPoint: there is no such device or point.
+            NotPolledNow: the link is not polled at this moment.
+        """
 
     def last(self, device: str, point: str) -> OldValue | None:
         """Return the last known value of a point; None if there is none."""
@@ -107,14 +112,15 @@ class CommandTargets(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ArmedCommand:
-    """A command that was checked and waits for confirmation. Nothing was sent to the device.
+    """A command that was checked and waits for confirmation by a person. Nothing was sent to the device.
 
     Attributes:
-        command: the command; ``expires`` is until when it may be confirmed.
+        command: the command.
         old: the point's last known value; None if none is known.
         sentence: the question for the person who confirms.
-        until: seconds of the monotonic clock until which it may be confirmed.
-        poller: polls the device. After its link was begun anew, device and point may be others.
+        until: until when it may be confirmed, seconds of the monotonic clock.
+        poller: the poller of the device when the command was armed; with another poller, device and point may be
+            others.
     """
 
     command: PointCommand
@@ -130,7 +136,13 @@ class _LinkEnded(Exception):
 
 @dataclass(slots=True)
 class _Running:
-    """A command in execution; ``has_taken``: its key is recorded for it, and not for an earlier command."""
+    """A command in execution.
+
+    Attributes:
+        command: the command.
+        task: executes it, and returns its result.
+        has_taken: whether its key is recorded for this command; until then the key may be that of an earlier command.
+    """
 
     command: PointCommand
     task: "asyncio.Task[CommandResult]"
@@ -138,19 +150,19 @@ class _Running:
 
 
 def _ignore_step(name: str) -> None:
-    """Do nothing between two steps of a command; tests replace this to end the process there."""
+    """Do nothing. The default of ``step``, which is called after each step of a command; tests give another."""
 
 
 class CommandRunner:
-    """Executes commands for the points of a running collector.
+    """Executes commands that write points of a running collector.
 
     Args:
         targets: finds points and their pollers.
-        journal: where commands are recorded; what it holds open ends as unknown now. Closed by `close`.
+        journal: where commands are recorded; commands that it has as open end as unknown now. Closed by `close`.
         audit: gets a line for each command.
         claims: takes keys for all collectors of a fleet; None for a collector that works alone.
-        now: seconds since 1970 UTC.
-        moment: seconds of the monotonic clock, for commands that wait to be confirmed.
+        now: returns seconds since 1970 UTC.
+        moment: returns seconds of the monotonic clock, for commands that wait to be confirmed.
         step: is told the name of each step that a command has taken: ``claimed``, ``answered``, ``recorded``.
     """
 
@@ -182,7 +194,10 @@ class CommandRunner:
         self._subscribers.append(told)
 
     async def close(self) -> None:
-        """Refuse new commands, and wait for those in progress and their records. The links must have stopped before."""
+        """Refuse new commands, wait for those in progress and their records, and close the journal.
+
+        The links must have stopped before.
+        """
         self._closed = True
         self._armed.clear()
         await asyncio.gather(*(each.task for each in self._running.values()), return_exceptions=True)
@@ -191,7 +206,7 @@ class CommandRunner:
         self._journal.close()
 
     async def record_again(self) -> None:
-        """Record results of commands that could not be recorded when they ended. To be called periodically."""
+        """Record results of commands that could not be recorded when they ended. Call it from time to time."""
         if self._unrecorded:
             await self._in_thread(self._record_unrecorded)
 
@@ -208,21 +223,23 @@ class CommandRunner:
         expires: float | None = None,
         key: str | None = None,
     ) -> CommandResult:
-        """Write a value to a point by a command, and return its result.
+        """Write a value to a point by a command, and return the command's result.
+
+        A command with a key that was used before is not sent again: its first result is returned.
 
         Args:
             device, point: the point to write.
-            value: in the unit of measure, or a name of a number.
-            by, origin: who gives it, and on which way it came.
+            value: a number in the unit of measure, a state, a text, or a name of a number; a list of flags.
+            by, origin: who gives the command, and on which way it came.
             expires: until when it may be sent, seconds since 1970 UTC; None for `USUAL_SECONDS` from now.
-            key: names the command for ever; None for a new one.
+            key: names the command for ever; None for a new key.
 
         Returns:
-            What became of it; also where it was refused.
+            The result; also for a command that was refused, failed or expired: its state says so.
 
         Raises:
-            InvalidRequest: the command itself cannot be: there is no such point, or a text is too long. Nothing was
-                sent or recorded.
+            InvalidRequest: there is no such point, or an argument is out of its limits. Nothing was sent or recorded.
+            OSError: there is no such point now, and the journal cannot be read for the key. Nothing was sent.
         """
         now = self._now()
         if key is not None and isinstance(key, str) and key.startswith(MADE):
@@ -248,12 +265,17 @@ class CommandRunner:
         return await self._submit(command)
 
     def arm(self, device: str, point: str, value: CommandValue, *, by: str, origin: str) -> ArmedCommand:
-        """Check a command, and keep it for `ARMED_SECONDS` until `confirm`. Nothing is sent to the device.
+        """Check a command, and keep it for `ARMED_SECONDS` until `confirm` sends it. Nothing is sent to the device now.
+
+        Args:
+            device, point: the point to write.
+            value: as for `write`.
+            by, origin: who gives the command, and on which way it came.
 
         Raises:
             NoSuchPoint: there is no such point.
-            InvalidRequest: it is against a rule, with the sentence.
-            Overloaded: too many wait to be confirmed.
+            InvalidRequest: the command is against a rule; the message says which.
+            Overloaded: too many commands wait to be confirmed.
         """
         now, moment = self._now(), self._moment()
         command = PointCommand(new_key(now), device, point, value, by, origin, now + ARMED_SECONDS)
@@ -274,12 +296,16 @@ class CommandRunner:
         return armed
 
     async def confirm(self, key: str, *, by: str) -> CommandResult:
-        """Send an armed command; the same key again returns the result of the first time.
+        """Send an armed command, and return its result; for the same key again, return the first result.
+
+        Args:
+            key: the key of the armed command.
+            by: who confirms; it must be who armed the command.
 
         Raises:
             NoSuchCommand: nothing is armed or recorded under this key.
-            InvalidRequest: someone else has armed it, or its link was begun anew since, so that the point may be
-                another.
+            InvalidRequest: another person armed the command, or its link was begun anew since, so that the point may be
+                another. Nothing was sent.
             OSError: the journal cannot be read; nothing was sent.
         """
         armed = self._armed.get(key)
@@ -300,14 +326,19 @@ class CommandRunner:
         return self._unrecorded.get(key, found)
 
     async def newest(self, limit: int) -> list[CommandResult]:
-        """Return the results of the latest commands, the newest first."""
+        """Return the results of the latest commands, newest first, ``limit`` at most. Raises `OSError`."""
         found = await self._in_thread(self._journal.newest, limit)
         return [self._unrecorded.get(each.command.key, each) for each in found]
 
     # Taking one.
 
     async def _submit(self, command: PointCommand, seconds: float = math.inf) -> CommandResult:
-        """Start a command that may be sent for so many seconds, or wait for the running one with the same key."""
+        """Execute a command and return its result; if the same command is in execution, wait for that one.
+
+        Args:
+            command: the command.
+            seconds: for how long it may be sent, beside its expiry.
+        """
         joined = await self._joined(command)
         if joined is not None:
             return joined
@@ -331,7 +362,13 @@ class CommandRunner:
             del self._devices[command.device]
 
     async def _take(self, command: PointCommand, lock: asyncio.Lock, seconds: float) -> CommandResult:
-        """Record a command, send it, and record its result (rules 1 and 2)."""
+        """Check and record a command, send it, and record its result (rules 1 and 2); return the result.
+
+        Args:
+            command: the command.
+            lock: held while a command of the device is sent.
+            seconds: for how long it may be sent, beside its expiry.
+        """
         until = asyncio.get_running_loop().time() + min(seconds, command.expires - self._now())
         result = self._result(command)
         try:
@@ -370,8 +407,13 @@ class CommandRunner:
         return self._tell(result)
 
     async def _recorded(self, result: CommandResult) -> CommandResult | None:
-        """Record a command under its key, in a fleet for all collectors first; for a key used before, return the
-        recorded result instead. Raises `OSError`, `Overloaded`, `KeysUnavailable`: it must not be sent.
+        """Record a command under its key, in a fleet for all collectors first, unless the key was used before.
+
+        Returns:
+            None if it is recorded now; else the recorded result of the first command with this key.
+
+        Raises:
+            OSError, Overloaded, KeysUnavailable: it is not recorded, and must not be sent.
         """
         if self._claims is not None:
             known = await self._in_thread(self._journal.known, result)
@@ -387,11 +429,17 @@ class CommandRunner:
             raise
 
     def _left(self, command: PointCommand, until: float) -> float:
-        """Return the seconds in which a command may still be sent: its time limit or its expiry, whichever is first."""
+        """Return the seconds in which a command may still be sent; 0 or less if its time is over.
+
+        They end at its expiry by the wall clock, or at ``until`` by the clock of the event loop, whichever comes first.
+        """
         return min(until - asyncio.get_running_loop().time(), command.expires - self._now())
 
     async def _refused_now(self, command: PointCommand, why: str) -> CommandResult:
-        """Refuse a command without recording it; if its key was used before, return the first command's result."""
+        """Refuse a command without recording it, so that it may be sent again later.
+
+        If its key was used before, return the result of the first command instead.
+        """
         try:
             known = await self._known(command)
         except OSError as error:
@@ -400,7 +448,11 @@ class CommandRunner:
         return known or self.refused(self._result(command), f"{why}; nothing was sent")
 
     async def _known(self, command: PointCommand) -> CommandResult | None:
-        """Return the result for a command whose caller's key was used before; None if the key is new."""
+        """Return the result for a command whose key, given by a caller, was used before; None if the key is new.
+
+        Raises:
+            OSError: the journal cannot be read.
+        """
         if command.key.startswith(MADE):
             return None
         while True:
@@ -416,7 +468,10 @@ class CommandRunner:
                 return None
 
     async def _joined(self, command: PointCommand) -> CommandResult | None:
-        """Wait for a running command with the same key and return its result; None at once if none is running."""
+        """Wait for a running command with the same key, and return its result; None if none is running.
+
+        If that is another command, return a refusal.
+        """
         while (running := self._other_running(command)) is not None:
             if running.command.is_same(command):
                 return await asyncio.shield(running.task)
@@ -430,7 +485,7 @@ class CommandRunner:
         return None if running is None or running.task is asyncio.current_task() else running
 
     def _of_first(self, command: PointCommand, known: CommandResult) -> CommandResult:
-        """Return the recorded result for the same command sent again; a refusal if its key belongs to another one."""
+        """Return the recorded result of the first command with the same key; a refusal if that was another command."""
         known = self._unrecorded.get(command.key, known)
         return known if known.command.is_same(command) else self._refused_other(command, known.command)
 
@@ -458,7 +513,7 @@ class CommandRunner:
         return await asyncio.get_running_loop().run_in_executor(self._thread, function, *values)
 
     def _append(self, result: CommandResult) -> None:
-        """Append the line of a command's result to the audit log, without queueing it."""
+        """Write the line of a command's result to the audit log, at once."""
         self._audit.append(command_line(result, self._audit.timestamp()))
         self._audit.flush()
 
@@ -468,7 +523,14 @@ class CommandRunner:
         return result
 
     def refused(self, result: CommandResult, reason: str) -> CommandResult:
-        """Return the result of a refused command, not recorded. The audit log counts repetitions of one origin."""
+        """Return the result of a command that is refused and not recorded; the audit log gets a line.
+
+        For repeated refusals of one origin, person and device the audit log counts, instead of a line each.
+
+        Args:
+            result: the command, as an open result.
+            reason: why it is refused, as a sentence.
+        """
         refused = result.finished(CommandState.REFUSED, reason)
         about = (result.command.origin, result.command.by, result.command.device)
         time = self._audit.timestamp()
@@ -488,8 +550,10 @@ class CommandRunner:
         return ""
 
     def _planned(self, command: PointCommand) -> tuple[PointWrite, LinkPoller]:
-        """Return the request that writes a command's value, and the link's poller to send it. Raises
-        `InvalidRequest`.
+        """Check whether a command can be sent now, and return its write and the poller of its link.
+
+        Raises:
+            InvalidRequest: it is against a rule, or its device is in maintenance or does not answer; nothing was sent.
         """
         target = self._targets.target(command.device, command.point)
         if target.is_broadcast:
@@ -538,7 +602,10 @@ class CommandRunner:
         return None if turn.before is None else OldValue(turn.before, Quality.GOOD.label, self._now())
 
     async def _confirmed(self, result: CommandResult, write: PointWrite, poller: LinkPoller) -> CommandResult:
-        """Read a written point back, and return the command's result: whether the device shows the value (rule 5)."""
+        """Read a written point back until the device shows the value (rule 5); return the final result.
+
+        The command is done if the value is shown, failed if another value is, and unknown if the point cannot be read.
+        """
         value: CommandValue | None = None
         problem: ModbusError | None = None
         turn = _ReadTurn(write, poller, result.command.device)
@@ -568,7 +635,12 @@ class CommandRunner:
 
 
 class _WriteTurn:
-    """The turn on a link in which a command's write is sent; a register written only partly is read before."""
+    """The turn on a link in which a command's write is sent; a register that is written in part is read before.
+
+    Attributes:
+        has_begun: whether the write may have been sent.
+        before: the point's value as it was read before the write; None if it was not read.
+    """
 
     def __init__(self, write: PointWrite, poller: LinkPoller, device: str, left: Callable[[], float]) -> None:
         self._write, self._poller, self._device, self._left = write, poller, device, left
@@ -576,7 +648,7 @@ class _WriteTurn:
         self.before: CommandValue | None = None
 
     async def make(self) -> tuple[CommandState, str]:
-        """Send the write of a command to its device, and return the result."""
+        """Send the write to the device, if its time is not over, and return the state of the command and the reason."""
         held = b""
         if self._left() <= 0:
             return CommandState.EXPIRED, "its time was over before it was its turn; nothing was sent"
@@ -603,8 +675,13 @@ class _ReadTurn:
         self._write, self._poller, self._device = write, poller, device
 
     async def make(self) -> tuple[bool, CommandValue | None]:
-        """Read the written point. Returns whether the device shows the value, and what it shows. Raises
-        `ModbusError`.
+        """Read the written point once. The value that is found becomes a sample of the point too.
+
+        Returns:
+            Whether the device shows the written value, and the value that it shows.
+
+        Raises:
+            ModbusError: the point could not be read.
         """
         write = self._write
         assert write.shown is not None
@@ -616,7 +693,11 @@ class _ReadTurn:
 
 
 async def _read(poller: LinkPoller, device: str, read: PointRead, seconds: float) -> bytes:
-    """Read the registers or bits of one point. Raises `ModbusError`."""
+    """Read one point of a device within some seconds, and return the bytes of its registers, or one byte for a bit.
+
+    Raises:
+        ModbusError: it could not be read.
+    """
     reply = await _asked(poller, device, read.request, seconds)
     if isinstance(reply, ModbusError):
         raise reply
@@ -624,7 +705,7 @@ async def _read(poller: LinkPoller, device: str, read: PointRead, seconds: float
 
 
 async def _asked(poller: LinkPoller, device: str, request: Request, seconds: float) -> Any:  # a reply or an error
-    """Send one request to a device, at most once and within some seconds; return its reply."""
+    """Send one request to a device, once and within some seconds; return the reply, or the error as an object."""
     # `idempotent` with no retries: else `write_retries` of the link would repeat a write.
     options: dict[str, Any] = {"timeout": poller.schedule.timeout, "retries": 0, "idempotent": True}
     if seconds < math.inf:
@@ -639,11 +720,12 @@ async def _asked(poller: LinkPoller, device: str, request: Request, seconds: flo
 
 
 async def _in_turn(poller: LinkPoller, device: str, make: Callable[[], Awaitable[_T]]) -> _T:
-    """Let the poller of a link call a function before its next reads, and return the result.
+    """Have the poller of a link call ``make`` before its next reads, and return the result.
 
     Raises:
-        Overloaded: too many wait for the link.
-        _LinkEnded: the link ended before or in the turn.
+        Overloaded: too many writes wait for the link; nothing was sent.
+        _LinkEnded: polling of the link ended before ``make`` was called, or while it ran.
+        Exception: what ``make`` raises.
     """
     future: asyncio.Future[_T] = asyncio.get_running_loop().create_future()
 
@@ -670,7 +752,7 @@ def _fail(future: "asyncio.Future[_T]", error: Exception) -> None:
 
 
 def _text(value: CommandValue | None, point: Point) -> str:
-    """Return a value of a point as text for people, with its name if it has one."""
+    """Return a value of a point as text for people: with its name, or with the unit of measure."""
     unit, name = point.unit_of_measure, point.label(value)
     if name:
         return f"{name} ({value})"

@@ -26,18 +26,22 @@ PLACE: Final = "{device}/{point}"
 
 
 class _Receiving:
-    """Where the commands of a Sparkplug host are executed: an event loop, and a task for each command."""
+    """The event loop, the tasks and the receiver that commands of Sparkplug hosts are handed to.
+
+    Attributes:
+        receiver: executes the commands.
+    """
 
     def __init__(self, receiver: CommandReceiver, tasks: MessageTasks, loop: asyncio.AbstractEventLoop) -> None:
         self.receiver, self._tasks, self._loop = receiver, tasks, loop
 
     def call(self, called: Callable[[], object]) -> None:
-        """Call a function in the event loop, from any thread."""
+        """Have a function called in the event loop; safe from any thread. Nothing happens if the loop has ended."""
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(called)
 
     def begin(self, message: InputMessage) -> None:
-        """Start to execute a command in the event loop; discard it if too many wait."""
+        """Start a task that executes the command of a message; drop the message if too many wait."""
         if not self._tasks.begin(partial(self._handle, message)):
             self.receiver.drop(message.where)
 
@@ -46,11 +50,11 @@ class _Receiving:
 
 
 class SparkplugCommands:
-    """Receives commands to write points over a Sparkplug sink.
+    """Receives commands to write points from Sparkplug hosts, over the connection of a Sparkplug sink.
 
     Args:
         rights: the points that may be written; its topic pattern is `PLACE`.
-        now: seconds since 1970 UTC.
+        now: returns seconds since 1970 UTC.
     """
 
     kind: str = "sparkplug"
@@ -69,13 +73,16 @@ class SparkplugCommands:
     # Called by the sink, in its thread.
 
     def take(self, command: SparkplugCommand) -> None:
-        """Queue a command of a Sparkplug host for the collector's event loop. Safe from any thread."""
+        """Hand a command of a Sparkplug host to the collector's event loop, and return at once. Safe from any thread.
+
+        A command that comes while `run` is not running is dropped.
+        """
         receiving = self._receiving
         if receiving is not None:
             receiving.call(partial(receiving.begin, self._message(command)))
 
     def note(self, error: str | None) -> None:
-        """Keep the reason why no commands can arrive, for the status; None if they can."""
+        """Show in the status why no commands can arrive; None if they can. Called by the sink, from its thread."""
         self._error = error
         receiving = self._receiving
         if receiving is not None:
@@ -98,7 +105,7 @@ class SparkplugCommands:
                 self._receiving = None
 
     def _tell(self, receiver: CommandReceiver) -> None:
-        """Copy the state of the sink's connection into the status of the receiver of commands."""
+        """Copy the state of the sink's connection into the status of the receiver, and log a new error."""
         error = self._error
         if error is None:
             receiver.connected()

@@ -1,4 +1,4 @@
-"""Finds points of a running collector as targets of commands, and their last values.
+"""Finds points of a running collector for commands to write, and their last values.
 
 Knows the configuration, pollers and last values; decides nothing.
 """
@@ -18,10 +18,10 @@ class CollectedTargets:
     """Finds the points of a running collector that commands are to write.
 
     Args:
-        configuration: gives what the file says now.
-        poller_of: gives the poller of a device; raises `ConfigError` where it is not polled.
+        configuration: returns the present configuration.
+        poller_of: returns the poller of a device; raises `ConfigError` if the device is not polled.
         values: the last values.
-        plant: gives the configuration of a whole fleet, of which ``configuration`` is the part that this collector
+        plant: returns the configuration of a whole fleet, of which ``configuration`` is the part that this collector
             polls now; None for a collector that works alone.
     """
 
@@ -36,7 +36,12 @@ class CollectedTargets:
         self._plant = plant or configuration
 
     def target(self, device: str, point: str) -> WriteTarget:
-        """Return the point to write, and the poller of its link. Raises `NoSuchPoint` and `NotPolledNow`."""
+        """Return the point to write, and the poller of its link.
+
+        Raises:
+            NoSuchPoint: there is no such device or point.
+            NotPolledNow: another collector of the fleet polls the link, or the link is being stopped or begun.
+        """
         configuration = self._configuration()
         found = configuration.devices.get(device)
         if found is None and device in self._plant().devices:

@@ -90,7 +90,7 @@ class Commit:
 
 
 def no_step(name: str) -> None:
-    """Do nothing. The default for ``step``, which is called after each step of a write; tests pass another function."""
+    """Do nothing. The default of ``step``, which is called after each step of a write; tests give another."""
 
 
 class StoreWriter:
