@@ -7,6 +7,7 @@
 `layers`        which layer of the house a module belongs to
 `guard`         as a program: counts all scripts and prints JSON
 `growth`        as a program: times a transaction against connections, units, table sizes and routes
+`growth_of_points`  part of it: a polled value, a planned point, a sample of a message, by how many there are
 `codecs`        as a program: times every message, numbers, CRC and LRC
 ==============  =================================================================================================
 """

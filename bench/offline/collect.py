@@ -71,7 +71,7 @@ def cpu() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def poller(points: Sequence[Point], take: Callable[[SampleBatch], None]) -> LinkPoller:
+def poller(points: Sequence[Point], take: Callable[[SampleBatch], None], devices: int = DEVICES) -> LinkPoller:
     now = time.monotonic
     made = LinkPoller(
         "bench",
@@ -83,8 +83,9 @@ def poller(points: Sequence[Point], take: Callable[[SampleBatch], None]) -> Link
         numbered=True,
         now=now,
     )
-    for number in range(DEVICES):
-        made.add(f"meter-{number}", 1, PlanBook({"all": points}, ReadRules(), network_cost()), {"all": PERIOD})
+    for number in range(devices):
+        period = PERIOD * devices / DEVICES  # so that as many due times pass in a second, however many devices
+        made.add(f"meter-{number}", 1, PlanBook({"all": points}, ReadRules(), network_cost()), {"all": period})
     return made
 
 

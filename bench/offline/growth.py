@@ -5,11 +5,13 @@ Run from `bench/`: python -m offline.growth SECONDS [--quick]
 
 Each size is a script of its own on a loop without a network: the same requests, arriving in the same bunches, with more
 or less around them. Connections take turns, one bunch each; units, addresses and routes are asked one after the other.
+Of a collector a value takes the place of a transaction, of a plan a point (`offline.growth_of_points`).
 """
 
 import asyncio
 import json
 import random
+import struct
 import sys
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -20,6 +22,8 @@ from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.routes import AddressRange, Route, RoutingTable
 from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.codes import Table
+from busway.framing.rtu import encode_rtu
+from offline import growth_of_points
 from offline.scripts import IN_FLIGHT, REGISTERS, TCP, in_batches, port_of, read
 from offline.timing import quickest
 from offline.wire import Device, MemoryLoop, Wire
@@ -29,6 +33,8 @@ UNITS = (1, 4, 16, 64, 247)
 TABLE_SIZES = (100, 1000, 10_000, 65_536)
 ROUTES = (1, 4, 16, 64, 247)
 ADDRESS_ROUTES = (1, 4, 16, 64)
+RANGES = (256, 2048, 20_480)
+"""Different requests of mixed traffic: more than the server remembers reads, at the end."""
 READS = 256
 """Requests of a step."""
 WARMING = 2
@@ -85,6 +91,72 @@ async def table_size(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     async with busway.serve(TCP, units={1: busway.Device(holding_registers=size)}) as server:
         asked = [read(number, chance.randrange(size - REGISTERS)) for number in range(READS)]
         yield await turns([loop.newcomer(port_of(server.endpoints[0]))], in_batches(asked))
+
+
+MIXED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
+
+
+def mixed(number: int, chance: random.Random) -> bytes:
+    """Return a request of a function that follows from the number, about 1 to 10 items anywhere in a table."""
+    function, address, count = MIXED[number % len(MIXED)], chance.randrange(60_000), chance.randint(1, REGISTERS)
+    if function <= 4:
+        body = struct.pack(">HH", address, count)
+    elif function <= 6:
+        body = struct.pack(">HH", address, 0xFF00 if function == 5 else chance.randrange(65_536))
+    elif function == 15:
+        body = struct.pack(">HHB", address, 8 * count, count) + chance.randbytes(count)
+    elif function == 22:
+        body = struct.pack(">HHH", address, 0xF2, chance.randrange(65_536))
+    else:
+        wanted = b"" if function == 16 else struct.pack(">HH", chance.randrange(60_000), count)
+        body = wanted + struct.pack(">HHB", address, count, 2 * count) + chance.randbytes(2 * count)
+    return struct.pack(">HHHBB", number & 0xFFFF, 0, 2 + len(body), 1, function) + body
+
+
+def all_tables() -> busway.Device:
+    bits, registers = [False] * 65_536, [0] * 65_536
+    return busway.Device(coils=bits, discrete_inputs=bits, input_registers=registers, holding_registers=registers)
+
+
+def in_turns(loop: MemoryLoop, wires: Sequence[Wire], batches: Sequence[bytes]) -> Step:
+    """Each call feeds batches for `READS` requests, one in a turn of the loop, and goes on there the next time."""
+    at = 0
+
+    async def turn() -> None:
+        nonlocal at
+        for _ in range(READS // IN_FLIGHT):
+            wires[at % len(wires)].feed(batches[at % len(batches)])
+            at += 1
+            await asyncio.sleep(0)
+
+    return lambda: loop.run_until_complete(turn())
+
+
+@asynccontextmanager
+async def mixed_connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
+    """Mixed traffic at a server with so many connections, all of them busy."""
+    chance = random.Random(2)
+    async with busway.serve(TCP, units={1: all_tables()}, max_connections=size + 10) as server:
+        wires = [loop.newcomer(port_of(server.endpoints[0]), number) for number in range(size)]
+        yield in_turns(loop, wires, in_batches([mixed(number, chance) for number in range(2560)]))
+
+
+@asynccontextmanager
+async def mixed_ranges(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
+    """Mixed traffic of so many different requests."""
+    chance = random.Random(3)
+    async with busway.serve(TCP, units={1: all_tables()}) as server:
+        wires = [loop.newcomer(port_of(server.endpoints[0]))]
+        yield in_turns(loop, wires, in_batches([mixed(number, chance) for number in range(size)]))
+
+
+@asynccontextmanager
+async def rtu_connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
+    """Reads in RTU over TCP at a server with so many connections, all of them busy."""
+    async with busway.serve("rtu+tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=1000)}) as server:
+        wires = [loop.newcomer(port_of(server.endpoints[0]), number) for number in range(size)]
+        frames = [encode_rtu(1, read(0, number * REGISTERS % 900)[7:]) for number in range(READS)]
+        yield in_turns(loop, wires, in_batches(frames))
 
 
 async def forwarding(loop: MemoryLoop, plan: GatewayPlan, asked: Sequence[bytes], running: AsyncExitStack) -> Step:
@@ -144,6 +216,9 @@ SETTINGS: dict[str, tuple[Callable[..., Any], tuple[int, ...]]] = {
     "connections of a server": (connections, CONNECTIONS),
     "units of a server": (units, UNITS),
     "registers of a table": (table_size, TABLE_SIZES),
+    "connections of a server, mixed traffic": (mixed_connections, CONNECTIONS),
+    "different requests of mixed traffic": (mixed_ranges, RANGES),
+    "connections of a server, RTU over TCP": (rtu_connections, CONNECTIONS[:-1]),
     "routes of a gateway, by unit": (routes, ROUTES),
     "routes of a gateway, by address of one unit": (address_routes, ADDRESS_ROUTES),
 }
@@ -167,6 +242,7 @@ def measured(setting: str, seconds: float, *, quick: bool) -> dict[int, float]:
 
 
 if __name__ == "__main__":
-    each = float(sys.argv[1]) / len(SETTINGS)
+    each = float(sys.argv[1]) / (len(SETTINGS) + len(growth_of_points.SETTINGS))
     few = "--quick" in sys.argv
-    print(json.dumps({setting: measured(setting, each, quick=few) for setting in SETTINGS}))
+    found = {setting: measured(setting, each, quick=few) for setting in SETTINGS}
+    print(json.dumps(found | growth_of_points.measured(each, quick=few)))

@@ -1,4 +1,4 @@
-"""What a transaction costs when there is more of everything: connections, units, registers, routes.
+"""What a transaction costs when there is more of everything: connections, units, registers, routes, points.
 
 In one process without sockets, so that busway's own work is seen and not the kernel's; then servers with so many real
 connections under the load generator, four requests in flight on each of sixteen and the others idle, beside the floor.
@@ -28,7 +28,9 @@ SOCKETS_SHARE = 0.5
 
 
 def run(bench: Bench) -> Table:
-    table = Table("Growth: ns per transaction by size, and its exponent", ("", "sizes", "ns", "exponent"))
+    table = Table(
+        "Growth: ns per transaction, value, point or sample by size, and its exponent", ("", "sizes", "ns", "exponent")
+    )
     seconds = bench.asked_seconds or max(bench.budget * (1 - SOCKETS_SHARE) - 3.0, 1.5)
     found: dict[str, dict[str, float]] = children.run(
         bench.ours("offline.growth", seconds, *(["--quick"] if bench.quick else [])), bench.server_core, seconds + 60

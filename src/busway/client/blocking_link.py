@@ -99,7 +99,8 @@ class BlockingLinkDriver:
         self._spin = 0.0
         if settings.line is not None and settings.line.port is not None:
             self._spin = _SPIN if settings.line.opening.precise_timing else 0.0
-        self._turn = threading.Condition(threading.Lock() if scope is None else scope.lock)
+        self._lock = threading.Lock() if scope is None else scope.lock
+        self._turn = threading.Condition(self._lock)  # entered by the lock: `Condition` has two calls of Python for it
         self._leading = False
         self._waiting = 0
         self._connection: BlockingConnection | None = None
@@ -128,7 +129,7 @@ class BlockingLinkDriver:
         Raises:
             Overloaded, LinkDown, UnitSuspended, and on a serial line InvalidRequest: nothing was sent.
         """
-        with self._turn:
+        with self._lock:
             now = time.monotonic()
             if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
                 self._let_go(now)
@@ -136,13 +137,10 @@ class BlockingLinkDriver:
             if may_have_ended and self._connection is not None and not self.session.in_flight:
                 # Before the session has the call: a connection that ends here fails no call.
                 self._look_at_idle_connection(self._connection, now)
-            self._refuse_while_down(call, now)
-            self.session.submit(call, now)
+            if self._connection is None or self._life.closed:
+                self._refuse_while_down(call, now)
             try:
-                if self._connection is not None:
-                    if self._line is not None:
-                        self._look_at_line()
-                    self._transmit(now)
+                self._begin(call, now)
                 leads = self._wait_for_turn(call)
             except BaseException:
                 self._cancel(call)
@@ -150,23 +148,14 @@ class BlockingLinkDriver:
             if not leads:
                 self._used()
         if leads:
-            try:
-                self._lead(call)
-            finally:
-                with self._turn:
-                    self._leading = False
-                    if not call.ended:
-                        self._cancel(call)
-                    if self._waiting:
-                        self._turn.notify_all()
-                    self._used()
+            self._lead(call)
 
     def connect(self) -> None:
         """Open the connection now, instead of at the first request. Raises `LinkDown`.
 
         Does nothing if the link is connected, or closed for good.
         """
-        with self._turn:
+        with self._lock:
             while self._leading and self._connection is None and not self._life.closed:
                 self._waiting += 1
                 self._turn.wait()
@@ -178,7 +167,7 @@ class BlockingLinkDriver:
                 raise refusal
             self._leading = True
         try:
-            with self._turn:
+            with self._lock:
                 while not self._life.closed and (
                     pause := self._pause(time.monotonic())
                 ):  # the first one was lost just now
@@ -187,13 +176,13 @@ class BlockingLinkDriver:
             if failure is not None:
                 raise failure
         finally:
-            with self._turn:
+            with self._lock:
                 self._leading = False
                 self._turn.notify_all()
 
     def on_state(self, callback: OnState) -> Callable[[], None]:
         """Register a callback for new states of the connection. Returns a function that removes it."""
-        with self._turn:
+        with self._lock:
             if self.observers is None:
                 self.observers = StateObservers(self.reconnect.state)
             return self.observers.add(callback)
@@ -203,7 +192,7 @@ class BlockingLinkDriver:
 
         Requests in flight are repeated or fail, as after a loss of the connection.
         """
-        with self._turn:
+        with self._lock:
             if self._connection is not None:
                 now = time.monotonic()
                 if self._is_used():
@@ -214,7 +203,7 @@ class BlockingLinkDriver:
 
     def close(self) -> None:
         """Close the link for good. Calls that wait or are under way fail with `LinkDown`."""
-        with self._turn:
+        with self._lock:
             closed_before, self._life.closed = self._life.closed, True
             LOCAL.discard(self)
             now = time.monotonic()
@@ -261,6 +250,20 @@ class BlockingLinkDriver:
 
     # Turns.
 
+    def _begin(self, call: Call, now: float) -> None:
+        """Send the requests of a new call at once if they need not wait; otherwise queue them and send what may go."""
+        connection = self._connection
+        adu = None if connection is None or connection.unsent else self.session.send_now(call, now)
+        if connection is not None and adu is not None:
+            if self._send(connection, adu, now):
+                self.last_used = now
+            return
+        self.session.submit(call, now)
+        if connection is not None:
+            if self._line is not None:
+                self._look_at_line()
+            self._transmit(now)
+
     def _wait_for_turn(self, call: Call) -> bool:
         """Wait until the call is complete (returns False), or until this thread must be the leader (returns True).
 
@@ -283,28 +286,49 @@ class BlockingLinkDriver:
 
     def _lead(self, call: Call) -> None:
         """Be the leader of the link: connect, send and receive for all threads, until ``call`` is complete."""
-        while True:
-            with self._turn:
-                now = time.monotonic()
-                self._tick(now)
-                if call.ended:
-                    return
-                connected = self._connection
-                pause = self._pause(now)
-                if connected is not None and 0 < pause <= self._spin:
-                    self._transmit(now + pause)  # finding out what to send takes a tenth of a millisecond
-                    pause = self._pause(time.monotonic())
-            if connected is None:
-                if pause > 0:
-                    with self._turn:
-                        self._turn.wait(pause)
-                    continue
-                self._make_connection()
-                continue
-            if connected.wait(pause):
-                with self._turn:
-                    if self._connection is connected:
+        connected: BlockingConnection | None = None
+        ready: bool | None = None  # how the last wait at the connection ended: False by time; None: there was none
+        try:
+            while True:
+                with self._lock:
+                    if ready and connected is not None and connected is self._connection:
                         self._receive(connected)
+                    ended, pause = call.ended, 0.0
+                    if not ended:
+                        now = time.monotonic()
+                        pause = self._pause(now)
+                        if not pause or ready is False or self._connection is None or self._line is not None:
+                            self._tick(now)
+                            ended = call.ended
+                            pause = self._pause(now)
+                    if ended:
+                        self._stand_down(call)
+                        return
+                    connected = self._connection
+                    if connected is not None and 0 < pause <= self._spin:
+                        self._transmit(now + pause)  # finding out what to send takes a tenth of a millisecond
+                        pause = self._pause(time.monotonic())
+                ready = None
+                if connected is not None:
+                    ready = connected.wait(pause)
+                elif pause > 0:
+                    with self._lock:
+                        self._turn.wait(pause)
+                else:
+                    self._make_connection()
+        except BaseException:
+            with self._lock:
+                self._stand_down(call)
+            raise
+
+    def _stand_down(self, call: Call) -> None:
+        """End this thread's time as the leader; another waiting thread is woken to become it. Call it with the lock."""
+        self._leading = False
+        if not call.ended:
+            self._cancel(call)
+        if self._waiting:
+            self._turn.notify_all()
+        self._used()
 
     def _pause(self, now: float) -> float:
         """Return the seconds until a request, a timeout or an attempt to connect is due; 0 if one is due now.
@@ -356,16 +380,22 @@ class BlockingLinkDriver:
         while out and time.monotonic() < now:
             pass
         for frame in out:
-            self.sent_bytes += len(frame)
-            if TRACE.level:
-                self._traced().sent(frame)
-            try:
-                connection.send(frame)
-            except OSError as error:
-                self._drop(now, network_reason(error))
+            if not self._send(connection, frame, now):
                 return  # what is left of ``out`` has ended with its connection
         if out:
             self.last_used = now
+
+    def _send(self, connection: BlockingConnection, frame: bytes, now: float) -> bool:
+        """Send one frame. Returns False if the connection had ended: then it is dropped, with its requests."""
+        self.sent_bytes += len(frame)
+        if TRACE.level:
+            self._traced().sent(frame)
+        try:
+            connection.send(frame)
+        except OSError as error:
+            self._drop(now, network_reason(error))
+            return False
+        return True
 
     def _flush(self, now: float) -> None:
         """Send the frames that the system did not accept before; drop the connection if it has ended."""
@@ -492,7 +522,7 @@ class BlockingLinkDriver:
 
     def _refuse_while_down(self, call: Call, now: float) -> None:
         """Raise `LinkDown` if the link is closed, or during the pause after a failed attempt to connect."""
-        if self._life.closed or (self._connection is None and not self._leading):
+        if self._life.closed or not self._leading:
             refusal = self._life.refusal(now, call.unit)
             if refusal is not None:
                 raise refusal
@@ -516,22 +546,22 @@ class BlockingLinkDriver:
 
         With that error all waiting calls have ended.
         """
-        with self._turn:
+        with self._lock:
             self._life.dialled(time.monotonic())
         try:
             LOCAL.make_room(self, self.name)
             connection = self._new_connection()
         except (OSError, ValueError) as error:  # usually a `LinkDown`
             failure = error if isinstance(error, LinkDown) else link_down(error, endpoint=self.name)
-            with self._turn:
+            with self._lock:
                 self._life.failed(time.monotonic(), failure)
                 self._done()
             return failure
         except BaseException:  # an interrupt of the program: the next caller dials again
-            with self._turn:
+            with self._lock:
                 self._life.interrupted(time.monotonic())
             raise
-        with self._turn:
+        with self._lock:
             now = time.monotonic()
             if self._life.closed:
                 connection.close()

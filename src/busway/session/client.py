@@ -21,6 +21,7 @@ times are ``now`` in seconds, and the driver of a session calls `TcpClientSessio
    other event splits all batches first (`_split_batches`), so the other rules only deal with single requests.
 """
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from functools import partial
@@ -513,21 +514,27 @@ class TcpClientSession:
 
     def deadline(self) -> float | None:
         """The time at which `tick` has something to do, by the clock of ``now``; None for never."""
-        times = [awaited.expires for awaited in self._pending.values()]
-        times += [batch.expires for batch in self._batches]
+        soonest = math.inf
+        for awaited in self._pending.values():  # a loop, because a comprehension is a call, and usually there is one
+            if awaited.expires < soonest:
+                soonest = awaited.expires
+        for batch in self._batches:
+            if batch.expires < soonest:
+                soonest = batch.expires
         if self._tracker.deadlines:
-            queued = self._tracker.next_deadline()
-            if queued is not None:
-                times.append(queued)
-            times += [
-                awaited.call.deadline
-                for awaited in self._pending.values()
-                if awaited.call is not None and awaited.call.deadline is not None
-            ]
-            times += [one.call.deadline for one in self._batches if one.call.deadline is not None]
-        if self._queue.size and self._connected and self._free and self._not_before:
-            times.append(self._not_before)
-        return min(times, default=None)
+            soonest = min(soonest, self._next_call_deadline())
+        if self._queue.size and self._connected and self._free and 0.0 < self._not_before < soonest:
+            soonest = self._not_before
+        return None if soonest == math.inf else soonest
+
+    def _next_call_deadline(self) -> float:
+        """Return the earliest deadline of the open calls; infinity if none has one."""
+        calls = [awaited.call for awaited in self._pending.values()] + [batch.call for batch in self._batches]
+        times = [call.deadline for call in calls if call is not None and call.deadline is not None]
+        queued = self._tracker.next_deadline()
+        if queued is not None:
+            times.append(queued)
+        return min(times, default=math.inf)
 
     def tick(self, now: float) -> None:
         """End or repeat requests whose timeout, and calls whose deadline, has passed."""
