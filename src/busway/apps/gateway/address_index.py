@@ -2,8 +2,8 @@
 
 Knows ranges in their order; knows no route, table or unit.
 
-The addresses are cut at the edges of all ranges, and each piece knows the first range that has it. Of the pieces that a
-request lies on, the range that stands first is the one, whether it has the whole request or only a part.
+The addresses are cut at the edges of all ranges, and each piece knows the first range that has it. The result is the
+first range of all the pieces that a request lies on, whether that range has the whole request or only a part.
 """
 
 from bisect import bisect_right
@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 
 class AddressIndex:
-    """An index of many address ranges of one table, for routes.
+    """An index of many address ranges of one table, which finds the first range that a request touches.
 
     Args:
-        ranges: first address and end of each, in their order; None for one that has all addresses.
+        ranges: first address and end (last address + 1) of each range, in their order; None for all addresses.
     """
 
     __slots__ = ("_edges", "_first", "_size")
@@ -30,7 +30,7 @@ class AddressIndex:
             self._first[begin:end] = [index] * (end - begin)
 
     def first_touched(self, address: int, end: int) -> int | None:
-        """Return the number of the first range that contains any of the items ``address`` … ``end - 1``; else None."""
+        """Return the position of the first range that has any of the items ``address`` … ``end - 1``; None for none."""
         edges = self._edges
         at = bisect_right(edges, address) - 1
         found = self._first[at]

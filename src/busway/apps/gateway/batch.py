@@ -16,34 +16,34 @@ from .upstream import Upstream
 from .waiter_deadlines import WaiterDeadlines
 
 ForwardingClient = ForwardedReads | Forwarding
-"""Who gets the answers to forwarded requests: a connection with its reads, or a single request."""
+"""The client that gets the answers to forwarded requests: a connection with its reads, or a single request."""
 ForwardedRequest = Any
 """A `ForwardPlan` of `ForwardedReads`, or a `Translated` of a `Forwarding`; each client gets its own back."""
 Waiter = tuple[ForwardingClient, Any, ForwardedRequest]
-"""An asker, and which of its requests waits."""
+"""A client, the tag by which it knows its request, and that request."""
 _NO_POSITIONS: frozenset[int] = frozenset()
 _NONE_JOINED: Mapping[int, list[Waiter]] = MappingProxyType({})
 
 
 class BatchForwarder(Protocol):
-    """What a batch needs of the forwarder that made it."""
+    """Interface of the forwarder of an upstream, as a batch uses it."""
 
     @property
     def upstream(self) -> Upstream:
-        """The upstream that gets the requests."""
+        """The upstream that gets the requests of the batch."""
 
     def answer(self, batch: "Batch") -> None:
-        """Answer all requests of a batch that have an outcome."""
+        """Answer all clients whose requests in a batch have an outcome."""
 
     def withdraw(self, batch: "Batch", asker: ForwardingClient) -> None:
-        """Drop a disconnected client's requests."""
+        """Drop the requests of a client that has disconnected, as far as no other client waits for them."""
 
     def give_up_one(self, batch: "Batch", waiter: Waiter | None) -> None:
-        """Answer a client whose deadline has passed."""
+        """Answer a client whose deadline has passed: for one joined read, or (None) for the batch's own requests."""
 
 
 class BatchTarget(Protocol):
-    """What a batch needs to know of the unit of an upstream that it is for."""
+    """Interface of the destination of a batch: one unit of an upstream, with the timeout and retries for it."""
 
     @property
     def forwarder(self) -> BatchForwarder:
@@ -51,32 +51,44 @@ class BatchTarget(Protocol):
 
     @property
     def unit(self) -> int:
-        """The unit as it is asked upstream."""
+        """The unit identifier on the upstream."""
 
     @property
     def timeout(self) -> float:
-        """Seconds to wait for the unit."""
+        """Seconds to wait for the reply of the unit, per attempt."""
 
     @property
     def retries(self) -> int:
-        """How often a request is repeated."""
+        """Further attempts of a read."""
 
     @property
     def deadline(self) -> float | None:
-        """Seconds after which clients have given up; None if that is not known."""
+        """Seconds until clients must be answered, counted from their request; None for no limit."""
 
 
 class Batch(Call):
-    """Requests of one client that go upstream together, and the other clients that share replies to some of them.
+    """Requests of one client that go upstream together as one call, and the other clients that wait for its reads.
+
+    Args:
+        target: the unit of the upstream.
+        link: the link that sends the requests.
+        asker: the client.
+        tags: for each request of the client, the tag by which the client knows it.
+        asked: the requests.
 
     Attributes:
-        asker: the client; None when it has disconnected.
-        tags, asked: its requests. Their positions are those of ``requests``, unless a single one was split.
-        told: positions that were answered one by one; empty if all are answered together.
-        joined: other clients that wait for a read, by its position.
-        deadlines: of all that wait, where several do: of one that joined, or of the first with all its requests.
-        keys, shared: the keys of its reads, and where they are found, if they may be shared.
-        place, since, read_at: what is remembered of a read, and which moment its value is of.
+        forwarder: the forwarder of the upstream.
+        link: the link that sends the requests.
+        asker: the client that sent the batch; None once it has disconnected or was answered at its deadline.
+        tags, asked: the client's requests. Their positions are those of ``requests``, unless a single one was split.
+        told: positions of the requests that were answered one by one; empty if all are answered together.
+        joined: by position of a read, the other clients that wait for its reply.
+        deadlines: deadlines of the clients, if several wait; the entry None is that of ``asker``.
+        keys: if the reads may be shared, the key of each.
+        shared: the table in which other clients find the batch by these keys; None if it has no reads to share.
+        place: the range whose values are to be remembered; None for none.
+        since: number of changes of the unit (`ReadCache.changes`) when the batch was sent.
+        read_at: when the batch was sent, monotonic seconds.
     """
 
     # What most batches never set is a class attribute until it is set, as in `Call`.
@@ -113,13 +125,11 @@ class Batch(Call):
         self.asked = asked
 
     def done(self) -> bool:
-        """Return False always: a link asks futures this before it calls `set_result`, and treats a
-        batch as a future.
-        """
+        """Return False always: the link uses a batch like a future, and calls this before `set_result`."""
         return False
 
     def set_result(self, result: None) -> None:
-        """Answer the clients: the link calls this, as on a future, when all requests of the batch have an outcome."""
+        """Answer the clients. The link calls this, as on a future, when all requests of the batch have an outcome."""
         self.forwarder.answer(self)
 
     def owed(self, asker: ForwardingClient) -> Iterator[ForwardedRequest]:

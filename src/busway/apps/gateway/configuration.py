@@ -38,7 +38,7 @@ from .routes import RoutingTable
 from .settings import UPSTREAM_DEFAULTS, GatewayListener, GatewayPlan, UpstreamSettings
 
 COMMAND = "busway gateway"
-"""The name of what stands in no file."""
+"""Name of the file in messages about a configuration that comes from no file."""
 _SERVER_KINDS: Mapping[str, type[Any]] = {
     "parameters": ServerParameters,
     "listener": ListenerParameters,
@@ -66,7 +66,7 @@ class GatewayConfiguration:
 
     @property
     def name(self) -> str:
-        """Name of the gateway file that was read."""
+        """The name of the gateway file, as it was given."""
         return self.common.name
 
     @property
@@ -100,12 +100,13 @@ class GatewayConfiguration:
         The audit log, metrics and control socket are opened by `busway gateway`; a program opens those that it wants.
 
         Args:
-            listen: listeners that replace those of the file, one for one.
+            listen: URLs or listeners that replace those of the file, as many and in the same order; empty for those of
+                the file.
             options: ``authorize`` and ``policy`` instead of those of the file, ``audit`` as of `Gateway`;
                 ``standard_port`` as of `busway.serve`.
 
         Raises:
-            ConfigError: an invalid option.
+            ConfigError: an invalid option, or not as many listeners as the file has.
         """
         plan = self._plan(listen)
         beside = options.pop("standard_port", None)
@@ -114,12 +115,14 @@ class GatewayConfiguration:
         return Gateway(plan, **{**self.common.guarded(), **options})
 
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Apply this configuration to a gateway that runs. Returns what changed, in words.
+        """Apply this configuration to a gateway that runs, and return what changed, in words: one text for each part.
+
+        Own unit, functions and options of servers stay as they are: they change with a restart only.
 
         Args:
-            running: the gateway, as an earlier reading of the file made it.
+            running: the `Gateway`, made from an earlier version of the file.
             listen: the listeners, one for each of the file.
-            policy: the policy of new listeners until it is replaced.
+            policy: the policy of new listeners until `Gateway.replace_policy`; None for the policy of the others.
 
         Raises:
             LinkDown, ConfigError: a new listener or upstream cannot be opened; everything is as before.
@@ -151,9 +154,9 @@ def load_gateway(
     """Load the configuration of a gateway from a file.
 
     Args:
-        path: the file, in TOML.
-        preflight: whether to open the files that it names too, to report now what would fail later.
-        changes: options of listeners that override those of the file.
+        path: path of the file, in TOML.
+        preflight: whether to open the files named in it too, such as certificates, so that their errors are found now.
+        changes: options of listeners, by name, that override those of the file.
 
     Raises:
         ConfigError: the file cannot be read or is invalid; then the error has all ``problems``, each with
@@ -169,8 +172,8 @@ def parse_gateway(
     """Parse the configuration of a gateway from a TOML text.
 
     Args:
-        text: the content of the file.
-        name: its name, for messages; paths in it are relative to its folder.
+        text: content of the file.
+        name: name of the file, for messages; paths in the text are relative to its folder.
         preflight, changes: as of `load_gateway`.
 
     Raises:
@@ -217,7 +220,14 @@ def _put_together(
     changes: Mapping[str, Any] | None = None,
     client_deadline: float | None = CLIENT_DEADLINE,
 ) -> GatewayConfiguration:
-    """Build the configuration from a checked file. ``client_deadline`` is for listeners without a section."""
+    """Build the configuration of a gateway from the sections of its file. Raises `FileError` with all problems.
+
+    Args:
+        file: the sections.
+        source: the text of the file, for the lines of errors.
+        preflight, changes: as for `load_gateway`.
+        client_deadline: seconds within which requests are answered at listeners without a section; None for no limit.
+    """
     name = source.name
     report = ConfigurationReport(source)
     common = put_together(file, name, report, preflight=preflight, changes=changes, link_defaults=UPSTREAM_DEFAULTS)
@@ -262,7 +272,7 @@ def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadli
 
 
 def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
-    """Return the listeners with unique names, because two may have the same URL with port 0."""
+    """Return the listeners with unique names, as two may have the same URL with port 0: the second gets ``(2)``."""
     named: dict[str, PlacedListener] = {}
     for listener in listeners:
         name, number = listener.name, 1
@@ -293,7 +303,7 @@ def _upstream(
 
 
 def _as_served(common: Configuration) -> tuple[list[Listener], dict[str, Any]]:  # Any: as `Server` takes them
-    """Return the listeners and the options common to their servers, with the preset applied."""
+    """Return the listeners and the keyword arguments common to their `Server` objects, with the preset applied."""
     options = common.served()
     tls: TlsParameters | None = options.pop("tls", None)
     places, chosen = with_server_preset(common.listeners, options)

@@ -13,6 +13,9 @@ class CachingFunctionTable(FunctionTable):
     """Table of functions that returns the same object for equal reads, so that each is decoded and encoded once.
 
     Saves 1.5 of 12 µs per transaction.
+
+    Args:
+        functions: the table whose functions it has.
     """
 
     __slots__ = ("_known",)
@@ -22,7 +25,7 @@ class CachingFunctionTable(FunctionTable):
         self._known: dict[bytes, AnyRequest] = {}
 
     def decode_request(self, pdu: bytes) -> AnyRequest:
-        """Decode a request PDU like `FunctionTable.decode_request`, with reads from the cache."""
+        """Return the request in a PDU as `FunctionTable.decode_request` does; equal reads give the same object."""
         found = self._known.get(pdu)
         if found is None:
             found = super().decode_request(pdu)

@@ -1,6 +1,6 @@
 """The routes and listeners of a gateway file, each with its path in the file, so that errors can name the key.
 
-Knows sections and routes; judges nothing. A route without units is for all units that its upstream can have.
+Knows sections and routes; checks nothing. A route without units is for all units that its upstream can have.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,13 @@ SAME = "name", "unit", "unit_offset", "shift", "max_registers", "max_bits", "spl
 
 @dataclass(frozen=True, slots=True)
 class PlacedRoute:
-    """A route with its path in the gateway file. ``section`` is None for the default route of a file without routes."""
+    """A route with its path in the gateway file, for messages about the file.
+
+    Attributes:
+        route: the route.
+        place: path of its section in the file.
+        section: its section; None for the default route of a file without routes.
+    """
 
     route: Route
     place: Place
@@ -52,7 +58,15 @@ class PlacedRoute:
 
 @dataclass(frozen=True, slots=True)
 class PlacedListener:
-    """A listener with the path of its URL in the gateway file. ``is_chosen``: the file sets its client deadline."""
+    """A listener with the path of its URL in the gateway file, for messages about the file.
+
+    Attributes:
+        name: name of the listener in routes.
+        endpoint: its URL.
+        place: path of the URL or section in the file.
+        deadline: seconds until each request is answered; None for no limit.
+        is_chosen: whether the deadline was set, and is not the default.
+    """
 
     name: str
     endpoint: Endpoint
@@ -69,7 +83,15 @@ class PlacedListener:
 def placed_routes(
     file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], report: ConfigurationReport
 ) -> list[PlacedRoute]:
-    """Return the routes of a file with their paths; invalid ones are reported and left out."""
+    """Return the routes of a gateway file with their paths in it; invalid ones are left out.
+
+    A file without routes has one route to each upstream, for all its units.
+
+    Args:
+        file: the sections of the file.
+        upstreams: the valid upstreams by name.
+        report: gets the errors of invalid routes.
+    """
     if not file.route:
         return [
             PlacedRoute(Route(upstream=name, units=upstream_units(upstream)), ("link", 0), None)
@@ -110,7 +132,11 @@ def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> 
 
 
 def _default_units(wanted: RouteParameters, upstream: UpstreamSettings | None) -> frozenset[int]:
-    """Return the units of a route that names none: those that its upstream can have."""
+    """Return the units, as clients use them, of a route that names none: those that its upstream can have.
+
+    Raises:
+        ConfigError: with its offset the route has no unit left.
+    """
     if upstream is None:
         return ALL_UNITS
     there = upstream_units(upstream)
@@ -128,7 +154,7 @@ def upstream_units(upstream: UpstreamSettings) -> frozenset[int]:
 
 
 def unit_gaps(routes: Sequence[PlacedRoute], upstream: str) -> dict[int, float]:
-    """Return the longest silence that any route wants after a reply, in seconds, by unit of an upstream."""
+    """Return by unit of an upstream the longest silence after a reply that any route wants, in seconds."""
     found: dict[int, float] = {}
     for placed in routes:
         if placed.gap and placed.route.upstream == upstream:

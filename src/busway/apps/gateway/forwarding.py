@@ -2,8 +2,8 @@
 
 Knows upstreams, calls and who asked; knows no route and no listener.
 
-1. What one client asks of one unit at once is one call, a batch of one or more: it waits for its turn as one, and
-   leaves together as far as the turn allows. Where the upstream takes one request at a time, each is its own batch.
+1. The requests that one client sends to one unit at once are one call, a batch: they wait for their turn as one, and
+   are sent together as far as the turn allows. If the upstream takes one request at a time, each is its own batch.
 2. Each request is answered as soon as its own reply is there. None waits for the others of its batch.
 3. A read that is identical to one in flight shares its reply, if no write came between (`shared_reads`, `read_cache`).
    A priority host does not share what still waits in the queue for others: its own read goes before.
@@ -39,9 +39,13 @@ class ForwardTarget:
 
     Args:
         forwarder: the forwarder of the upstream.
-        unit: the unit as it is asked upstream.
+        unit: unit identifier on the upstream.
         timeout: seconds to wait for the unit; None for the upstream's own timeout.
-        deadline: seconds after which clients have given up; None if that is not known.
+        deadline: seconds until clients must be answered, counted from their request; None for no limit.
+
+    Attributes:
+        is_broadcast: whether requests go to all units of the upstream.
+        retries: further attempts of a read.
     """
 
     __slots__ = ("deadline", "forwarder", "is_broadcast", "retries", "timeout", "unit")
@@ -56,7 +60,13 @@ class ForwardTarget:
         self.deadline: float | None = deadline
 
     def ask(self, asker: ForwardingClient, tags: Sequence[Any], asked: Sequence[ForwardedRequest]) -> None:
-        """Forward requests of one client; each gets its reply, perhaps before this returns."""
+        """Forward requests of one client to the unit. The client gets each reply later, or before this returns.
+
+        Args:
+            asker: the client, which gets the replies and exception codes.
+            tags: for each request, the tag by which the client knows it.
+            asked: the requests.
+        """
         forwarder = self.forwarder
         upstream = forwarder.upstream
         links = upstream.links
@@ -104,7 +114,7 @@ class ForwardTarget:
         tags: Sequence[Any],
         asked: Sequence[ForwardedRequest],
     ) -> None:
-        """Forward requests one by one; refuse them if the upstream has no connection for them."""
+        """Forward requests one by one; refuse them with 0A if the upstream is closed (``link`` is None)."""
         forwarder = self.forwarder
         for tag, one in zip(tags, asked, strict=True):
             if link is not None:
@@ -115,7 +125,7 @@ class ForwardTarget:
         forwarder.send()
 
     def _not_begun(self, batch: Batch, asker: ForwardingClient, error: ModbusError) -> None:
-        """Refuse requests that the upstream's queue did not accept; it may have room for some of several."""
+        """Refuse requests that the link did not accept; after an overload several requests are tried one by one."""
         forwarder = self.forwarder
         forwarder.leave(batch)
         forwarder.upstream.counters.broadcasts -= batch.is_write and self.is_broadcast
@@ -132,11 +142,11 @@ class Forwarder:
 
     Args:
         upstream: the upstream that gets the requests.
-        share_reads: whether identical reads in flight are asked once.
-        same_device: units that are the same device, group by group.
+        share_reads: whether a read waits for an identical one in flight instead of being sent.
+        same_device: groups of units that are the same device.
 
     Attributes:
-        cache: reads in flight and remembered values.
+        cache: the reads in flight and the remembered values.
         open: the batches that have not ended.
         answered: clients with answers that have not been sent yet.
     """
@@ -164,7 +174,13 @@ class Forwarder:
             await self._all_answered.wait()
 
     def recall(self, unit: int, place: Place, seconds: float) -> bytes | None:
-        """Return recently read data that answers a read, if they are not older than ``seconds``; else None."""
+        """Return remembered data that answer a read, if they are younger than ``seconds``; else None.
+
+        Args:
+            unit: unit identifier on the upstream.
+            place: the range to read.
+            seconds: seconds after which values are too old.
+        """
         data = self.cache.recall(unit, place, self.upstream.clock(), for_seconds=seconds)
         self.upstream.counters.recalled += data is not None
         return data
@@ -172,7 +188,10 @@ class Forwarder:
     # What comes back.
 
     def look(self, session: object) -> None:
-        """Answer the requests that have an outcome by now, even if others of their batch have none."""
+        """Answer the requests of a link's session that have an outcome by now, even if others of their batch have none.
+
+        The link calls this after received bytes or a timer were handled.
+        """
         if isinstance(session, TcpClientSession):
             for call in session.in_work():
                 if (
@@ -186,13 +205,16 @@ class Forwarder:
             self.send()
 
     def send(self) -> None:
-        """Send the replies that are ready to the clients, those of one client together."""
+        """Send the answers that are ready to the clients, those of one client together."""
         answered, self.answered = self.answered, {}
         for asker in answered:
             asker.send()
 
     def answer(self, batch: Batch) -> None:
-        """Answer all requests of a batch that have an outcome."""
+        """Give the clients the replies or exception codes of a batch's requests that have an outcome; sent by `send`.
+
+        A batch whose requests all have an outcome is then forgotten.
+        """
         asker = batch.asker
         data: list[Any] = batch.outcomes  # Any: bytes where the request has asked for them, see `as_bytes`
         if asker is not None and not (batch.told or batch.joined or batch.place):  # as a rule
@@ -216,7 +238,13 @@ class Forwarder:
             self.leave(batch)
 
     def _answer_one(self, batch: Batch, position: int, outcomes: Sequence[Outcome | bytes | None]) -> None:
-        """Answer all clients that wait for one request, once its reply or error is known."""
+        """Answer all clients that wait for one request, whose reply or error is known.
+
+        Args:
+            batch: the batch of the request.
+            position: position of the request in the batch.
+            outcomes: its outcome, or the outcomes of its parts.
+        """
         batch.told = {*batch.told, position}
         if batch.shared is not None and batch.shared.get(batch.keys[position]) is batch:
             del batch.shared[batch.keys[position]]  # no other client may join it any more
@@ -241,7 +269,7 @@ class Forwarder:
             self.answered[asker] = None
 
     def refuse(self, waiter: Waiter, code: int) -> None:
-        """Answer a forwarded request of a client with an exception code."""
+        """Answer a forwarded request of a client with an exception code; sent by `send`."""
         asker, tag, asked = waiter
         asker.refuse(tag, asked, code)
         self.answered[asker] = None
@@ -249,7 +277,12 @@ class Forwarder:
     # Clients that wait no longer.
 
     def give_up_one(self, batch: Batch, waiter: Waiter | None) -> None:
-        """Answer a client whose deadline has passed, for one read that it shares, or (None) for its own requests."""
+        """Answer a client whose deadline has passed with 0A or 0B.
+
+        Args:
+            batch: the batch that the client waits for.
+            waiter: the client and the read that it shares; None for the client that sent the batch, with all requests.
+        """
         asker = batch.asker if waiter is None else waiter[0]
         if asker is None:
             return  # it has disconnected
@@ -276,7 +309,10 @@ class Forwarder:
         self.send()
 
     def withdraw(self, batch: Batch, asker: ForwardingClient) -> None:
-        """Drop a disconnected client's requests; those that no other client waits for are cancelled if possible."""
+        """Drop the requests of a client that has disconnected; the batch is cancelled if no other client waits for it.
+
+        A write that was sent goes on.
+        """
         counters = self.upstream.counters
         if batch.asker is asker:
             batch.asker = None

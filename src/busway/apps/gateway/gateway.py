@@ -49,6 +49,8 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _RunningListener:
+    """A listener of a gateway with its server, responder and authorizer; the authorizer is None without a policy."""
+
     listener: GatewayListener
     responder: ListenerRouter
     authorizer: PolicyAuthorizer | None
@@ -62,14 +64,14 @@ class _RunningListener:
 
 
 class Gateway:
-    """A running gateway; an asynchronous context manager that starts and stops it.
+    """A gateway: forwards requests from its listeners to its upstreams while the ``async with`` block lasts.
 
     Args:
-        plan: its configuration.
-        authorize: called at every listener with the host of a new client; decides whether it may connect.
-        policy: rules for the requests at every listener; None permits all.
-        audit: the audit log for denied requests and writes.
-        observers: see the requests of all listeners (metrics, for example).
+        plan: the configuration: listeners, upstreams and routes.
+        authorize: called with the host of each new client at any listener; returns whether the client may connect.
+        policy: rules for the requests at all listeners; None permits all.
+        audit: the audit log for denied requests and writes; None for none.
+        observers: objects that see the requests of all listeners (metrics, for example).
 
     Attributes:
         plan: the configuration in force.
@@ -108,11 +110,18 @@ class Gateway:
 
     @property
     def endpoints(self) -> list[str]:
-        """URLs of the listeners, with the ports that they are bound to; empty while stopped."""
+        """The URLs of the listeners, with the ports that they are bound to; empty while stopped."""
         return [url for each in self._listeners.values() for url in each.server.endpoints]
 
     async def start(self) -> None:
-        """Open all listeners; upstreams connect at the first request. Raises `LinkDown`, `ConfigError`."""
+        """Open all listeners and serial ports; upstreams on networks connect at the first request.
+
+        Does nothing while the gateway runs. A serial port of an upstream that cannot be opened is tried again.
+
+        Raises:
+            LinkDown: a listener cannot be opened; the gateway is stopped.
+            ConfigError: a listener or upstream cannot be used as configured; the gateway is stopped.
+        """
         if self.is_running:
             return
         try:
@@ -127,7 +136,7 @@ class Gateway:
         self._started = time.monotonic()
 
     async def stop(self) -> None:
-        """Close listeners and upstreams at once. Open requests get no reply."""
+        """Close all listeners and upstreams at once. Open requests get no reply."""
         listeners, self._listeners = self._listeners, {}
         for each in listeners.values():
             await each.server.stop()
@@ -137,10 +146,12 @@ class Gateway:
         self._started = 0.0
 
     async def drain(self, seconds: float = GatewayParameters().drain) -> int:
-        """Accept nothing new, wait until open requests are answered, then stop. Returns how many were not answered.
+        """Accept no connection or request any more, wait until open requests are answered, then stop the gateway.
+
+        Returns how many requests were not answered.
 
         Args:
-            seconds: longest time to wait.
+            seconds: longest wait.
         """
         for each in self._listeners.values():
             await each.server.take_no_more()
@@ -153,17 +164,19 @@ class Gateway:
         return left
 
     async def change(self, plan: GatewayPlan, *, policy: Policy | None = None) -> list[str]:
-        """Apply another configuration while the gateway runs. Returns what changed, in words.
+        """Apply another configuration while the gateway runs, and return what changed: one text for each part.
 
-        Unchanged listeners and upstreams keep their connections. If a new listener cannot be opened, the error is
-        raised and everything is as before, but clients of listeners that were to change have lost their connections.
+        Unchanged listeners and upstreams keep their connections. After an error everything is as before, but clients of
+        listeners that were to change have lost their connections.
 
         Args:
-            plan: the new plan.
-            policy: the policy of new listeners until `replace_policy`; None: that of the others.
+            plan: the new configuration; own unit, functions and options of servers must be those of the old one.
+            policy: the policy of new listeners until `replace_policy`; None for the policy of the others.
 
         Raises:
-            LinkDown, ConfigError: a new listener or upstream cannot be opened.
+            LinkDown: a new listener cannot be opened.
+            ConfigError: a new listener or upstream cannot be used as configured, or a part changed that needs a
+                restart.
         """
         if _until_restart(plan) != _until_restart(self.plan):
             raise ConfigError(
@@ -204,8 +217,11 @@ class Gateway:
     ) -> tuple[dict[str, Forwarder], dict[str, _RunningListener]]:
         """Stop listeners and serial ports that change, and open those of the new configuration; undo all on an error.
 
-        Returns forwarders and listeners of the plan by name, unchanged ones included. What is closed first may hold
-        ports that new ones need.
+        The old ones are closed first, because they may hold ports that new ones need.
+
+        Returns:
+            By name, the forwarders of the upstreams and the listeners of the new configuration, unchanged ones
+            included.
         """
         old_upstreams = {one.name: one for one in self.plan.upstreams}
         forwarders, listeners = dict(same_upstreams), dict(same_listeners)
@@ -247,10 +263,10 @@ class Gateway:
         return self._functions
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer of the requests of all listeners. Only while stopped.
+        """Register an observer of the requests of all listeners; possible only while the gateway is stopped.
 
         Raises:
-            ConfigError: it is running.
+            ConfigError: the gateway runs.
         """
         if self.is_running:
             raise ConfigError("a running gateway keeps its observers", key="observer")
@@ -262,7 +278,7 @@ class Gateway:
         """Use another access policy on all listeners, from the next request on.
 
         Raises:
-            ConfigError: the gateway was made without one.
+            ConfigError: the gateway was created without a policy and without an audit log.
         """
         if not self._is_guarded:
             raise ConfigError("the gateway was made without a policy", key="policy")
@@ -272,16 +288,16 @@ class Gateway:
                 each.authorizer.replace_policy(policy)
 
     def reload_security(self) -> None:
-        """Read the certificates of all listeners again, for new connections (`Server.reload_security`)."""
+        """Read the certificate files of all listeners again, for new connections (`Server.reload_security`)."""
         for each in self._running.values():
             each.server.reload_security()
 
     def end_unauthorized(self) -> int:
-        """Abort the connections of hosts that may no longer connect, on every listener; returns their number."""
+        """Abort the connections of hosts that may no longer connect to their listener; returns how many there were."""
         return sum(each.server.end_unauthorized() for each in self._running.values())
 
     def is_priority(self, listener: str, host: str) -> bool:
-        """Whether a host is a priority host of the listener with this URL (one of ``endpoints``)."""
+        """Whether a host is a priority host of the listener with this URL, which is one of `endpoints`."""
         return any(each.server.is_priority(listener, host) for each in self._running.values())
 
     def reset_counters(self) -> None:
@@ -301,7 +317,7 @@ class Gateway:
 
     @property
     def servers(self) -> list[Server]:
-        """The servers, one for each listener, of which the gateway consists."""
+        """The servers of the gateway, one for each listener, in the order of the listeners."""
         return [each.server for each in self._running.values()]
 
     def status(self) -> GatewayStatus:
@@ -319,7 +335,7 @@ class Gateway:
         )
 
     def _numbers(self) -> tuple[list[int], list[list[int]]]:
-        """Return the values of the status registers that the gateway's own unit shows."""
+        """Return the values for the status registers of the gateway's own unit: its own, and those of each upstream."""
         status = self.status()
         own = [
             int(status.uptime),
@@ -379,7 +395,10 @@ def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
 
 
 def _standard_port(listener: GatewayListener, plan: GatewayPlan) -> bool | None:
-    """Return whether a listener also listens on port 502; only one of several listeners does."""
+    """Return the option ``standard_port`` of a listener's server: whether it also listens on port 502.
+
+    None leaves that to the server. At most one of the listeners gets another value than False.
+    """
     choice: bool | None = plan.server.get("standard_port")
     places = {one.name: parse_endpoint(one.settings.endpoint) for one in plan.listeners}
     plain = {name: place for name, place in places.items() if place.scheme == "tcp"}
@@ -412,7 +431,12 @@ def _open(upstream: Upstream, settings: UpstreamSettings) -> None:
 def _changes(
     what: str, old: Mapping[str, GatewayListener | UpstreamSettings], new: Iterable[GatewayListener | UpstreamSettings]
 ) -> Iterator[str]:
-    """Return sentences that tell which listeners or upstreams were added, changed and closed."""
+    """Yield a text for each listener or upstream that was added, changed or closed.
+
+    Args:
+        what: the word for them in the texts.
+        old, new: the listeners or upstreams before and after.
+    """
     names = set()
     for one in new:
         names.add(one.name)

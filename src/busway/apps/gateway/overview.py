@@ -1,6 +1,6 @@
 """The contents of a gateway file as rows of text: listeners, upstreams, and the routing table.
 
-Knows sections and plans; judges nothing.
+Knows sections and plans; checks nothing.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,14 +16,14 @@ from .routes import ALL_UNITS, Route, RouteAction, units_text
 from .settings import GatewayListener, GatewayPlan, UpstreamSettings
 
 RoutingRow = tuple[str, str, str, str, str, str]
-"""Listener, units, functions, addresses, where to, what else."""
+"""One route as text: listeners, units, functions, addresses, where its requests go, further options."""
 ROUTING_HEADINGS: RoutingRow = ("listener", "units", "functions", "addresses", "to", "")
 _OF_GATEWAYS = frozenset({"listener", "policy", "server"})
-"""Rows of other configurations that say something of a gateway too."""
+"""Kinds of rows that the overview of a gateway takes from that of a server."""
 
 
 def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
-    """Return what a gateway file contains, as rows: kind, name and description of each part."""
+    """Yield a row of text for each part of a gateway's configuration: its kind, name and description."""
     plan = configuration.plan
     known = {kind: [row for row in overview(configuration.common) if row[0] == kind] for kind in _OF_GATEWAYS}
     for listener, row in zip(plan.listeners, known["listener"], strict=True):
@@ -36,7 +36,10 @@ def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
 
 
 def routing_rows(configuration: GatewayConfiguration) -> Iterator[RoutingRow]:
-    """Return the routes as rows of text, in their order, which decides which of them gets a request."""
+    """Yield each route of a gateway's configuration as a row of text, in the order in which routes are tried.
+
+    `ROUTING_HEADINGS` has the headings of the columns.
+    """
     names = [listener.name for listener in configuration.plan.listeners]
     for placed in configuration.routes:
         route = placed.route

@@ -1,4 +1,4 @@
-"""The gateway's own unit: a device with its identification, diagnostics, and optionally its status as registers.
+"""The gateway's own unit: a device with the gateway's identification, diagnostics, and if wanted status registers.
 
 Knows numbers of a status; knows no upstream and no listener (T32: unit 255, and 0 for requests that are no broadcast).
 
@@ -29,14 +29,20 @@ FUNCTIONS: Final = (
     FunctionCode.REPORT_SERVER_ID,
     FunctionCode.ENCAPSULATED_INTERFACE,
 )
-"""Functions that it offers without registers too."""
+"""Functions that the own unit offers also without status registers."""
 STATES: Final = ("down", "backing off", "connecting", "suspect", "up")
 """States of a connection, from worst to best."""
 
 
 @dataclass(frozen=True, slots=True)
 class StatusRegister:
-    """One value in the status registers of the gateway's own unit: address, width and meaning."""
+    """One value in the status registers of the gateway's own unit: address, width and meaning.
+
+    Attributes:
+        address: address of the first input register; in `UPSTREAM_REGISTERS` relative to the upstream's first one.
+        registers: number of registers, 1 or 2; of two the first is the high one.
+        name, meaning: for the table of the documentation.
+    """
 
     address: int
     registers: int
@@ -66,15 +72,15 @@ UPSTREAM_REGISTERS: Final = (
 )
 
 Numbers = Callable[[], tuple[Sequence[int], Sequence[Sequence[int]]]]
-"""Returns the current values of `REGISTERS`, and for each upstream those of `UPSTREAM_REGISTERS`."""
+"""Function that returns the current values of `REGISTERS`, and for each upstream those of `UPSTREAM_REGISTERS`."""
 
 
 def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
-    """Create the device that answers for the gateway itself.
+    """Create the device that answers for the gateway itself: identification, diagnostics, status registers.
 
     Args:
-        numbers: returns the values of its registers; called at each read.
-        registers: whether it has input registers.
+        numbers: returns the values of the status registers; called at each read.
+        registers: whether the device has its status in input registers; without them a read gets exception 01.
     """
     device = Device(
         input_registers=FIRST_UPSTREAM + MOST_UPSTREAMS * PER_UPSTREAM if registers else 0,

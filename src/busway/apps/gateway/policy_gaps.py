@@ -29,10 +29,14 @@ Access = tuple[type[Request], TouchedRange]
 def policy_gaps(
     policy: Policy, routes: Sequence[PlacedRoute], same_device: Mapping[str, Sequence[frozenset[int]]]
 ) -> Iterator[tuple[Place, str]]:
-    """Return the access rules that clients can evade by another route to the same device: path in the file, and a
-    message.
+    """Yield the access rules that clients can evade by another route to the same device.
 
-    ``same_device``: by name of upstream, the groups of units there that are one device.
+    Yields for each rule its path in the gateway file, and a message.
+
+    Args:
+        policy: the access rules.
+        routes: the routes of the file.
+        same_device: by name of upstream, the groups of units there that are the same device.
     """
     devices = _reached_in_several_ways(routes, same_device)
     if not devices:
@@ -56,7 +60,7 @@ def policy_gaps(
 
 
 def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[Access]:
-    """Return the kinds of access to test: one example for all that no rule and no route distinguishes."""
+    """Return the kinds of access to test: one for each group that no rule and no route tells apart."""
     by_rules = [rule for rule in policy.rules if rule.functions is not None]
     found: dict[object, Access] = {}
     for kind in STANDARD:
@@ -70,7 +74,7 @@ def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[Access]:
 def _reached_in_several_ways(
     routes: Sequence[PlacedRoute], same_device: Mapping[str, Sequence[frozenset[int]]]
 ) -> list[list[Way]]:
-    """Return the routes to each device that is reached by two unit numbers, or with two address shifts."""
+    """Return, for each device that is reached by several units or with several address shifts, the ways to it."""
     devices: dict[tuple[str, int], list[Way]] = {}
     for one in routes:
         if one.route.upstream:
@@ -91,7 +95,15 @@ def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
 
 
 def _evaded(rule: Rule, rights: Rights, accesses: Sequence[Access], way: Way, other: Way) -> str:
-    """Return how a request by another route does what the rule forbids, as a sentence; empty if none does."""
+    """Return how a request by another route may do more than a rule permits, as a sentence; empty if it may not.
+
+    Args:
+        rule: the rule.
+        rights: evaluates the rules for the clients of that rule.
+        accesses: the kinds of access to test.
+        way: the route and unit that the rule is about.
+        other: another route and unit to the same device.
+    """
     (near, asked), (far, unit) = way, other
     is_named = rule.units is None or unit in rule.units
     if (rule.units is not None and asked not in rule.units) or (is_named and near.route.shift == far.route.shift):
@@ -139,7 +151,13 @@ def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | 
 
 
 def _permits_more(other: Zone, zone: Zone, items: Range) -> bool:
-    """Whether requests by the other route may touch items that this route's access rule refuses or limits."""
+    """Whether requests by another route may touch items that the access rule of this route refuses or limits.
+
+    Args:
+        other: a range of items that are treated alike by the other route.
+        zone: a range of items that are treated alike by this route.
+        items: the items that this zone has by the other route: first address and end.
+    """
     if not other.permits or other.end <= items[0] or items[1] <= other.first or other.rule is zone.rule:
         return False
     return not zone.permits or (other.rate, other.limits) != (zone.rate, zone.limits)

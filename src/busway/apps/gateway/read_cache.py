@@ -1,4 +1,4 @@
-"""What may answer a read of a gateway without a new request: values read recently, and reads in flight to share.
+"""The values read recently, and the reads in flight, by which a gateway answers a read without a new request.
 
 `forwarding` asks here before it sends a read; `shared_reads` lets a client wait for a read in flight.
 
@@ -24,7 +24,7 @@ from ...pdu.wide_registers import NARROW
 
 Shared = TypeVar("Shared")
 Key = bytes
-"""The PDU of a read as it is sent; of one that is split, those of all its parts."""
+"""The PDU of a read as it is sent upstream; for a read that is split, the PDUs of all its parts joined."""
 Place = tuple[Table, int, int]
 """Table, address of the first item, count."""
 
@@ -36,7 +36,7 @@ BLOCKS_PER_UNIT = 64
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """The values that one read returned, and the time when that read was sent."""
+    """The values that one read returned, and the time when that read was forwarded, in seconds."""
 
     place: Place
     data: bytes
@@ -61,6 +61,8 @@ class _Unit(Generic[Shared]):
 class ReadCache(Generic[Shared]):
     """The shared reads and recently read values of one upstream. ``Shared`` is the type of a read in flight.
 
+    A client that has seen a write end never gets a value from before the write.
+
     Args:
         register_width: bytes of a register.
         same_device: groups of units that are the same device.
@@ -84,11 +86,14 @@ class ReadCache(Generic[Shared]):
     # Writes.
 
     def write_begins(self, unit: int) -> None:
-        """Drop the remembered values of a unit, because a write to it is about to be forwarded."""
+        """Note that a write to a unit is about to be forwarded: values are dropped, no read is shared until it ends.
+
+        Each call needs one of `write_ended`.
+        """
         self._changed(unit, 1)
 
     def write_ended(self, unit: int) -> None:
-        """Allow reads of a unit to be shared again, because a write to it has ended, successfully or not."""
+        """Note that a write to a unit has ended, successfully or not: reads may be shared and remembered again."""
         self._changed(unit, -1)
 
     def _changed(self, unit: int, more_writes: int) -> None:
@@ -110,10 +115,10 @@ class ReadCache(Generic[Shared]):
     # Reads in flight.
 
     def shared(self, unit: int) -> dict[Key, Shared] | None:
-        """Return a unit's reads in flight by key, to which the caller adds new ones; None while a write forbids
-        sharing.
+        """Return a unit's reads in flight by key; None while a write forbids sharing.
 
-        It is always the same object. A write empties it.
+        The caller adds its reads to the dictionary, and removes them when they end. It is the same object at each call,
+        and a write empties it.
         """
         state = self._unit(unit)
         return state.reading if not self._open_writes or self._is_quiet(unit) else None
@@ -128,11 +133,11 @@ class ReadCache(Generic[Shared]):
         """Keep the data of a read, unless the unit was written since the read was forwarded.
 
         Args:
-            unit: the unit on the upstream.
+            unit: unit identifier on the upstream.
             place: the range that was read.
             data: the items, as in a reply.
             since: result of `changes` when the read was forwarded.
-            read_at: when the read was forwarded.
+            read_at: when the read was forwarded, in seconds.
         """
         state = self._unit(unit)
         if state.changes != since or not self._is_quiet(unit):
@@ -143,7 +148,14 @@ class ReadCache(Generic[Shared]):
             del state.blocks[next(iter(state.blocks))]
 
     def recall(self, unit: int, place: Place, now: float, *, for_seconds: float) -> bytes | None:
-        """Return recently read values of a range, also from a larger read; None if there are none."""
+        """Return remembered values of a range, as in a reply; None if there are none that are young enough.
+
+        Args:
+            unit: unit identifier on the upstream.
+            place: the range, which may be a part of a larger read.
+            now: the time, by the clock of ``read_at``.
+            for_seconds: seconds after which values are too old.
+        """
         state = self._units.get(unit)
         if state is None or not state.blocks:
             return None

@@ -37,11 +37,11 @@ _MOST_BITS = 2000
 
 @dataclass(frozen=True, slots=True)
 class WorstCase:
-    """The longest time that an upstream may need for one request from the moment it is sent, and its parts.
+    """The longest time that an upstream may need for one request, from sending it until the last attempt has failed.
 
     Attributes:
-        seconds: until the last attempt has failed.
-        sum: how they add up, as text.
+        seconds: that time.
+        sum: how the time adds up from attempts, timeouts, frames and pieces, as text for messages.
     """
 
     seconds: float
@@ -59,7 +59,16 @@ def check_routes(
     policy: Policy | None,
     report: ConfigurationReport,
 ) -> None:
-    """Report errors and warnings about the routes, listeners, upstreams and policy of a gateway file."""
+    """Find errors and warnings in the routes of a gateway file, and add them to a report (rules 1 and 2).
+
+    Args:
+        file: the sections of the file.
+        routes: the routes, with their places in the file.
+        listeners: the listeners, with their places in the file.
+        upstreams: the upstreams by name.
+        policy: the access rules; None without any.
+        report: gets the errors and warnings.
+    """
     for at, sentence in (
         *_unreached(routes),
         *_hidden_refusals(routes),
@@ -117,9 +126,9 @@ def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
-    """Return errors for refusing routes of which an earlier route forwards a part.
+    """Yield errors for refusing routes of which an earlier route forwards a part.
 
-    A refusal without units, functions and addresses is meant for what other routes leave.
+    A refusal without units, functions and addresses is meant for the requests that other routes leave.
     """
     for position, placed in enumerate(routes):
         refusal = placed.route
@@ -248,7 +257,7 @@ def _impatient_clients(
 def _upstreams_slower_than_the_default(
     routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
 ) -> Faults:
-    """Return warnings about upstreams slower than the default ``client_deadline`` of their listeners."""
+    """Yield warnings about upstreams slower than the default ``client_deadline`` of their listeners."""
     deadline = next((one.deadline for one in listeners if one.deadline is not None and not one.is_chosen), None)
     if deadline is None:
         return
@@ -273,7 +282,13 @@ def _upstreams_slower_than_the_default(
 
 
 def worst_case(upstream: UpstreamSettings, route: Route, gap: float = 0.0) -> WorstCase:
-    """Return the longest time that a request of a route may take. ``gap``: seconds of silence that its unit needs."""
+    """Return the longest time that an upstream may need for a request of a route.
+
+    Args:
+        upstream: the upstream of the route.
+        route: the route, whose limits may split the request.
+        gap: seconds of silence that the unit needs before a request.
+    """
     parameters = upstream.link.parameters
     timeout = route.timeout or parameters.timeout
     reading = writing = parameters.request_gap
@@ -326,7 +341,7 @@ def _of_listener(routes: Sequence[PlacedRoute], listener: PlacedListener) -> lis
 
 
 def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]) -> Faults:
-    """Return errors for upstreams that lead back to the gateway itself, and for serial ports used twice."""
+    """Yield errors for upstreams that lead back to the gateway itself, and for serial ports used twice."""
     owners: dict[str, str] = {}
     for listener in listeners:
         if listener.endpoint.carrier == "serial":

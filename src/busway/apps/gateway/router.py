@@ -44,13 +44,13 @@ _NO_PATH: Final = ExceptionCode.GATEWAY_PATH_UNAVAILABLE
 
 @dataclass(slots=True)
 class GatewayListenerCounters:
-    """Counters of a gateway's listener: requests that reached no upstream, and broadcasts.
+    """Counters of a gateway's listener: requests that were not forwarded, and broadcasts.
 
     Attributes:
-        no_route: requests without a route.
-        refused: requests that a route refused.
-        dropped: requests that a route dropped.
-        own: requests to the own unit.
+        no_route: requests without a route, or with addresses of which only a part is in the range of a route.
+        refused: requests that a route refused, and broadcasts that a route or the policy refused for an upstream.
+        dropped: requests that a route dropped: they got no reply.
+        own: requests that the gateway's own unit answered.
         malformed: requests that broke a rule of their function.
         broadcasts: writes to all units.
     """
@@ -64,8 +64,11 @@ class GatewayListenerCounters:
 
 
 RefusalOf = Callable[[RequestContext, AnyRequest, Collection[int], set[int]], int]
-"""Client, request, units that it reaches, and ids of rules that have counted it → the exception code with which a
-policy refuses it; 0 if it is permitted."""
+"""Function that returns the exception code with which the policy refuses a request to several units; 0 if permitted.
+
+Its arguments: context of the request with its client, the request, the units that get it, and the ids of the rules with
+a rate that have counted the request already.
+"""
 
 
 def _no_refusal(context: RequestContext, request: AnyRequest, units: Collection[int], charged: set[int]) -> int:
@@ -73,18 +76,20 @@ def _no_refusal(context: RequestContext, request: AnyRequest, units: Collection[
 
 
 class ListenerRouter:
-    """The responder of one listener of a gateway: forwards its requests by the routes.
-
-    Attributes:
-        refusal_of: returns the exception code if the policy denies a broadcast, else 0.
+    """The responder of one listener of a gateway: forwards each request by the routes, or answers it.
 
     Args:
         name: name of the listener in routes.
-        functions: the table of functions; other functions are forwarded unread.
-        own: answers for the own unit; None without one.
-        own_unit: its unit identifier.
+        functions: the table of functions; requests with other functions are forwarded unread.
+        own: responder of the gateway's own unit; None without one.
+        own_unit: unit identifier of the own unit, 0…255.
         deadline: seconds until each request is answered, if necessary with 0A or 0B; None for no limit.
         silent_broadcasts: whether a broadcast gets no reply.
+
+    Attributes:
+        generation: number that changes whenever other routes are used, so that compiled answers are dropped.
+        counters: counters of requests that were not forwarded, and of broadcasts.
+        refusal_of: returns the exception code with which the policy refuses a broadcast; 0 if it is permitted.
     """
 
     def __init__(
@@ -112,7 +117,12 @@ class ListenerRouter:
         self._targets: dict[tuple[str, int, float | None], ForwardTarget] = {}
 
     def follow(self, routes: ListenerRoutes, forwarders: Mapping[str, Forwarder]) -> None:
-        """Use other routes and forwarders from now on. Requests in progress are still answered."""
+        """Use these routes and forwarders from the next request on. Requests in progress are still answered.
+
+        Args:
+            routes: the routes of the listener.
+            forwarders: by name of the upstream, its forwarder.
+        """
         self._routes = routes
         self._forwarders = forwarders
         self._targets = {}
@@ -122,12 +132,14 @@ class ListenerRouter:
         self.generation += 1
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return the unit that answers for a number, by a route or as the gateway's own unit; else None."""
+        """Return the unit with this number if a route or the gateway's own unit answers for it; else None."""
         return self._served.get(unit)
 
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
-        """Return how to forward a read without decoding it; None if it is refused, split, cached, or its reply is
-        checked.
+        """Return how the fast path forwards reads with this PDU to this unit; None if it must not forward them.
+
+        None stands for all that needs the generic path: other functions, reads that are refused or split, routes with
+        remembered values, and devices with wider registers.
         """
         request = self.functions.decode_request(pdu)
         if not isinstance(request, ReadRegisters | ReadBits) or request.take is None:
@@ -148,7 +160,11 @@ class ListenerRouter:
         return ForwardPlan(self._target(forwarder, context.unit, found), context.unit, asked)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Forward a request by its route, let the own unit answer it, or refuse it."""
+        """Return the reply to a request, or how it is forwarded by its route, or that it gets no reply.
+
+        Requests to the gateway's own unit are answered by its device, malformed ones and those without a route with an
+        exception code.
+        """
         if isinstance(request, MalformedRequest):
             self.counters.malformed += 1
             return ExceptionResponse(context.function, request.code)
@@ -178,7 +194,7 @@ class ListenerRouter:
         return self._no_route(context, found)
 
     def _forwarder_of(self, route: Route) -> Forwarder | None:
-        """Return the forwarder of a route's upstream; None if the route refuses, or the upstream was removed."""
+        """Return the forwarder of a route's upstream; None if the route does not forward, or the upstream is gone."""
         return self._forwarders.get(route.upstream) if route.action is RouteAction.FORWARD else None
 
     @staticmethod
@@ -197,7 +213,11 @@ class ListenerRouter:
     def _forward(
         self, context: RequestContext, request: Request, route: Route, forwarder: Forwarder
     ) -> Message | Forwarding:
-        """Forward a request by a route, or answer a read from the cache."""
+        """Return how a request is forwarded by a route; or its reply, if values are remembered or it is invalid there.
+
+        Exception 02: a shifted address does not exist. Exception 03: the registers of the device are too wide for so
+        many in one reply.
+        """
         width = forwarder.upstream.register_width
         if width != NARROW and isinstance(request, ReadRegisters) and request.count * width > MAX_DATA:
             return ExceptionResponse(context.function, ExceptionCode.ILLEGAL_DATA_VALUE)
@@ -225,7 +245,11 @@ class ListenerRouter:
         return SILENCE
 
     def _broadcast(self, context: RequestContext, request: Request) -> Outcome:
-        """Forward a write to unit 0, which came over a network, to all units of the upstreams that take broadcasts."""
+        """Return how a write to unit 0, which came over a network, goes to all upstreams that take broadcasts.
+
+        The client gets an exception code if no upstream is reached or a rule of the policy denies the write; then no
+        upstream hears it.
+        """
         self.counters.broadcasts += 1
         own = self._routes.find(BROADCAST_UNIT, request)
         if isinstance(own, Route) and own.action is not RouteAction.FORWARD:
@@ -257,10 +281,16 @@ class ListenerRouter:
         return Forwarding(context, tuple(asks), reply) if asks else reply
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
-        """Forward a serial broadcast, which arrives once per unit, once to each upstream that takes broadcasts.
+        """Return how a broadcast from a serial line is forwarded; it is asked here once for each unit of the listener.
 
-        A server on a network gets one for each unit that a route names, and one to unit 0 if the route names none: most
-        of 247 units would have no device, and their timeouts would take minutes.
+        An upstream that takes broadcasts gets one. Another one, a server on a network, gets a write for each unit that
+        a route names, or one to unit 0 if the route names none: most of 247 units would have no device, and their
+        timeouts would take minutes.
+
+        Args:
+            context: the unit and the client.
+            executed: ids of the forwarders that have been dealt with for this broadcast.
+            request: the write.
         """
         found = self._routes.find(context.unit, request)
         if not isinstance(found, Route) or found.action is not RouteAction.FORWARD:
@@ -292,10 +322,16 @@ class ListenerRouter:
     def _way_to_all(
         self, context: RequestContext, upstream: str, request: Request, charged: set[int]
     ) -> Route | int | None:
-        """Return how a broadcast reaches an upstream: a route, an exception code, or None if it is not forwarded.
+        """Return the route by which a broadcast goes to an upstream, or the exception code with which it is refused.
 
-        Every unit of the upstream hears it: so all of them must permit it, under the same address. ``charged`` as of
-        `RefusalOf`.
+        None if no route leads this write there. Every unit of the upstream hears a broadcast, so the routes and the
+        policy must permit it for each of them, with the same address.
+
+        Args:
+            context: the client.
+            upstream: name of the upstream.
+            request: the write.
+            charged: ids of the rules with a rate that have counted the broadcast already.
         """
         ways: set[Route] = set()
         refused = 0  # by a route
@@ -324,7 +360,7 @@ class ListenerRouter:
 
 
 def _for_all_units(route: Route) -> Route:
-    """Return the route for a broadcast to an upstream; shifts and limits are those of a route to one unit."""
+    """Return a route to unit 0 of an upstream, for broadcasts, with the shift and limits of a route to one unit."""
     return Route(
         upstream=route.upstream,
         unit=BROADCAST_UNIT,

@@ -28,7 +28,7 @@ SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
 
 
 class RouteAction(Enum):
-    """What a route does with a request: forward or refuse it."""
+    """What a route does with a request: forward it, refuse it with an exception code, or drop it without a reply."""
 
     FORWARD = "forward"
     REFUSE = "refuse"
@@ -37,7 +37,7 @@ class RouteAction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class AddressRange:
-    """Items ``first`` … ``end - 1`` of a table, which a route forwards or refuses."""
+    """The items ``first`` … ``end - 1`` of a table, whose requests a route takes. Raises `ConfigError` if invalid."""
 
     table: Table
     first: int
@@ -56,21 +56,24 @@ class Route:
     """One route of a gateway: which requests it applies to, and where they are forwarded.
 
     Attributes:
-        upstream: name of the upstream; empty where nothing is forwarded.
-        listeners: names of the listeners it holds for; empty for all.
-        units: unit identifiers as clients ask them, 0…255.
+        upstream: name of the upstream; empty for a route that does not forward.
+        listeners: names of the listeners whose requests the route takes; empty for all.
+        units: unit identifiers that clients use, 0…255.
         functions: function codes; empty for all.
-        addresses: only requests within this range; None for all.
-        unit: the unit upstream; None for the unit that the client asks, plus ``unit_offset``.
-        unit_offset: added to the unit.
-        shift: added to every address; in replies it is subtracted.
+        addresses: the range in which requests must lie; None for all addresses.
+        unit: unit identifier on the upstream; None for the unit that the client asks, plus ``unit_offset``.
+        unit_offset: number that is added to the unit.
+        shift: number that is added to every address, and subtracted in replies.
         max_registers, max_bits: most items in one request to the device; longer reads are split. None for no limit.
         split_writes: whether longer writes are split too; their parts are executed one after the other.
-        action: forward, refuse with ``code``, or drop.
-        code: the exception code of a refusal.
-        cache: seconds for which a read may be answered with remembered data; None for never.
+        action: whether requests are forwarded, refused with ``code``, or dropped.
+        code: exception code of a refusal, 1…255.
+        cache: seconds for which a read may be answered with remembered values; None for never.
         timeout: seconds to wait for the device; None for the timeout of the upstream.
-        name: for messages.
+        name: name of the route in messages; empty for none.
+
+    Raises:
+        ConfigError: a value is out of its range, or the route both names an upstream and refuses or drops.
     """
 
     upstream: str = ""
@@ -114,13 +117,11 @@ class Route:
 
     @property
     def names_no_units(self) -> bool:
-        """Whether the route applies to every unit number and leaves it unchanged."""
+        """Whether the route takes all units (1…247 at least), and forwards each request to the unit it names."""
         return self.unit is None and not self.unit_offset and self.units >= SERIAL_UNITS
 
     def covers(self, other: "Route") -> bool:
-        """Whether this route takes every request that ``other`` would take, so that ``other`` after it is never
-        reached.
-        """
+        """Whether this route takes every request that ``other`` would take: ``other`` after it is never reached."""
         return other.units <= self.units and self.covers_beside_units(other)
 
     def covers_beside_units(self, other: "Route") -> bool:
@@ -141,19 +142,27 @@ class Route:
 
     @property
     def title(self) -> str:
-        """The name of the route, as used in messages about it."""
+        """The name of the route for messages; without a name, its units and where they go."""
         return self.name or f"units {units_text(self.units)} to {self.upstream or self.action.value}"
 
 
 @dataclass(frozen=True, slots=True)
 class Straddles:
-    """Result of looking for a route: only a part of the request's addresses is in this route's range."""
+    """Result of looking for a route: only a part of the request's addresses is in the range of a route.
+
+    Attributes:
+        route: that route. The request is refused with exception 02.
+    """
 
     route: Route
 
 
 class ListenerRoutes:
-    """The routes for the requests of one listener, arranged by unit."""
+    """The routes for the requests of one listener, arranged by unit so that a request's route is found fast.
+
+    Args:
+        routes: the routes of the listener, in their order.
+    """
 
     __slots__ = ("_by_unit", "_indexed")
 
@@ -172,7 +181,14 @@ class ListenerRoutes:
                 self._by_unit[unit] = tuple(found)
 
     def find(self, unit: int, request: Request) -> Route | Straddles | None:
-        """Return the route for a request; None without one."""
+        """Return the first route that takes a request; None if no route does.
+
+        `Straddles` if the first route that the request touches has only a part of its addresses.
+
+        Args:
+            unit: unit identifier that the client uses.
+            request: the request.
+        """
         routes = self._by_unit.get(unit, ())
         if len(routes) > _FEW and (touch := _touched_at_once(request)) is not None:
             return self._found_by_address(routes, request, touch)
@@ -208,7 +224,7 @@ class ListenerRoutes:
         return None
 
     def units_to(self, upstream: str) -> list[int]:
-        """Return the units 1…247 that have a route to an upstream."""
+        """Return the units 1…247, as clients use them, that have a route to an upstream."""
         return [
             unit
             for unit in range(1, LAST_SERIAL_UNIT + 1)
@@ -217,19 +233,19 @@ class ListenerRoutes:
 
     @property
     def units(self) -> frozenset[int]:
-        """Return the units that have a route of this listener."""
+        """The units, as clients use them, that have a route."""
         return frozenset(self._by_unit)
 
     @property
     def upstreams(self) -> tuple[str, ...]:
-        """Return the names of the upstreams of the listener's routes, each once, in order."""
+        """The names of the upstreams that the routes forward to, each once, in the order of the routes."""
         return tuple(
             dict.fromkeys(route.upstream for routes in self._by_unit.values() for route in routes if route.upstream)
         )
 
 
 def _indexed(routes: Sequence[Route], function: int, table: Table) -> tuple[list[Route], AddressIndex]:
-    """Return the routes that take a function, without those of other tables, and an index of their addresses."""
+    """Return the routes that may take requests of a function to a table, and an index of their address ranges."""
     taking = [
         one
         for one in routes
@@ -269,7 +285,10 @@ class RoutingTable:
     """All routes of a gateway, in order; the first that fits gets a request.
 
     Attributes:
-        routes: in their order; the first one that fits decides.
+        routes: the routes in their order.
+
+    Raises:
+        ConfigError: a route is never reached.
     """
 
     routes: tuple[Route, ...]
@@ -280,7 +299,7 @@ class RoutingTable:
             raise ConfigError(sentence, key=f"route[{position}]")
 
     def faults(self) -> Iterator[tuple[int, str]]:
-        """Return the routes that no request ever reaches: the position of each, and a message."""
+        """Yield for each route that no request ever reaches its position and a message."""
         for position in range(len(self.routes)):
             takers, left = taken_before(self.routes, position)
             if not left:
@@ -300,7 +319,12 @@ class RoutingTable:
 
 
 def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], frozenset[int]]:
-    """Return the earlier routes that take all requests to some units of a route, and the units left for it."""
+    """Return the earlier routes that take all requests of a route to some of its units, and the units left for it.
+
+    Args:
+        routes: all routes in their order.
+        position: position of the route.
+    """
     route = routes[position]
     whole = next((one for one in routes[:position] if one.covers(route)), None)
     if whole is not None:
@@ -314,7 +338,7 @@ def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], f
 
 
 def function_of(request: Request) -> int:
-    """Return the function code of a request."""
+    """Return the function code of a request, also of one with an unknown function."""
     return request.function if isinstance(request, OpaqueRequest) else request.code
 
 

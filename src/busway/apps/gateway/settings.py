@@ -25,8 +25,11 @@ UPSTREAM_DEFAULTS: Mapping[str, Any] = {  # Any: values of options
     "timeout": ClientParameters().timeout,
     "open_after": BreakerParameters().open_after,
 }
-"""Options of links with another default in a gateway: it does not wait for a missing port; on a network, its attempts
-end before its clients give up, and a silent unit does not stall the others."""
+"""Options of links that have another default in a gateway.
+
+A gateway does not wait for a missing port. On a network its attempts end before its clients give up, and a silent unit
+does not stall the others.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +37,7 @@ class GatewayListener:
     """A listener of a gateway with its options.
 
     Attributes:
-        name: its name in routes.
+        name: name of the listener in routes.
         settings: endpoint, access, certificates and limits.
         deadline: seconds until each request is answered, if necessary with 0A or 0B; None for no limit. Requests
             still queued then are not sent.
@@ -52,11 +55,14 @@ class UpstreamSettings:
     """The settings of one upstream: its name, link and options.
 
     Attributes:
-        name: its name in routes.
+        name: name of the upstream in routes.
         link: endpoint, timeouts and gaps, as for `busway.open`.
-        options: connections, shared reads, broadcasts.
-        unit_gaps: seconds of silence after a reply, by unit; on serial lines only.
+        options: number of connections, whether reads are shared, whether broadcasts are forwarded.
+        unit_gaps: by unit, seconds of silence after its reply; on serial lines only.
         same_device: groups of units that are the same device: a write to one drops remembered values of the others.
+
+    Raises:
+        ConfigError: ``unit_gaps`` on a network, several connections to a serial port, or an invalid group.
     """
 
     name: str
@@ -87,10 +93,15 @@ class UpstreamSettings:
 
     @classmethod
     def of(cls, name: str, url: str | Endpoint, **options: Any) -> Self:
-        """Create settings from a URL and options of this class and of links. Raises `ConfigError`.
+        """Create the settings of an upstream from a URL and options. Raises `ConfigError` for invalid ones.
 
-        A missing port is not waited for, unless ``port_wait`` says so: clients get 0A at once. ``timeout``
-        is 1 second, and ``open_after`` 3, for every scheme.
+        The gateway does not wait for a missing port unless ``port_wait`` says so: clients get 0A at once. By default
+        ``timeout`` is 1 second and ``open_after`` 3, for every scheme.
+
+        Args:
+            name: name of the upstream in routes.
+            url: URL of the line or server.
+            options: options of links, of `UpstreamParameters`, and ``unit_gaps`` and ``same_device`` of this class.
         """
         endpoint = parse_endpoint(url)
         offered = options_of(endpoint)
@@ -107,12 +118,15 @@ class GatewayPlan:
     """The complete configuration of a gateway (listeners, upstreams, routes) as objects, checked as a whole.
 
     Attributes:
-        listeners, upstreams: each with a unique name.
+        listeners, upstreams: the listeners and upstreams, each with a unique name.
         table: the routes between them.
-        own_unit: unit identifier of the gateway itself; None: it answers as no unit.
-        own_registers: whether its own unit has input registers with its status.
-        functions: the table of functions; other functions are forwarded unread.
-        server: options of `Server` for all listeners (parameters, limits, sockets, policy, audit …).
+        own_unit: unit identifier of the gateway itself, 0…255; None if it answers as no unit.
+        own_registers: whether the own unit has input registers with the gateway's status.
+        functions: the table of functions; requests with other functions are forwarded unread.
+        server: keyword arguments of `Server` for all listeners (parameters, limits, sockets, TLS …).
+
+    Raises:
+        ConfigError: no listener, a name that stands twice, or a route that names an unknown listener or upstream.
     """
 
     listeners: tuple[GatewayListener, ...]
@@ -154,9 +168,12 @@ def simple_plan(
     """Return the configuration of a gateway that forwards all units of all listeners to one upstream.
 
     Args:
-        listeners: URLs to listen on.
-        upstream: URL of the upstream.
-        options: the options of the upstream, as for `UpstreamSettings.of`.
+        listeners: URLs to listen on, or listeners.
+        upstream: URL of the upstream, which gets the name ``line``.
+        options: options of the upstream, as for `UpstreamSettings.of`.
+
+    Raises:
+        ConfigError: an invalid URL or option.
     """
     endpoint = parse_endpoint(upstream)
     units = ALL_UNITS if endpoint.framing == "mbap" else SERIAL_UNITS

@@ -23,16 +23,18 @@ def share(
     shared: Mapping[Key, Batch],
     within: float | None,
 ) -> tuple[Sequence[Any], Sequence[ForwardedRequest], list[tuple[Any, ForwardedRequest]]]:
-    """Let reads of one client wait for equal reads in flight.
+    """Let reads of one client wait for equal reads that others have in flight, and return the other reads.
 
     Args:
         asker: the client.
-        tags, asked: its reads.
+        tags: for each read, the tag by which the client knows it.
+        asked: the reads, all to one unit.
         shared: the unit's reads in flight, by key.
-        within: seconds after which the client has given up; None if that is not known.
+        within: seconds until the client must be answered; None for no limit.
 
     Returns:
-        The reads to send, as tags and requests; and those that equal one of these, to be asked after it.
+        Tags and requests of the reads that are to be sent; and tag and request of each read that equals one of those,
+        to be asked once that one is in flight.
     """
     left: dict[Key, tuple[Any, ForwardedRequest]] = {}
     twice: list[tuple[Any, ForwardedRequest]] = []
@@ -48,7 +50,13 @@ def share(
 
 
 def _join(batch: Batch, waiter: Waiter, within: float | None) -> None:
-    """Let a client wait for an equal read that another client has in flight."""
+    """Let a client wait for an equal read in a batch that is in flight, with a deadline of its own.
+
+    Args:
+        batch: the batch with the read.
+        waiter: the client and its read.
+        within: seconds until the client must be answered; None for no limit.
+    """
     asker, _, asked = waiter
     batch.forwarder.upstream.counters.shared += 1
     position = _position(batch, asked)
@@ -67,7 +75,7 @@ def _join(batch: Batch, waiter: Waiter, within: float | None) -> None:
 
 
 def _position(batch: Batch, asked: ForwardedRequest) -> int:
-    """Return the position of a read in a batch."""
+    """Return the position in a batch of the read that equals this one."""
     return batch.keys.index(asked.key)
 
 

@@ -18,7 +18,13 @@ _CONNECTED = frozenset({ConnectionState.UP.value, ConnectionState.SUSPECT.value}
 
 @dataclass(frozen=True, slots=True)
 class GatewayListenerStatus:
-    """Status of one listener of a gateway."""
+    """Status of one listener of a gateway.
+
+    Attributes:
+        name: name of the listener in routes.
+        server: status of the listener's server.
+        counters: counters of the requests that were not forwarded, and of broadcasts.
+    """
 
     name: str
     server: ServerStatus
@@ -30,11 +36,11 @@ class GatewayStatus:
     """Status of a gateway, with the totals of its listeners.
 
     Attributes:
-        running: whether it is started.
+        running: whether the gateway is started.
         uptime: seconds since the start; 0 while stopped.
         endpoints: URLs of the listeners, with the ports that they are bound to.
-        gateway_listeners, upstreams: status of each.
-        open_requests: requests that are not answered yet.
+        gateway_listeners, upstreams: status of each listener and each upstream.
+        open_requests: number of forwarded requests that are not answered yet.
     """
 
     running: bool
@@ -51,7 +57,7 @@ class GatewayStatus:
 
     @property
     def listeners(self) -> tuple[ListenerStatus, ...]:
-        """The status of all listeners of the gateway."""
+        """The status of all listening addresses and ports of the gateway."""
         return tuple(one for listener in self.gateway_listeners for one in listener.server.listeners)
 
     @property
@@ -70,22 +76,25 @@ class GatewayStatus:
 
     @property
     def supported_connections(self) -> int:
-        """Highest number of client connections that all listeners together accept."""
+        """The highest number of client connections that all listeners together accept."""
         return sum(listener.server.supported_connections for listener in self.gateway_listeners)
 
     @property
     def remote_connections(self) -> int:
-        """Number of open connections from clients."""
+        """The number of open connections from clients."""
         return sum(listener.server.remote_connections for listener in self.gateway_listeners)
 
     @property
     def local_connections(self) -> int:
-        """Number of open connections to upstreams."""
+        """The number of open connections to upstreams."""
         return sum(link.state in _CONNECTED for upstream in self.upstreams for link in upstream.links)
 
 
 def upstream_numbers(upstream: UpstreamStatus) -> list[int]:
-    """Return the status registers of an upstream in the gateway's own unit (`UPSTREAM_REGISTERS`)."""
+    """Return the values of an upstream for the status registers of the gateway's own unit.
+
+    Their order is that of `busway.apps.gateway.own_unit.UPSTREAM_REGISTERS`.
+    """
     counters = upstream.counters
     return [
         max((STATES.index(one.state) for one in upstream.links), default=0),

@@ -22,17 +22,18 @@ _READS = (ReadRegisters, ReadBits)  # a union would be made anew at every look: 
 
 
 class Translated:
-    """A client's request as its upstream gets it, with what is needed to translate the reply back.
+    """A client's request as its upstream gets it, and the translation of the reply back for the client.
 
     Args:
         request: the client's request.
-        route: its route.
-        width: bytes of the registers of the device, 2…12; clients get its registers in this width.
+        route: the route of the request.
+        width: bytes of a register of the device, 2…12; clients get registers of this width too.
 
     Attributes:
-        requests: the requests that are sent for it; usually one.
-        key: the bytes that identical reads have in common; empty for other requests.
-        place: the range that it reads, if its data are to be remembered; otherwise None.
+        requests: the requests that are sent upstream for the client's; usually one, several if it is split.
+        key: bytes that are the same for identical reads; empty for other requests.
+        place: the range that is read (table, first address upstream, count) if its values are to be remembered;
+            otherwise None.
 
     Raises:
         InvalidRequest: the shifted address does not exist.
@@ -52,17 +53,17 @@ class Translated:
                 self.place = request.reads.table, request.address + route.shift, request.count
 
     def of_data(self, data: bytes) -> Message:
-        """Return the client's reply to a read, built from the data that the upstream sent."""
+        """Return the client's reply to a read, built from the data of the items as the upstream sent them."""
         kind: Any = type(self.requests[0])  # as wide as the device's registers are
         reply: Message = kind.Reply(data)
         return reply
 
     def whole(self, replies: Sequence[Message]) -> Message:
-        """Return the reply to the request, joined from the replies to its parts."""
+        """Return one reply of the upstream, joined from the replies to `requests`; addresses are the upstream's."""
         return replies[0] if len(replies) == 1 else _joined(self._request, self._route, self.requests, replies)
 
     def client_reply(self, reply: Message) -> Message:
-        """Return the client's reply, translated from that of the upstream."""
+        """Return the client's reply, translated from the upstream's reply: addresses are shifted back."""
         if reply is self.requests[0]:  # no unit answers on unit 0 of a serial line: the request stands for its reply
             return echo(self._request)
         shift = self._route.shift
@@ -99,7 +100,7 @@ def _upstream_requests(request: Request, route: Route, width: int) -> tuple[Requ
 
 
 def echo(request: Request) -> Message:
-    """Return the reply that a device gives to an executed write."""
+    """Return the reply that a device gives after it has executed this write; it repeats fields of the request."""
     if request.echoes or isinstance(request, OpaqueRequest):
         return request
     fields = request.values()
@@ -152,7 +153,16 @@ def _joined(request: Request, route: Route, sent: Sequence[Request], replies: Se
 
 
 def _moved(message: Message, kind: type[Request], shift: int) -> Message:
-    """Return a copy of a message with ``shift`` added to all its addresses."""
+    """Return a message with ``shift`` added to all its addresses; the message itself if it has none.
+
+    Args:
+        message: a request or its reply.
+        kind: class of the request.
+        shift: number to add, also below zero.
+
+    Raises:
+        InvalidRequest: an address would be outside 0…65535.
+    """
     names = {touch.address for touch in (kind.reads, kind.writes) if touch is not None}
     values = message.values()
     moved = names & set(values)

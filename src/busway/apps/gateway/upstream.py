@@ -43,11 +43,11 @@ class UpstreamCounters:
     Attributes:
         forwarded: requests that a link accepted.
         answered: requests with a reply of the device.
-        exceptions: requests that the device refused.
+        exceptions: requests that the device refused with an exception code.
         no_path: requests answered 0A: upstream down, queue full, deadline passed in the queue.
-        no_answer: requests answered 0B.
+        no_answer: requests answered 0B: they were sent and got no valid reply, or their unit does not answer.
         shared: reads that waited for an identical read in flight.
-        recalled: reads that were answered with remembered data.
+        recalled: reads that were answered with remembered values.
         abandoned: requests whose client disconnected before the reply.
         broadcasts: writes to all units.
     """
@@ -65,12 +65,12 @@ class UpstreamCounters:
 
 @dataclass(frozen=True, slots=True)
 class SuspendedUnit:
-    """A unit that gets no requests for now because its circuit breaker is open, for the status.
+    """A unit that gets no requests for now, because its breaker is open after several timeouts in a row.
 
     Attributes:
-        unit: the unit on the upstream.
-        state: ``open`` or ``probing``.
-        next_probe: seconds until a request may probe it; 0: the next request does.
+        unit: unit identifier on the upstream.
+        state: state of the breaker: ``open`` or ``probing``.
+        next_probe: seconds until a request is sent to the unit again, to probe it; 0 if the next request is.
     """
 
     unit: int
@@ -83,14 +83,15 @@ class LinkStatus:
     """The status of one connection of an upstream.
 
     Attributes:
-        state: state of the connection.
+        state: state of the connection: a value of `ConnectionState`.
         in_flight: number of requests in flight.
         queued: number of requests in the queue.
         counters: counters of the link.
-        suspended: units that are suspended by their breaker.
-        reason: why it cannot be reached; empty while it can be, and before the first attempt.
-        next_attempt: seconds until the next attempt is allowed; None if the next request makes one.
-        in_doubt: units that owe replies, on links without transaction numbers.
+        suspended: units that get no requests for now, because of their breaker.
+        reason: why the server or port cannot be reached; empty while it can be, and before the first attempt.
+        next_attempt: seconds until the next attempt to connect is allowed; None if the next request makes one.
+        in_doubt: units that owe a reply, on serial links; without transaction identifiers a late reply could be taken
+            for another one.
     """
 
     state: str
@@ -108,10 +109,11 @@ class UpstreamStatus:
     """The status of an upstream: its connections, counters and indicators.
 
     Attributes:
-        name, endpoint: its name in routes, and its URL.
-        links: its connections.
-        counters: counters of its requests.
-        indicators: communication is on while replies are awaited, error flashes while it cannot be reached.
+        name: name of the upstream in routes.
+        endpoint: URL of the upstream.
+        links: the status of each connection; empty while the upstream is closed.
+        counters: counters of the requests.
+        indicators: communication is on while replies are awaited, error flashes while the upstream cannot be reached.
     """
 
     name: str
@@ -125,14 +127,23 @@ class Upstream:
     """One upstream of a gateway: its connections, their log lines, counters and status.
 
     Args:
-        name: its name in routes.
-        settings: settings of its links.
+        name: name of the upstream in routes.
+        settings: settings of the links.
         connections: number of connections to one server; 1 on a serial line.
-        broadcast: whether it gets writes to unit 0; None: if its framing is RTU or ASCII.
-        clock: monotonic seconds, for log lines and the age of remembered values.
+        broadcast: whether writes to unit 0 are forwarded to the upstream; None: only if its framing is RTU or ASCII.
+        clock: returns monotonic seconds, for log lines and the age of remembered values.
 
     Attributes:
-        watch: called with the session of a link after received bytes or a timer were handled.
+        takes_broadcasts: whether writes to unit 0 are forwarded to the upstream.
+        counters: counters of the requests.
+        watch: called with the session of a link after received bytes or a timer were handled; set it before `open`.
+        links: the links to the server or line; empty while the upstream is closed.
+        news: writes the log lines.
+        register_width: bytes of a register of the devices.
+        pipelines: whether several requests may be in flight at once: on networks.
+
+    Raises:
+        ConfigError: an invalid number of connections.
     """
 
     def __init__(
@@ -167,7 +178,13 @@ class Upstream:
     # Open and close.
 
     def open(self) -> None:
-        """Create the links of the upstream, in a coroutine. A serial port is opened soon. Raises `ConfigError`."""
+        """Create the links of the upstream; a serial port is then opened by a task. Does nothing while it is open.
+
+        Must be called while an event loop runs.
+
+        Raises:
+            ConfigError: the upstream cannot be used as configured.
+        """
         if self.links:
             return
         for _ in range(self._connections):
@@ -183,7 +200,7 @@ class Upstream:
                 self._keeper = asyncio.get_running_loop().create_task(self._keep_open(link))
 
     async def _keep_open(self, link: AsyncLinkDriver) -> None:
-        """Open the serial port of a link now, and again whenever it is lost."""
+        """Open the serial port of a link now, and again whenever the port is lost, until cancelled."""
         while True:
             self._port_gone.clear()
             with contextlib.suppress(LinkDown):  # reported by its event
@@ -194,8 +211,11 @@ class Upstream:
                 await asyncio.sleep(link.next_attempt or 0.01)
 
     def _told(self, event: ConnectionEvent, reason: str) -> None:
-        """Log that a connection to the upstream was opened, failed or was lost; if lost, wake the task
-        that reopens it.
+        """Log that a connection to the upstream was opened, failed or was lost; have a lost serial port reopened.
+
+        Args:
+            event: what happened to the connection.
+            reason: why, in words.
         """
         if event is ConnectionEvent.CONNECTED:
             self.news.is_up()
@@ -206,7 +226,7 @@ class Upstream:
             self.news.is_down(reason)
 
     def set_unit_gaps(self, unit_gaps: Mapping[int, float]) -> None:
-        """Set for how many seconds each unit gets no request after its reply; for serial lines only."""
+        """Set by unit for how many seconds it gets no request after its reply; no effect except on serial lines."""
         for link in self.links:
             if isinstance(link.session, SerialClientSession):
                 link.session.set_unit_gaps(unit_gaps)
@@ -259,7 +279,10 @@ class Upstream:
         return link
 
     def refused(self, error: ModbusError) -> int:
-        """Return the exception code for the error of a forwarded request; counts the request, and logs 0A."""
+        """Return the exception code that a client gets for the error of a forwarded request.
+
+        The request is counted as refused, and an answer 0A is logged.
+        """
         code = code_for(error)
         counters = self.counters
         if code == ExceptionCode.GATEWAY_PATH_UNAVAILABLE:
@@ -274,7 +297,7 @@ class Upstream:
 
 
 def _indicators(links: Sequence[LinkStatus]) -> StatusIndicators:
-    """Return the status indicators of an upstream."""
+    """Return the status indicators of an upstream with these connections."""
     is_faulty = not links or any(link.reason for link in links)
     return StatusIndicators(
         StatusIndicator.ON if any(link.in_flight for link in links) else StatusIndicator.OFF,
@@ -284,13 +307,13 @@ def _indicators(links: Sequence[LinkStatus]) -> StatusIndicators:
 
 
 def _in_doubt(link: AsyncLinkDriver) -> tuple[int, ...]:
-    """Return the units of a serial link from which late replies may still come."""
+    """Return the units of a serial link that owe a reply, which may still come late; empty for other links."""
     session = link.session
     return tuple(session.doubts.in_doubt()) if isinstance(session, SerialClientSession) else ()
 
 
 def _suspended(link: AsyncLinkDriver) -> tuple[SuspendedUnit, ...]:
-    """Return the units of a link whose circuit breaker is open or half-open."""
+    """Return the units of a link whose breaker is not closed."""
     session = link.session
     if session.breakers is None:
         return ()

@@ -16,7 +16,7 @@ NO_ANSWER = int(ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
 
 
 def code_for(error: ModbusError) -> int:
-    """Return the exception code that a client gets for the error of its forwarded request."""
+    """Return the exception code that a client gets for the error of its forwarded request: the device's, 0A or 0B."""
     if isinstance(error, ExceptionReply):
         return error.code
     if isinstance(error, Overloaded | InvalidRequest):

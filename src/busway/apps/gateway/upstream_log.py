@@ -17,19 +17,19 @@ _log = logging.getLogger("busway.apps.gateway")
 AGAIN_AFTER: Final = 60.0
 """Seconds between log lines about requests answered 0A for the same reason."""
 WAITING: Final = "waiting for it"
-"""End of the line if the gateway tries again by itself; `busway serve` says the same of its ports."""
+"""End of a log line if the gateway tries again by itself; `busway serve` writes the same about its ports."""
 AT_NEED: Final = "tried again when something is asked"
-"""End of the line otherwise."""
+"""End of a log line if the gateway tries again at the next request."""
 
 
 class UpstreamLog:
-    """Writes the log lines about one upstream.
+    """Writes the log lines about one upstream that cannot be reached, and about its requests that were answered 0A.
 
     Args:
-        name: its name in routes.
-        endpoint: its URL.
-        is_waited_for: whether the gateway tries to open it without a request.
-        clock: monotonic seconds.
+        name: name of the upstream in routes.
+        endpoint: URL of the upstream.
+        is_waited_for: whether the gateway tries to open the upstream without a request.
+        clock: returns the time in monotonic seconds.
     """
 
     __slots__ = ("_clock", "_endpoint", "_name", "_no_path", "_no_path_reason", "_reason", "_then", "_told_at")
@@ -51,7 +51,7 @@ class UpstreamLog:
             _log.warning("%s: %s; %s", self._endpoint, reason, self._then)
 
     def is_up(self) -> None:
-        """Log that the upstream can be reached again."""
+        """Log that the upstream can be reached again, if it was logged as down, and log the count of 0A answers."""
         if self._reason:
             self._reason = ""
             _log.warning("%s: open again", self._endpoint)
@@ -59,7 +59,7 @@ class UpstreamLog:
         self._no_path_reason = ""
 
     def no_path(self, reason: str) -> None:
-        """Log or count a request that was answered with exception code 0A."""
+        """Log a request that was answered with exception code 0A, or count it if the same reason was logged already."""
         if reason != self._no_path_reason:
             self._tell_count()
             self._no_path_reason = reason

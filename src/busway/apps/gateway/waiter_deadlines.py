@@ -17,16 +17,16 @@ class DeadlineTimer(Protocol):
 
 
 CallAt = Callable[[float, Callable[[], None]], DeadlineTimer]
-"""Time and callback → the timer that calls it."""
+"""Function that creates a timer: it takes the time of a clock and a callback, and the timer calls that once."""
 
 
 class WaiterDeadlines(Generic[Waiter]):
-    """The deadlines of the clients that wait for one read, with the timer for the earliest.
+    """The deadlines of the clients that wait for one read, with one timer for the earliest deadline.
 
     Args:
-        now: the clock of the deadlines.
+        now: returns the time in seconds, by the clock of the deadlines.
         call_at: creates a timer of that clock.
-        over: called with each waiter whose deadline has passed.
+        over: called with each waiter whose deadline has passed; the waiter is then forgotten.
     """
 
     __slots__ = ("_call_at", "_deadlines", "_now", "_over", "_timer")
@@ -39,7 +39,12 @@ class WaiterDeadlines(Generic[Waiter]):
         self._timer: DeadlineTimer | None = None
 
     def add(self, waiter: Waiter, deadline: float) -> None:
-        """Add a client that waits for the read, and its deadline."""
+        """Add a client that waits for the read.
+
+        Args:
+            waiter: the client, as ``over`` gets it.
+            deadline: when the client must be answered, by the clock of this object.
+        """
         self._deadlines.append((deadline, waiter))
         if self._timer is None or deadline < self._nearest(self._deadlines[:-1]):
             self._arm()
